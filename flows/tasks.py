@@ -23,8 +23,7 @@ from flows import artifacts
 #: Name of each step's task, and of its runs; the arguments are sealed.
 _NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
     ingest.read: ("read drive", "read {folder.value}"),
-    odometry.odometry: ("odometry", "odometry {chunk.value.frame_pairs[0].frame_index} {part}"),
-    odometry.motions_again: ("motions", None),
+    odometry.follow_spans: ("follow points", "follow points {piece.value.frame_pairs[0].frame_index}"),
     odometry.self_calibrate: ("self-calibrate", None),
     odometry.refine: ("refine", None),
     detect.detect: ("detect", "detect {chunk.value.frame_pairs[0].frame_index} {part}"),
@@ -34,7 +33,6 @@ _NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
     analysis.weigh: ("weigh", None),
     analysis.compare: ("compare observations", None),
     analysis.keep_standing: ("reject moving objects", None),
-    markings.marking_points: ("find markings", "find markings {chunk.value.frame_pairs[0].frame_index} {part}"),
     markings.mark: ("mark", None),
     commit.commit: ("merge", None),
     artifacts.publish_drive: ("publish", None),

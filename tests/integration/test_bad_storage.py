@@ -15,10 +15,10 @@ from conetl.geometry.motion.stereo_tracks import StereoTracks
 from conetl.geometry.rig import right_camera_turned
 from conetl.model.drive import Detection, StereoMatch
 from conetl.model.errors import StorageError
-from conetl.model.params import IngestParams
+from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.pipeline.chunks import Chunk, chunks_of
 from conetl.pipeline.detect import detect, match
-from conetl.pipeline.odometry import grey_reader, odometry
+from conetl.pipeline.odometry import follow_spans, grey_reader
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES, cut_drive, spoil_huffman_table
@@ -30,7 +30,9 @@ def chunk_of(drive: Path, results: Path) -> Chunk:
     """The first two pairs of a drive, of whose images nothing is in memory."""
     read, _ = read_drive(drive)
     forget_all()
-    chunk = chunks_of(read, Settings(), IngestParams(chunk_pairs=2))[0]
+    chunk = chunks_of(
+        read, Settings(), IngestParams(chunk_pairs=2, trajectory=TrajectoryParams(self_calibration_span_m=1.0))
+    )[0]
     return chunk.model_copy(update={"results_folder": results})
 
 
@@ -58,7 +60,7 @@ def detected(chunk: Chunk) -> bool:
 
 
 def followed(chunk: Chunk) -> bool:
-    found, _ = load_result(odometry(chunk, 0).tracks, StereoTracks)
+    found, _ = load_result(follow_spans(chunk), StereoTracks)
     return found[0].missing is None
 
 
@@ -79,7 +81,7 @@ def test_nothing_is_kept_of_images_that_were_not_read(
 def test_an_image_that_changed_since_it_was_hashed_is_not_used(chunk: Chunk) -> None:
     image = Path(chunk.frame_pairs[0].left_path)
     image.write_bytes(half(image))
-    for work in (lambda: detect(chunk, 0, chunk.rig), lambda: odometry(chunk, 0)):
+    for work in (lambda: detect(chunk, 0, chunk.rig), lambda: follow_spans(chunk)):
         with pytest.raises(StorageError, match="changed"):
             work()
     image.unlink()
@@ -94,7 +96,7 @@ def test_an_image_that_no_decoder_accepts_is_a_rejection_that_is_kept(tmp_path: 
     chunk = chunk_of(drive, tmp_path / "results")
     _, rejections = load_result(detect(chunk, 0, chunk.rig).detections, Detection)
     assert [rejection.reason for rejection in rejections] == ["image_unreadable"]
-    found, _ = load_result(odometry(chunk, 0).tracks, StereoTracks)
+    found, _ = load_result(follow_spans(chunk), StereoTracks)
     assert found[0].missing == "image_unreadable"
 
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import time
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cloudpickle
 import numpy as np
@@ -20,17 +22,19 @@ from conetl.cli.ingest import ingest_drives
 from conetl.db.connection import connect, execute
 from conetl.files.parquet_store import load_result
 from conetl.files.storage import as_path
-from conetl.geometry.motion.stereo_tracks import StereoTracks
+from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.rig import right_camera_turned
-from conetl.model.drive import StereoMatch
+from conetl.model.arrays import Image
+from conetl.model.drive import FramePair, StereoMatch
 from conetl.model.errors import InputError, ModelFileError
 from conetl.model.params import IngestParams, TrajectoryParams
+from conetl.model.rig import Side
+from conetl.perception.rectified_image import read_pair_image
+from conetl.pipeline import detect as detection
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.chunks import Chunk, chunks_of, parts_of
 from conetl.pipeline.detect import NOTHING, Along, Detected, detect, match
 from conetl.pipeline.executor import ThreadExecutor
-from conetl.pipeline.markings import marking_points
-from conetl.pipeline.odometry import odometry
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from flows.artifacts import progress_artifact
@@ -71,9 +75,8 @@ def test_threads_processes_and_dask_write_the_same_bytes(
         others = [child.cmdline() for child in psutil.Process().children(recursive=True)]
         assert not [line for line in others if "prefect.server.api.server:create_app" in line], "shown on this server"
         written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind / "results").iterdir()}
-    assert len(written["threads"]) == 23, (
-        "3 of detections, 3 of image details, 3 of matches, 2 of a chunk's, 2 of positions, 3 of points followed, 3 of motions, "
-        "3 of spans; self-calibration"
+    assert len(written["threads"]) == 18, (
+        "3 of detections, 3 of image details, 3 of matches, 2 of a chunk's, 2 of positions, 3 of motions, spans; self-calibration"
     )
     assert written["processes"] == written["threads"]
     assert written["dask"] == written["threads"]
@@ -106,40 +109,57 @@ def test_corrected_poses_find_again_what_their_images_showed(chunks: list[Chunk]
     assert again(turned(0.0, 3.0, 0.0)) != found
 
 
-def test_what_is_found_along_with_detections_is_what_its_own_step_finds(chunks: list[Chunk], tmp_path: Path) -> None:
+def test_what_is_found_along_with_detections_is_what_is_found_later(chunks: list[Chunk], tmp_path: Path) -> None:
+    """Of images that were decoded for the detection, and of images that are read again."""
     written: list[dict[str, bytes]] = []
-    for along in (Along(odometry=True, markings=True), NOTHING):
-        chunk = chunks[0].model_copy(update={"results_folder": tmp_path / str(along.odometry)})
-        for part in range(len(parts_of(chunk))):
-            found = detect(chunk, part, chunk.rig, along)
-            apart = found._replace(
-                odometry=odometry(chunk, part),
-                marking_points=marking_points(chunk, part, chunk.rig),
-            )
-            assert found == (apart if along.odometry else Detected(found.detections))
-        written.append({path.name: path.read_bytes() for path in chunk.results_folder.iterdir()})
-    assert written[0] == written[1]  # both with the spans of self-calibration, from `odometry`
-    points = [load_result(odometry(chunk, part).tracks, StereoTracks)[0] for part in range(len(parts_of(chunk)))]
-    at = [(each.first_frame_index, each.second_frame_index) for part in points for each in part]
-    pairs = [pair.frame_index for other in chunks for pair in other.frame_pairs]
-    assert at == list(pairwise(pairs)), "the last motion is that to the next chunk"
+    everything, motions = Along(odometry=True, markings=True), []
+    for first in (everything, NOTHING):
+        results = tmp_path / str(first.odometry)
+        for chunk in (chunk.model_copy(update={"results_folder": results}) for chunk in chunks):
+            for part in range(len(parts_of(chunk))):
+                alone = detect(chunk, part, chunk.rig, first)
+                found = detect(chunk, part, chunk.rig, everything)
+                assert alone == (found if first is everything else Detected(found.detections))
+                motions.append(load_result(found.motions, RelativeMotion)[0])
+        written.append({path.name: path.read_bytes() for path in results.iterdir()})
+    assert written[0] == written[1]
+    at = [(each.first_frame_index, each.second_frame_index) for part in motions for each in part]
+    pairs = [pair.frame_index for chunk in chunks for pair in chunk.frame_pairs]
+    assert at == 2 * list(pairwise(pairs)), "the last motion is that to the next chunk"
 
 
-@pytest.mark.parametrize(("chunk_pairs", "steps"), [(8, 5), (6, 14)])
-def test_self_calibration_follows_a_part_of_a_drive_or_all_where_that_shows_too_little(
-    chunk_pairs: int, steps: int, tmp_path: Path
+@pytest.mark.parametrize("along", [NOTHING, Along(odometry=True, markings=True)])
+def test_images_are_decoded_once(along: Along, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For detections and for what is found along with them; but for the pair to which the last motion leads."""
+    (chunk,) = chunks_of(read_drive(SAMPLES[0])[0], Settings(home=tmp_path), IngestParams())
+    decoded: Counter[tuple[int, str]] = Counter()
+
+    def counted(pair: FramePair, side: Side, *arguments: Any) -> Image:
+        decoded[pair.frame_index, side] += 1
+        return read_pair_image(pair, side, *arguments)
+
+    monkeypatch.setattr(detection, "read_pair_image", counted)
+    detect(chunk, 0, chunk.rig, along)
+    assert set(decoded.values()) == {1}
+    assert {index for index, _ in decoded} == set(range(20 + along.odometry))
+    assert (len(decoded) == 42) is along.odometry, "detections leave some right images out"
+
+
+@pytest.mark.parametrize(("most", "steps", "spans"), [(120, 1, 19), (10, 1, 10), (50, 2, 38)])
+def test_self_calibration_follows_spans_of_all_of_a_drive_or_of_pieces(
+    most: int, steps: int, spans: int, tmp_path: Path
 ) -> None:
-    """Parts of four motions hold a span of two metres each, not all of those of three do."""
+    """The drive is 52 m long. The last case compares points over one metre."""
     drive, _ = read_drive(SAMPLES[0])
-    few = TrajectoryParams(self_calibration_max_spans=10)
+    few = TrajectoryParams(self_calibration_max_spans=most, self_calibration_span_m=1.0 if most == 50 else 2.0)
     settings, heard = Settings(home=tmp_path), [(0, 0)]
     with ThreadExecutor(2) as executor:
         found = analyse(
-            drive, IngestParams(chunk_pairs=chunk_pairs, trajectory=few), settings=settings, executor=executor,
+            drive, IngestParams(chunk_pairs=8, trajectory=few), settings=settings, executor=executor,
             progress=lambda done, total: heard.append((done, total)),
         )  # fmt: skip
-        assert {time.step: time.task_count for time in executor.times()}["odometry"] == steps
-    assert found.calibration.span_count >= 8
+        assert {time.step: time.task_count for time in executor.times()}["follow spans"] == steps
+    assert found.calibration.span_count == spans
     assert len(found.trajectory.frame_pairs) == 39 and found.trajectory.outcome == "refined"
     assert heard[-1] == (116, 116)
 

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Pose, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
 from conetl.model.health import HealthCheck
-from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
+from conetl.model.params import IngestParams, params_sha256
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig
 from conetl.perception.detections import with_detail, without_unread
 from conetl.perception.model_card import read_model_card
-from conetl.perception.stereo_check import check_stereo, in_one_file
+from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline import odometry
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, load_matches, parts_of
 from conetl.pipeline.detect import Along, Detected, detail_path, detect, match
@@ -98,17 +98,14 @@ def analyse(
         card = read_model_card(settings.model_path)
         searched = params.detection.categories
         card.require_categories(set(searched) - set(LINE_CLASSES))
-        with_markings = LANE_MARKING in searched
+        along = Along(odometry=params.trajectory.refine, markings=LANE_MARKING in searched)
+        pairs = len(drive.frame_pairs)
+        count = ProgressCount(executor, 2 * pairs + (pairs - 1 if along.odometry else 0), progress)
         chunks = chunks_of(drive, settings, params)
-        parts = _Parts(chunks, executor, progress, with_markings=with_markings)
-        if executor.shares_memory and in_one_file(drive.frame_pairs[0]):
-            # One decoder works for the check, often through all of the file: what it decodes is followed meanwhile.
-            parts.follow(parts.needed_for_calibration())
         drive, health = check_stereo(drive)
         if drive.rig != given:
             chunks = chunks_of(drive, settings, _for_corrected_rows(params))
-            parts = _Parts(chunks, executor, progress, with_markings=with_markings)
-        found = _run_chunks(drive, chunks, parts, executor, with_markings=with_markings)
+        found = _run_chunks(drive, chunks, along, executor, count)
         drive, torn, refused_pairs = odometry.without_torn(drive.model_copy(update={"rig": found.rig}), found.motions)
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, found.motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
@@ -166,99 +163,48 @@ class _ChunkResults(NamedTuple):
     rig: Rig
 
 
-class _Parts:
-    """The parts (`parts_of`) of all chunks of a drive, by number, and the steps of each that were submitted, each once."""
-
-    def __init__(
-        self, chunks: Sequence[Chunk], executor: Executor, progress: Progress | None, *, with_markings: bool
-    ) -> None:
-        self.parts = [(chunk, part) for chunk in chunks for part in range(len(parts_of(chunk)))]
-        self.followed: dict[int, Submitted] = {}
-        """Odometry as a step of its own, by the rig as it was given."""
-        self.detected: dict[int, Submitted] = {}
-        """Detections, with matches, odometry and markings along with them."""
-        self._executor, self._refine, self._with_markings = executor, chunks[0].params.trajectory.refine, with_markings
-        pairs = [len(chunk.frame_pairs[parts_of(chunk)[part]]) for chunk, part in self.parts]
-        self._images = [2 * count for count in pairs]
-        self._motions = [*pairs[:-1], pairs[-1] - 1] if self._refine else [0] * len(pairs)
-        self._count = ProgressCount(executor, sum(self._images) + sum(self._motions), progress)
-
-    def needed_for_calibration(self) -> list[int]:
-        """Numbers of the parts whose odometry the self-calibration needs; none where there is no self-calibration."""
-        params = self.parts[0][0].params.trajectory
-        return odometry.parts_to_follow(self.parts, params) if params.self_calibrate and params.refine else []
-
-    def of(self, chunk: Chunk | None) -> list[int]:
-        """Numbers of the parts of a chunk; none of none."""
-        return [k for k, (whole, _) in enumerate(self.parts) if whole is chunk]
-
-    def follow(self, numbers: Iterable[int]) -> None:
-        """Submit the odometry of those parts that lack it."""
-        for k in numbers:
-            if k not in self.followed:
-                self.followed[k] = self._executor.submit(odometry.odometry, *self.parts[k], self._count.tick)
-                self._count.follow(self.followed[k], self._motions[k])
-
-    def detect(self, numbers: Iterable[int], rig: Rig) -> None:
-        """Submit the detections of those parts that lack them. rig: after the self-calibration."""
-        for k in numbers:
-            if k not in self.detected:
-                along = Along(odometry=self._refine and k not in self.followed, markings=self._with_markings)
-                self.detected[k] = self._executor.submit(detect, *self.parts[k], rig, along, self._count.tick)
-                self._count.follow(self.detected[k], self._images[k] + (self._motions[k] if along.odometry else 0))
-
-
 def _run_chunks(
-    drive: Drive, chunks: Sequence[Chunk], parts: _Parts, executor: Executor, *, with_markings: bool
+    drive: Drive, chunks: Sequence[Chunk], along: Along, executor: Executor, count: ProgressCount
 ) -> _ChunkResults:
-    """All steps that read images.
+    """All steps that read images. along: what chunks are searched for along with their detections.
 
-    Matches and markings need the calibration, and that needs the odometry of some parts of the drive, which comes first. Once the
-    rig is known, the rest is computed along with the detections, from images that are in memory. Detections while the calibration
-    is worked out would need them decoded again for matches and markings: more work than a core can do in that time.
+    Matches and markings need the calibration, and that needs points of some pieces of the drive, which come first. Once the rig
+    is known, the rest is computed along with the detections, from images that are decoded once.
     """
-    params = chunks[0].params.trajectory
-    needed, calibration = parts.needed_for_calibration(), SWITCHED_OFF
-    if needed:
-        calibration = _calibrate(parts, needed, executor, params)
-    rig = self_calibrated_rig(drive.rig, calibration, params)
-    motions_of_followed = _motions_by(rig, drive.rig, parts, executor)
-    matched = []
+    calibration = _calibrate(drive, chunks[0], executor)
+    rig = self_calibrated_rig(drive.rig, calibration, chunks[0].params.trajectory)
+    detected = [_detect_parts(chunks[0], rig, along, executor, count)]
+    matched: list[Submitted] = []
     for chunk, following in zip_longest(chunks, chunks[1:]):
-        parts.detect([*parts.of(chunk), *parts.of(following)], rig)  # in this order, so that matching waits for nothing
-        matched.append(executor.submit(match, chunk, rig, *(parts.detected[k] for k in parts.of(chunk))))
-    found: list[Detected] = _in_order(parts.detected)
-    motions = []
-    if params.refine:
-        followed = dict(zip(sorted(parts.followed), motions_of_followed(), strict=True))
-        motions = [(each.odometry or followed[k]).motions for k, each in enumerate(found)]
+        if following is not None:  # in this order, so that matching waits for nothing
+            detected.append(_detect_parts(following, rig, along, executor, count))
+        matched.append(executor.submit(match, chunk, rig, *detected[len(matched)]))
+    found: list[Detected] = results([step for steps in detected for step in steps])
+    motions = [each.motions for each in found if each.motions is not None]
     marks = [each.marking_points for each in found if each.marking_points is not None]
     return _ChunkResults([each.detections for each in found], results(matched), motions, marks, calibration, rig)
 
 
-def _calibrate(parts: _Parts, needed: Sequence[int], executor: Executor, params: TrajectoryParams) -> SelfCalibration:
-    """Self-calibration from the needed parts of the drive; from all of them where these show too little."""
-    whole = parts.parts[0][0]
-    parts.follow(needed)
-    calibration: SelfCalibration = executor.run(odometry.self_calibrate, whole, _in_order(parts.followed))
-    if len(parts.followed) < len(parts.parts) and calibration.span_count < params.self_calibration_max_spans / 2:
-        parts.follow(range(len(parts.parts)))
-        calibration = executor.run(odometry.self_calibrate, whole, _in_order(parts.followed))
+def _detect_parts(chunk: Chunk, rig: Rig, along: Along, executor: Executor, count: ProgressCount) -> list[Submitted]:
+    """Submit the detections of a chunk, part by part."""
+    steps = []
+    for part, within in enumerate(parts_of(chunk)):
+        steps.append(executor.submit(detect, chunk, part, rig, along, count.tick))
+        pairs = len(chunk.frame_pairs[within])
+        is_end = chunk.next_pair is None and within.stop == len(chunk.frame_pairs)
+        count.follow(steps[-1], 2 * pairs + (pairs - is_end if along.odometry else 0))
+    return steps
+
+
+def _calibrate(drive: Drive, chunk: Chunk, executor: Executor) -> SelfCalibration:
+    """Self-calibration of a drive. chunk: any of the drive's."""
+    params = chunk.params.trajectory
+    if not (params.refine and params.self_calibrate):
+        return SWITCHED_OFF
+    pieces = odometry.calibration_pieces(chunk, drive.frame_pairs)
+    followed = results([executor.submit(odometry.follow_spans, piece) for piece in pieces])
+    calibration: SelfCalibration = executor.run(odometry.self_calibrate, chunk, pieces, followed)
     return calibration
-
-
-def _motions_by(rig: Rig, given: Rig, parts: _Parts, executor: Executor) -> Callable[[], list[odometry.Odometry]]:
-    """A function that waits for the motions of the parts that were followed, by the rig after self-calibration."""
-    before: list[odometry.Odometry] = _in_order(parts.followed)
-    if not before or rig == given:
-        return lambda: before
-    again = executor.submit(odometry.motions_again, [parts.parts[k] for k in sorted(parts.followed)], rig, before)
-    return again.result
-
-
-def _in_order(steps: Mapping[int, Submitted]) -> list[Any]:
-    """Results of the steps of some parts, in the order of the drive."""
-    return results([steps[k] for k in sorted(steps)])
 
 
 def locate(chunks: Sequence[Chunk], matches: Sequence[Path]) -> list[Path]:

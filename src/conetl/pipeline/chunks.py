@@ -16,7 +16,7 @@ from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
 
 #: Part of every result key: raise it when a step computes something else from the same inputs.
-RESULTS_VERSION = "28"
+RESULTS_VERSION = "29"
 
 
 class Chunk(Record):

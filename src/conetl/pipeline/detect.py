@@ -6,6 +6,7 @@ import socket
 import threading
 from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
 from itertools import islice, zip_longest
 from pathlib import Path
 from typing import NamedTuple
@@ -25,14 +26,17 @@ from conetl.perception.image_detail import fine_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.worker_setup import set_up_worker
+from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, images_key, parts_of
 from conetl.pipeline.executor import Tick, ignore
-from conetl.pipeline.markings import find_marking_points, marking_points
-from conetl.pipeline.odometry import Odometry, follow, motions
+from conetl.pipeline.markings import find_marking_points, points_path
+from conetl.pipeline.odometry import follow, motions_path
 from conetl.pipeline.settings import read_settings
 from conetl.tracking.matching.epipolar_search import Region, blocks_of, has_right_only_cone, right_region
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
 
+#: Decoded images that stay in memory for what is found along with detections.
+_KEPT_BYTES = 128 * 2**20
 _per_thread = threading.local()
 
 
@@ -40,7 +44,7 @@ class Detected(NamedTuple):
     """Parquet files of one part of a chunk."""
 
     detections: Path
-    odometry: Odometry | None = None
+    motions: Path | None = None
     marking_points: Path | None = None
 
 
@@ -61,23 +65,34 @@ def detect(chunk: Chunk, part: int, rig: Rig, along: Along = NOTHING, tick: Tick
     rig: of the drive after its self-calibration, for the matches and the rest (`along`), which are computed along with the
     detections while the images are in memory. tick: called for every image and every motion.
     """
+    read = _reader(chunk)
     steps: list[Iterator[None]] = []
     if along.odometry:
-        steps.append(follow(chunk, part, tick))
+        steps.append(follow(chunk, part, rig, read, tick))
     if along.markings:
-        steps.append(find_marking_points(chunk, part, rig))
+        steps.append(find_marking_points(chunk, part, rig, read))
     together = zip_longest(*steps)
-    detections = _detections(chunk, part, rig, together, tick or ignore)
+    detections = _detections(chunk, part, rig, read, together, tick or ignore)
     deque(together, maxlen=0)
     return Detected(
         detections,
-        motions(chunk, part, rig) if along.odometry else None,
-        marking_points(chunk, part, rig) if along.markings else None,
+        motions_path(chunk, part, rig) if along.odometry else None,
+        points_path(chunk, part, rig) if along.markings else None,
     )
 
 
-def _detections(chunk: Chunk, part: int, rig: Rig, along: Iterator[object], tick: Tick) -> Path:
-    """Detections of a part; along: takes one step for every frame pair."""
+def _reader(chunk: Chunk) -> ImageReader:
+    """Reads the images of a chunk in colour, and keeps those of the block that is searched: what is found along with its
+    detections needs no second decoding."""
+    image_bytes = max(3 * camera.width_px * camera.height_px for camera in (chunk.rig.left, chunk.rig.right))
+    most = len(SIDES) * chunk.params.reconcile.removal_min_frames
+    return lru_cache(max(min(most, _KEPT_BYTES // image_bytes), 1))(
+        lambda pair, side: read_pair_image(pair, side, chunk.rig)
+    )
+
+
+def _detections(chunk: Chunk, part: int, rig: Rig, read: ImageReader, along: Iterator[object], tick: Tick) -> Path:
+    """Detections of a part; along: takes one step for every frame pair, after those of its block were searched."""
     pairs = chunk.frame_pairs[parts_of(chunk)[part]]
     params, reconcile, first_rows = chunk.params.detection, chunk.params.reconcile, _first_rows(chunk)
     key = result_key(
@@ -100,12 +115,12 @@ def _detections(chunk: Chunk, part: int, rig: Rig, along: Iterator[object], tick
     found: list[_PairFound] = []
     for middle, block in blocks_of(len(pairs), chunk.params):
         fetch_pairs([pairs[k] for k in block])
-        seen = {middle: _search(chunk, pairs[middle], first_rows, rig, tick, everywhere=True)}
+        seen = {middle: _search(chunk, pairs[middle], first_rows, rig, read, tick, everywhere=True)}
         # A pair of which an image is broken says nothing about the others.
         everywhere = _is_broken(seen[middle]) or has_right_only_cone(seen[middle].detections, chunk.rig, chunk.params)
         for k in block:
             if k != middle:
-                seen[k] = _search(chunk, pairs[k], first_rows, rig, tick, everywhere=everywhere)
+                seen[k] = _search(chunk, pairs[k], first_rows, rig, read, tick, everywhere=everywhere)
         found += [seen[k] for k in block]
         deque(islice(along, len(block)), maxlen=0)
     save_result(chunk.results_folder, _detail_key(key), [d for f in found for d in f.details], [])
@@ -145,6 +160,7 @@ def _search(
     pair: FramePair,
     first_rows: Mapping[Side, int],
     rig: Rig,
+    read: ImageReader,
     tick: Tick,
     *,
     everywhere: bool,
@@ -161,7 +177,7 @@ def _search(
             region = right_region(by_side["left"], chunk.rig, chunk.params)
             if region is None:
                 continue
-        image, by_side[side], refused = _detect(chunk, pair, side, first_rows[side], region)
+        image, by_side[side], refused = _detect(chunk, pair, side, read, first_rows[side], region)
         if image is not None:
             images[side] = image
             details.append(ImageDetail(frame_index=pair.frame_index, side=side, detail=fine_detail(image)))
@@ -171,12 +187,12 @@ def _search(
 
 
 def _detect(
-    chunk: Chunk, pair: FramePair, side: Side, first_row: int, region: Region | None
+    chunk: Chunk, pair: FramePair, side: Side, read: ImageReader, first_row: int, region: Region | None
 ) -> tuple[Image | None, list[Detection], list[Rejection]]:
     """One image, None where it cannot be decoded, and what was found in it from a row on, in a part of it (None: everywhere)."""
     params = chunk.params.detection
     try:
-        image = read_pair_image(pair, side, chunk.rig)
+        image = read(pair, side)
     except ImageFileError as error:
         unread = Rejection(
             step="detections",

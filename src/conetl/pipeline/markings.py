@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import spaced
-from conetl.model.arrays import Image
-from conetl.model.drive import Drive, FramePair
+from conetl.model.drive import Drive
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, params_sha256
 from conetl.model.rig import Rig
 from conetl.perception.images import ImageFileError
 from conetl.perception.markings.crossings import find_points
 from conetl.perception.markings.points import MarkingPoints
-from conetl.perception.rectified_image import fetch_pairs, read_pair_image
+from conetl.perception.rectified_image import fetch_pairs
 from conetl.perception.worker_setup import set_up_worker
+from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
 from conetl.tracking.error_propagation import pose_cov
 from conetl.tracking.markings.tracks import fuse_markings
@@ -30,18 +30,12 @@ _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
 
 
-def marking_points(chunk: Chunk, part: int, rig: Rig) -> Path:
-    """Points of lane markings in one of the parts of a chunk; returns the Parquet file.
+def find_marking_points(chunk: Chunk, part: int, rig: Rig, read: ImageReader) -> Iterator[None]:
+    """Search one frame pair of one of the parts of a chunk at each step, by the images of `read`; the end stores what was found.
 
     rig: the chunk's after self-calibration. A pair is searched for every `pair_spacing_m` of the path; one that cannot be
     decoded shows nothing, the detection reports it.
     """
-    deque(find_marking_points(chunk, part, rig), maxlen=0)
-    return result_path(chunk.results_folder, _points_key(chunk, part, rig))
-
-
-def find_marking_points(chunk: Chunk, part: int, rig: Rig) -> Iterator[None]:
-    """Search one frame pair of a part at each step; the end stores what was found."""
     key = _points_key(chunk, part, rig)
     if has_result(chunk.results_folder, key):
         return
@@ -52,17 +46,16 @@ def find_marking_points(chunk: Chunk, part: int, rig: Rig) -> Iterator[None]:
     for k, pair in enumerate(pairs):
         if k % _PAIRS_AT_ONCE == 0:
             fetch_pairs([pairs[n] for n in range(k, min(k + _PAIRS_AT_ONCE, len(pairs))) if n in chosen])
-        if k in chosen and (images := _both_images(pair, rig)) is not None:
-            found.append(find_points(pair.frame_index, *images, rig, params))
+        if k in chosen:
+            with suppress(ImageFileError):
+                found.append(find_points(pair.frame_index, read(pair, "left"), read(pair, "right"), rig, params))
         yield
     save_result(chunk.results_folder, key, found, [])
 
 
-def _both_images(pair: FramePair, rig: Rig) -> tuple[Image, Image] | None:
-    try:
-        return read_pair_image(pair, "left", rig), read_pair_image(pair, "right", rig)
-    except ImageFileError:
-        return None
+def points_path(chunk: Chunk, part: int, rig: Rig) -> Path:
+    """The Parquet file of the points that `find_marking_points` stores."""
+    return result_path(chunk.results_folder, _points_key(chunk, part, rig))
 
 
 def _points_key(chunk: Chunk, part: int, rig: Rig) -> str:
@@ -73,7 +66,7 @@ def _points_key(chunk: Chunk, part: int, rig: Rig) -> str:
 def mark(
     drive: Drive, paths: Sequence[Path], params: IngestParams, trajectory: RefinedTrajectory
 ) -> list[MarkingTrack]:
-    """Lane markings of the whole drive, by its final poses and rig. paths: of all `marking_points`."""
+    """Lane markings of the whole drive, by its final poses and rig. paths: of all `points_path`."""
     points, _ = load_results(paths, MarkingPoints)
     tracks = fuse_markings(points, drive, params.marking, pose_cov(trajectory, params.trajectory))
     _log.info("Lane markings: %d, from points in %d frame pairs", len(tracks), len(points))

@@ -4,28 +4,25 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
-from functools import lru_cache
-from itertools import tee
-from math import ceil
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, motions_between, motions_of
+from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, expected_motions, motions_between, motions_of
 from conetl.model.arrays import Image
 from conetl.model.drive import Drive, FramePair
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
 from conetl.model.rejections import Rejection
-from conetl.model.rig import SIDES, Rig, Side
+from conetl.model.rig import Rig, Side
+from conetl.perception import visual_odometry
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.stereo_check import check_lost_parts
 from conetl.perception.torn_images import check_torn, find_torn
-from conetl.perception.visual_odometry import follow_drive, follow_spans
+from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, load_matches, parts_of
@@ -41,10 +38,8 @@ from conetl.tracking.upright_edges import with_roll
 
 _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
-#: Some spans cannot be followed, and parts end within one.
-_SPARE = 1.25
-#: Half of a shorter chunk may be shorter than a span: at 10 Hz and 2.5 m/s or less.
-_SHORT_CHUNK_PAIRS = 16
+#: Neighbouring spans share an image, which is read once; a step costs Prefect as much as two spans.
+_SPANS_OF_PIECE = 20
 
 
 def moved(chunks: Sequence[Chunk], drive: Drive) -> list[Chunk]:
@@ -61,76 +56,31 @@ def moved(chunks: Sequence[Chunk], drive: Drive) -> list[Chunk]:
     ]
 
 
-class Odometry(NamedTuple):
-    """Parquet files of one part of a chunk."""
+def follow(chunk: Chunk, part: int, rig: Rig, read: ImageReader, tick: Tick | None = None) -> Iterator[None]:
+    """Motions of one of the parts of a chunk, also to the first frame pair after it: at each step one more pair is read by
+    `read`; the end stores the motions.
 
-    tracks: Path
-    """Points followed between its frame pairs, and to the first one after it ..."""
-    motions: Path
-    """... and the motions that they tell."""
-
-
-def odometry(chunk: Chunk, part: int, tick: Tick | None = None) -> Odometry:
-    """Points followed in one of the parts of a chunk, also over spans of self-calibration, and its motions by the chunk's rig.
-
-    tick: called for every motion.
+    rig: of the drive after its self-calibration. tick: called for every motion.
     """
-    own, params, folder = _part(chunk, part), chunk.params.trajectory, chunk.results_folder
-    pairs, rig = own.frame_pairs, chunk.rig
-    key = _spans_key(_tracks_key(own))
-    if has_result(folder, key):
-        (tick or ignore)(len(pairs) - 1)
-    else:
-        set_up_worker()
-        # One after the other: a span ends at the pair that was followed last, whose decoded images it gets.
-        read = lru_cache(maxsize=len(SIDES))(grey_reader(rig, pairs))
-        tracks, all_tracks = tee(_followed(own, read, tick))
-        moves, all_moves = tee(motions_of(tracks, pairs, rig, params))
-        spans = choose_spans(moves, params.self_calibration_span_m)
-        found = list(follow_spans(spans, pairs, rig, read, span_params(params)))
-        save_result(folder, _tracks_key(own), list(all_tracks), [])
-        save_result(folder, _motions_key(own, rig), list(all_moves), [])
-        save_result(folder, key, found, [])
-    return motions(chunk, part, rig)
-
-
-def follow(chunk: Chunk, part: int, tick: Tick | None = None) -> Iterator[None]:
-    """Follow points in one of the parts of a chunk, from one frame pair to the next at each step; the end stores them."""
-    own = _part(chunk, part)
-    key = _tracks_key(own)
+    own, params = _part(chunk, part), chunk.params.trajectory
+    key = _motions_key(own, rig)
     if has_result(chunk.results_folder, key):
         (tick or ignore)(len(own.frame_pairs) - 1)
         return
     set_up_worker()
-    found: list[StereoTracks] = []
-    for tracks in _followed(own, grey_reader(own.rig, own.frame_pairs), tick):
-        found.append(tracks)
+    yield  # the first motion needs two pairs
+    found: list[RelativeMotion] = []
+    followed = follow_drive(own.frame_pairs, own.rig, _fetching(read, own.frame_pairs), params)
+    for motion in motions_of(followed, own.frame_pairs, rig, params):
+        found.append(motion)
+        (tick or ignore)(1)
         yield
     save_result(chunk.results_folder, key, found, [])
 
 
-def motions(chunk: Chunk, part: int, rig: Rig, earlier: Odometry | None = None) -> Odometry:
-    """Motions of one of the parts of a chunk from the points that were followed in it.
-
-    chunk: with the rig by which points were followed; rig: the same after self-calibration. earlier: by the rig as it was, a
-    start that spares the search.
-    """
-    own, folder = _part(chunk, part), chunk.results_folder
-    tracks, key = _tracks_key(own), _motions_key(own, rig, earlier)
-    if not has_result(folder, key):
-        followed = load_result(result_path(folder, tracks), StereoTracks)[0]
-        starts = load_result(earlier.motions, RelativeMotion)[0] if earlier else None
-        found = motions_of(followed, own.frame_pairs, rig, chunk.params.trajectory, starts)
-        save_result(folder, key, list(found), [])
-    return Odometry(result_path(folder, tracks), result_path(folder, key))
-
-
-def motions_again(parts: Sequence[tuple[Chunk, int]], rig: Rig, found: Sequence[Odometry]) -> list[Odometry]:
-    """Motions by a drive's rig after self-calibration.
-
-    One step for all parts: 3 ms per frame pair, and a task costs Prefect 40.
-    """
-    return [motions(chunk, part, rig, earlier) for (chunk, part), earlier in zip(parts, found, strict=True)]
+def motions_path(chunk: Chunk, part: int, rig: Rig) -> Path:
+    """The Parquet file of the motions that `follow` stores."""
+    return result_path(chunk.results_folder, _motions_key(_part(chunk, part), rig))
 
 
 def _part(chunk: Chunk, part: int) -> Chunk:
@@ -142,78 +92,73 @@ def _part(chunk: Chunk, part: int) -> Chunk:
     return chunk.model_copy(update={"frame_pairs": pairs})
 
 
-def _followed(own: Chunk, read: ImageReader, tick: Tick | None) -> Iterator[StereoTracks]:
-    """Points between the frame pairs of `_part`."""
-    for tracks in follow_drive(own.frame_pairs, own.rig, read, own.params.trajectory):
-        (tick or ignore)(1)
-        yield tracks
-
-
-def _tracks_key(own: Chunk) -> str:
-    return result_key(RESULTS_VERSION, "tracks", params_sha256(own.params.trajectory), geometry_key(own))
-
-
-def _spans_key(tracks_key: str) -> str:
-    """Of points followed over spans of self-calibration."""
-    return result_key("spans", tracks_key)
-
-
-def _motions_key(own: Chunk, rig: Rig, earlier: Odometry | None = None) -> str:
-    start = earlier.motions.stem if earlier else "none"
+def _motions_key(own: Chunk, rig: Rig) -> str:
     params = params_sha256(own.params.trajectory)
-    return result_key(RESULTS_VERSION, "motions", _tracks_key(own), params, geometry_key(own, rig), start)
+    return result_key(RESULTS_VERSION, "motions", params, geometry_key(own), rig.model_dump_json())
 
 
-def parts_to_follow(parts: Sequence[tuple[Chunk, int]], params: TrajectoryParams) -> list[int]:
-    """Numbers of the parts of a drive that self-calibration needs: evenly spread, somewhat longer than all its spans.
+def calibration_pieces(chunk: Chunk, pairs: Sequence[FramePair]) -> list[Chunk]:
+    """Pieces of a drive, each as a chunk, over whose spans self-calibration compares points: all of it, or evenly spread ones.
 
-    The length is that of the logged poses, so there may be fewer spans.
+    chunk: any of the drive's; pairs: all of the drive's.
     """
-    poses = [[pair.pose.map_t_body_m for pair in _part(*part).frame_pairs] for part in parts]
-    length_m = sum(float(np.linalg.norm(np.diff(each, axis=0), axis=1).sum()) for each in poses if len(each) > 1)
-    needed_m = _SPARE * params.self_calibration_span_m * params.self_calibration_max_spans
-    count = ceil(len(parts) * min(needed_m / max(length_m, 1e-9), 1.0))
-    return [round(k) for k in np.linspace(0, len(parts) - 1, count)]
+    params = chunk.params.trajectory
+    spans, most = _spans(chunk.rig, pairs, params), params.self_calibration_max_spans
+    length = min(_SPANS_OF_PIECE, most)
+    starts = list(range(0, len(spans), length))
+    if len(spans) > most:
+        starts = np.linspace(0, len(spans) - length, most // length).round().astype(int).tolist()
+    runs = [spans[start : start + length] for start in starts]
+    return [chunk.model_copy(update={"frame_pairs": tuple(pairs[run[0].first : run[-1].last + 1])}) for run in runs]
 
 
-def self_calibrate(chunk: Chunk, followed: Sequence[Odometry]) -> SelfCalibration:
-    """What a drive says about its rig's calibration.
+def follow_spans(piece: Chunk) -> Path:
+    """Points followed over the spans of one of the `calibration_pieces`; returns the Parquet file."""
+    params, pairs, rig = piece.params.trajectory, piece.frame_pairs, piece.rig
+    key = result_key(RESULTS_VERSION, "spans", params_sha256(params), geometry_key(piece))
+    if has_result(piece.results_folder, key):
+        return result_path(piece.results_folder, key)
+    set_up_worker()
+    spans = _spans(rig, pairs, params)
+    return save_result(piece.results_folder, key, list(_followed(spans, pairs, rig, params)), [])
 
-    chunk: any of the drive's, for rig, parameters and results folder. followed: `odometry` of parts of the drive, in its order.
-    """
-    params, folder = chunk.params.trajectory, chunk.results_folder
-    key = result_key(RESULTS_VERSION, "self-calibrate", *(path.stem for each in followed for path in each))
+
+def self_calibrate(chunk: Chunk, pieces: Sequence[Chunk], followed: Sequence[Path]) -> SelfCalibration:
+    """What a drive says about its rig's calibration. chunk: any of the drive's; followed: the points of each of its pieces."""
+    params, folder, rig = chunk.params.trajectory, chunk.results_folder, chunk.rig
+    key = result_key(RESULTS_VERSION, "self-calibrate", *(path.stem for path in followed))
     if has_result(folder, key):
         return load_result(result_path(folder, key), SelfCalibration)[0][0]
-    spans: list[tuple[Span, StereoTracks]] = []
-    for each in followed:
-        chosen = choose_spans(load_result(each.motions, RelativeMotion)[0], params.self_calibration_span_m)
-        points, _ = load_result(result_path(folder, _spans_key(each.tracks.stem)), StereoTracks)
-        spans += zip(chosen, points, strict=True)
-    found = _calibration(chunk.rig, evenly_spread(spans, params.self_calibration_max_spans), params)
-    if len(spans) < params.self_calibration_min_spans and chunk.params.chunk_pairs < _SHORT_CHUNK_PAIRS:
-        hint = f"a span lies within half a chunk, and chunk_pairs is {chunk.params.chunk_pairs} only"
-        found = found.model_copy(update={"detail": f"{found.detail}; {hint}"})
+    spans = [span for piece in pieces for span in _spans(rig, piece.frame_pairs, params)]
+    found = _calibration(rig, spans, load_results(followed, StereoTracks)[0], params)
     save_result(folder, key, [found], [])
     _log.info("Self-calibration: %s", found.detail)
     return found
 
 
-def calibrate_drive(
-    drive: Drive, params: TrajectoryParams, tracks: list[StereoTracks] | None = None
+def calibrate_drive(drive: Drive, params: TrajectoryParams) -> SelfCalibration:
+    """Self-calibration of a drive in one thread."""
+    pairs, rig = drive.frame_pairs, drive.rig
+    spans = evenly_spread(_spans(rig, pairs, params), params.self_calibration_max_spans)
+    return _calibration(rig, spans, list(_followed(spans, pairs, rig, params)), params)
+
+
+def _spans(rig: Rig, pairs: Sequence[FramePair], params: TrajectoryParams) -> list[Span]:
+    return list(choose_spans(expected_motions(pairs, rig), params.self_calibration_span_m))
+
+
+def _followed(
+    spans: Sequence[Span], pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams
+) -> Iterator[StereoTracks]:
+    read = grey_reader(rig, [pairs[k] for k in sorted({end for span in spans for end in span[:2]})])
+    return visual_odometry.follow_spans(spans, pairs, rig, read, span_params(params))
+
+
+def _calibration(
+    rig: Rig, spans: Sequence[Span], tracks: Sequence[StereoTracks], params: TrajectoryParams
 ) -> SelfCalibration:
-    """Self-calibration of a drive in one thread; tracks: of its intervals, where they are known already."""
-    pairs, rig, read = drive.frame_pairs, drive.rig, grey_reader(drive.rig, drive.frame_pairs)
-    followed = follow_drive(pairs, rig, read, params) if tracks is None else tracks
-    chosen = list(choose_spans(motions_of(followed, pairs, rig, params), params.self_calibration_span_m))
-    spans = evenly_spread(chosen, params.self_calibration_max_spans)
-    wide = follow_spans(spans, pairs, rig, read, span_params(params))
-    return _calibration(rig, list(zip(spans, wide, strict=True)), params)
-
-
-def _calibration(rig: Rig, spans: Sequence[tuple[Span, StereoTracks]], params: TrajectoryParams) -> SelfCalibration:
-    found = estimate_calibration(rig, [span for span, _ in spans], [tracks for _, tracks in spans], params)
-    points = [tracks.points()[0] for _, tracks in spans if tracks.missing is None]
+    found = estimate_calibration(rig, spans, tracks, params)
+    points = [each.points()[0] for each in tracks if each.missing is None]
     return found.model_copy(update={"right_ahead": right_camera_ahead(cameras_of(rig), points)})
 
 
@@ -271,13 +216,18 @@ def _by_its_clock(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:
 
 def grey_reader(rig: Rig, in_order: Sequence[FramePair] = ()) -> ImageReader:
     """Reads the grey images of a drive's frame pairs; those that are read in order are asked for some pairs ahead."""
+    return _fetching(lambda pair, side: read_pair_image(pair, side, rig, grey=True), in_order)
+
+
+def _fetching(read: ImageReader, in_order: Sequence[FramePair]) -> ImageReader:
+    """As `read`; images of frame pairs that are read in order are asked for some pairs ahead."""
     batches = {
         in_order[k].frame_index: in_order[k : k + _PAIRS_AT_ONCE] for k in range(0, len(in_order), _PAIRS_AT_ONCE)
     }
 
-    def read(pair: FramePair, side: Side) -> Image:
+    def fetched(pair: FramePair, side: Side) -> Image:
         if side == "left":
             fetch_pairs(batches.get(pair.frame_index, ()))
-        return read_pair_image(pair, side, rig, grey=True)
+        return read(pair, side)
 
-    return read
+    return fetched

@@ -25,7 +25,6 @@ from conetl.geometry.calibration.covariance import (
     with_covariance,
 )
 from conetl.geometry.calibration.self_calibration import SpanPoints, as_camera, estimate_right_camera
-from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import body_SE3_camera, right_camera_turned
@@ -45,7 +44,7 @@ class Span(NamedTuple):
     first: int
     last: int
     last_SE3_first: Floats
-    """(4, 4) motion of the left camera by visual odometry."""
+    """(4, 4) motion of the left camera by the logged poses."""
 
 
 class SelfCalibrationOutcome(StrEnum):
@@ -93,17 +92,14 @@ def span_params(params: TrajectoryParams) -> TrajectoryParams:
     )
 
 
-def choose_spans(motions: Iterable[RelativeMotion], span_m: float) -> Iterator[Span]:
-    """Consecutive parts of a drive of about `span_m` each; motions: one per interval, in order.
+def choose_spans(motions: Iterable[Floats], span_m: float) -> Iterator[Span]:
+    """Consecutive parts of a drive of about `span_m` each; motions (4, 4): of the left camera, one per interval, in order.
 
-    Parts in which the car does not move far enough and intervals without a measured motion give no span.
+    Parts in which the car does not move far enough give no span.
     """
     start, pose = 0, np.eye(4)
     for k, motion in enumerate(motions):
-        if motion.second_SE3_first is None:
-            start, pose = k + 1, np.eye(4)
-            continue
-        pose = se3.compose(np.array(motion.second_SE3_first), pose)
+        pose = se3.compose(motion, pose)
         if float(np.linalg.norm(pose[:3, 3])) >= span_m:
             yield Span(start, k + 1, pose)
             start, pose = k + 1, np.eye(4)
@@ -114,7 +110,7 @@ def self_calibrate(
 ) -> SelfCalibration:
     """Estimate turn and bend of the right camera from the points of each span, and decide whether to apply them.
 
-    tracks: of each span. The logged poses are not used.
+    tracks: of each span. Of the logged poses only the start of each span's motion is used.
     """
     points = [
         SpanPoints(*found.points(), span.last_SE3_first)

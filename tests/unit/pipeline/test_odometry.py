@@ -12,27 +12,17 @@ from conetl.files.parquet_store import load_result, save_result
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
 from conetl.model.health import Verdict
 from conetl.model.params import IngestParams, TrajectoryParams
+from conetl.model.rig import SIDES
 from conetl.perception.visual_odometry import follow_drive
 from conetl.pipeline import odometry as steps
 from conetl.pipeline.chunks import Chunk, chunks_of
-from conetl.pipeline.odometry import grey_reader, self_calibrate
+from conetl.pipeline.odometry import calibration_pieces, grey_reader
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from conetl.tracking.checks.exposures import check_lost_frames
 from tests.integration.small_drives import SAMPLES
 from tests.mutants.recordings import images_shifted
 from tests.synthetic.world import make_path, make_rig
-
-
-@pytest.mark.parametrize(("chunk_pairs", "hinted"), [(4, True), (256, False)])
-def test_chunks_shorter_than_a_span_are_named_as_the_cause(tmp_path: Path, chunk_pairs: int, hinted: bool) -> None:
-    chunk = Chunk(
-        rig=make_rig(), frame_pairs=tuple(make_path(4)), results_folder=tmp_path, model_path=None, detections_sha256="ab",
-        params=IngestParams(chunk_pairs=chunk_pairs),
-    )  # fmt: skip
-    found = self_calibrate(chunk, [])
-    assert found.detail.startswith("kept as given: 0 spans")
-    assert ("chunk_pairs is 4" in found.detail) is hinted
 
 
 @pytest.mark.parametrize(
@@ -57,8 +47,9 @@ def test_a_drive_of_which_one_pair_is_left_is_checked(tmp_path: Path) -> None:
 
 
 def test_images_at_the_ends_of_spans_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """But for those of the first span: what it begins with is read again, which drops the images of its end."""
-    (chunk,) = chunks_of(read_drive(SAMPLES[0])[0], Settings(home=tmp_path), IngestParams())
+    drive = read_drive(SAMPLES[0])[0]
+    (chunk,) = chunks_of(drive, Settings(home=tmp_path), IngestParams())
+    (piece,) = calibration_pieces(chunk, drive.frame_pairs)
     decoded: Counter[tuple[int, str]] = Counter()
     decode = steps.read_pair_image
 
@@ -67,6 +58,29 @@ def test_images_at_the_ends_of_spans_are_decoded_once(tmp_path: Path, monkeypatc
         return decode(pair, side, *arguments, **options)
 
     monkeypatch.setattr(steps, "read_pair_image", counted)
-    found = steps.odometry(chunk, 0)
-    assert len(load_result(found.tracks, StereoTracks)[0]) == 20
-    assert {index for (index, _), count in decoded.items() if count > 1} == {0, 2}
+    found, _ = load_result(steps.follow_spans(piece), StereoTracks)
+    assert len(found) == 19
+    assert set(decoded) == {(index, side) for index in range(0, 39, 2) for side in SIDES} and set(decoded.values()) == {
+        1
+    }
+
+
+@pytest.mark.parametrize(("spans", "most", "counts"), [(0, 120, []), (19, 120, [19]), (50, 120, [20, 20, 10]),
+                                                       (300, 120, 6 * [20]), (300, 10, [10])])  # fmt: skip
+def test_pieces_of_a_drive_hold_all_spans_or_as_many_as_are_compared(
+    tmp_path: Path, spans: int, most: int, counts: list[int]
+) -> None:
+    """Evenly spread, from the first to the last; each has two intervals of 1.1 m."""
+    pairs = make_path(2 * spans + 1, 1.1)
+    params = IngestParams(trajectory=TrajectoryParams(self_calibration_max_spans=most, self_calibration_span_m=2.0))
+    chunk = Chunk(
+        rig=make_rig(), frame_pairs=tuple(pairs[:4]), results_folder=tmp_path, model_path=None, detections_sha256="ab",
+        params=params,
+    )  # fmt: skip
+    pieces = calibration_pieces(chunk, pairs)
+    assert [(len(piece.frame_pairs) - 1) // 2 for piece in pieces] == counts
+    if counts:
+        assert pieces[0].frame_pairs[0] is pairs[0]
+        assert (pieces[-1].frame_pairs[-1] is pairs[-1]) is (len(counts) > 1 or spans == counts[0])
+    found = steps.self_calibrate(chunk, [], [])
+    assert found.detail.startswith("kept as given: 0 spans")

@@ -1,7 +1,6 @@
 """Points followed between two frame pairs, and the motions computed from them.
 
-Points need images (`perception/visual_odometry.py`), motions only the points and the rig: with another calibration they are
-computed again without images.
+Points need images (`perception/visual_odometry.py`), motions only the points and the rig.
 """
 
 from __future__ import annotations
@@ -113,23 +112,20 @@ def motions_of(
     frame_pairs: Sequence[FramePair],
     rig: Rig,
     params: TrajectoryParams,
-    earlier: Sequence[RelativeMotion] | None = None,
 ) -> Iterator[RelativeMotion]:
     """Motion of every interval of `tracks`, in their order; tracks[k] runs from frame_pairs[k] to frame_pairs[k + 1].
 
-    earlier: motions of the same tracks by a slightly different rig, as start values, not a search of hypotheses. Without
-    them the motion of the interval before is tried first.
+    The motion of the interval before is tried first.
     """
     cameras = cameras_of(rig)
     before: Floats | None = None
-    starts = [None] * (len(frame_pairs) - 1) if earlier is None else [motion.second_SE3_first for motion in earlier]
-    for points, expected, start in zip(tracks, expected_motions(frame_pairs, rig), starts, strict=True):
+    for points, expected in zip(tracks, expected_motions(frame_pairs, rig), strict=True):
         motion = None
         if points.missing is None:
             first_px, second_px, sigma_px = points.points()
             motion = estimate_motion(
                 cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, params, seed=points.first_frame_index,
-                start=None if start is None else np.array(start), guess=before,
+                guess=before,
             )  # fmt: skip
             before = motion.next_SE3_first if motion.status is MotionStatus.OK else None
         yield relative_motion(points, motion)
