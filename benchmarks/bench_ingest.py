@@ -16,17 +16,18 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from benchmarks.harness import Peak, arguments_of, load, own_home, processor_s, write_json
 
 
 def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
     """A function that decodes every image of a drive and runs the network on it, in `workers` threads, and drops the results.
 
-    The drive is read beforehand, and the memory of freed images is used again, as in the complete job.
+    The drive is read beforehand, and the memory of freed images is used again, as in the complete job. numpy is imported after
+    conetl, which gives its linear algebra one thread; several burn processor time while they wait for each other.
     """
+    import cv2
+    import numpy as np
+
     from conetl.geometry.camera import first_road_row
     from conetl.geometry.rig import map_SE3_left
     from conetl.model.params import IngestParams

@@ -28,7 +28,7 @@ from conetl.geometry.motion.pose_graph import (
 )
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrix, vec3
-from conetl.model.arrays import Bools, Floats
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.drive import FramePair, Pose, Position
 from conetl.model.health import HealthCheck
 from conetl.model.params import TrajectoryParams
@@ -303,22 +303,28 @@ def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: f
     spread[:, 3:, 3:] += scaled[:, :, None] * scaled[:, None, :]
     chi2 = np.einsum("mi,mi->m", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0])
     inside = chi2 <= _GATE_CHI2
-    good = inside.copy()
     change = log.slow[k] ** 2 * 2 * (1 - log.keep[k]) + log.new[k] ** 2 + log.new[k + 1] ** 2
     sigma = np.sqrt(np.diagonal(motions.cov + moved(from_first, change), axis1=1, axis2=2))
     observed = motions.next_SE3_first[:, :3, 3]
     by_log = observed - residual[:, 3:]
-    for i, start in enumerate(k):
-        near = np.flatnonzero(np.abs(k - start) <= _NEIGHBOURS)
-        near = near[(near != i) & inside[near]]
-        if len(near) < _NEIGHBOURS:
-            continue
-        lone = np.abs(residual[i] - np.median(residual[near], axis=0)) > _LONE_SIGMAS * sigma[i]
-        rougher = np.abs(observed[i] - np.median(observed[near], axis=0)) > np.abs(
-            by_log[i] - np.median(by_log[near], axis=0)
-        )
-        good[i] &= not (lone[:3].any() or (lone[3:] & rougher).any())
-    return np.asarray(good)
+    each = np.hstack([residual, observed, by_log])
+    medians, counts = _medians_beside(k[inside], each[inside], k)
+    off = np.abs(each - medians)
+    lone = off[:, :6] > _LONE_SIGMAS * sigma
+    lone[:, 3:] &= off[:, 6:9] > off[:, 9:]  # rougher by the images than by GNSS/INS
+    return np.asarray(inside & ~((counts >= _NEIGHBOURS) & lone.any(axis=1)))
+
+
+def _medians_beside(rows: Ints, values: Floats, asked: Ints) -> tuple[Floats, Ints]:
+    """(A, V) medians of those of N values (N, V) that lie at most `_NEIGHBOURS` rows (N,) beside each row that is asked (A,), and
+    how many do. A row's own value does not count."""
+    table = np.full((int(asked.max(initial=0)) + 2 * _NEIGHBOURS + 1, values.shape[1]), np.nan)
+    table[rows + _NEIGHBOURS] = values
+    windows = np.lib.stride_tricks.sliding_window_view(table, 2 * _NEIGHBOURS + 1, axis=0)[asked]
+    beside = np.sort(np.delete(windows, _NEIGHBOURS, axis=2), axis=2)  # NaN come last
+    counts = np.isfinite(beside[:, 0]).sum(axis=1)
+    middle = np.stack([np.maximum(counts - 1, 0) // 2, counts // 2], axis=1).clip(max=2 * _NEIGHBOURS - 1)
+    return np.take_along_axis(beside, middle[:, None], axis=2).mean(axis=2), counts
 
 
 def _sightings(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Position]]) -> list[LandmarkObservation]:

@@ -34,7 +34,7 @@ _VAGUE_SHARE = 0.25
 #: A guess that this share of the usable points follow needs no search.
 _MAJORITY = 0.5
 #: Largest step, squared and in sigmas, that ends the iteration.
-_CONVERGED = 1e-3
+_CONVERGED = 1e-2
 #: A motion that is known less well counts as unknown.
 _MAX_SIGMA_M, _MAX_SIGMA_RAD = 0.2, 0.01
 
@@ -186,7 +186,7 @@ def estimate_motion(
     if len(chosen) < params.min_points:
         return result(MotionStatus.TOO_FEW_POINTS, expected, np.zeros(len(chosen), dtype=bool))
     # A residual is expected to grow with the point's own errors: near points magnify them.
-    reach = params.inlier_px * _spread_px(cameras, points, d_points, sigma_px, expected) / np.median(sigma_px) / 2**0.5
+    reach = params.inlier_px * _spread_px(cameras, points, d_points, sigma_px, expected) / median(sigma_px) / 2**0.5
     points, d_points, second_px, sigma_px, reach = (a[chosen] for a in (points, d_points, second_px, sigma_px, reach))
 
     def best_of(poses: Floats) -> tuple[Floats, Bools]:
