@@ -278,8 +278,7 @@ class IngestParams(Params):
     trajectory: TrajectoryParams = TrajectoryParams()
     marking: MarkingParams = MarkingParams()
     chunk_pairs: int = Field(default=256, ge=1)
-    """Frame pairs per chunk, half of which are one detection task: a task costs Prefect about 10 ms. Self-calibration compares
-    frame pairs of the same half."""
+    """Frame pairs per chunk, half of which are one detection task: a task costs Prefect about 10 ms."""
     max_rejected_fraction: Fraction = 0.10
     """With a larger share of rejected frame pairs the command ends with exit code 1."""
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
+from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Pose, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
@@ -106,8 +107,9 @@ def analyse(
         if drive.rig != given:
             chunks = chunks_of(drive, settings, _for_corrected_rows(params))
         found = _run_chunks(drive, chunks, along, executor, count)
-        drive, torn, refused_pairs = odometry.without_torn(drive.model_copy(update={"rig": found.rig}), found.motions)
-        trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, found.motions, found.matches, params)
+        motions, _ = load_results(found.motions, RelativeMotion)
+        drive, torn, refused_pairs = odometry.without_torn(drive.model_copy(update={"rig": found.rig}), motions)
+        trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
         position_paths = executor.run(locate, odometry.moved(chunks, drive), found.matches)
         detections, refused_detections = load_results(found.detections, Detection)
@@ -116,7 +118,7 @@ def analyse(
         details, _ = load_results(map(detail_path, found.detections), ImageDetail)
         drive, without_detail = with_detail(drive, details)
         health += [torn] if found.motions else []
-        health += odometry.check_poses(drive, found.motions, trajectory, params.trajectory)
+        health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
         matches, refused_matches = load_matches(found.matches, drive.frame_pairs)
         positions, refused_positions = load_results(position_paths, Position)
         tracks, refused_tracks = executor.run(

@@ -162,24 +162,23 @@ def _calibration(
     return found.model_copy(update={"right_ahead": right_camera_ahead(cameras_of(rig), points)})
 
 
-def refine(drive: Drive, motions: list[Path], matches: list[Path], params: IngestParams) -> RefinedTrajectory:
+def refine(
+    drive: Drive, motions: Sequence[RelativeMotion], matches: list[Path], params: IngestParams
+) -> RefinedTrajectory:
     """Refined poses of the whole drive; the logged ones, with the reason, where images or parameters do not allow it."""
-    measured, _ = load_results(motions, RelativeMotion)
     pairs = drive.frame_pairs
     found, _ = load_matches(matches, pairs)
     params = params.model_copy(update={"trajectory": _by_its_clock(drive, params.trajectory)})
     if is_by_course(pairs):
-        pairs = with_roll(pairs, drive.rig, measured, grey_reader(drive.rig), params.trajectory)
-    result = refine_with_control(pairs, drive.rig, measured, found, params, drive.control_points)
+        pairs = with_roll(pairs, drive.rig, motions, grey_reader(drive.rig), params.trajectory)
+    result = refine_with_control(pairs, drive.rig, motions, found, params, drive.control_points)
     _log.info("Trajectory %s: %s", result.outcome.replace("_", " "), result.detail)
     return result
 
 
-def without_torn(drive: Drive, motions: Sequence[Path]) -> tuple[Drive, HealthCheck, list[Rejection]]:
+def without_torn(drive: Drive, motions: Sequence[RelativeMotion]) -> tuple[Drive, HealthCheck, list[Rejection]]:
     """The drive without the frame pairs that have a torn image, whether there are too many, and their rejections."""
-    torn = find_torn(
-        drive, load_results(motions, RelativeMotion)[0], grey_reader(drive.rig.rectified_from or drive.rig)
-    )
+    torn = find_torn(drive, motions, grey_reader(drive.rig.rectified_from or drive.rig))
     check, rejections = check_torn(torn, drive)
     lost = {one.pair.frame_index for one in torn}
     kept = tuple(pair for pair in drive.frame_pairs if pair.frame_index not in lost)
@@ -188,7 +187,7 @@ def without_torn(drive: Drive, motions: Sequence[Path]) -> tuple[Drive, HealthCh
 
 def check_poses(
     drive: Drive,
-    motions: Sequence[Path],
+    motions: Sequence[RelativeMotion],
     trajectory: RefinedTrajectory,
     params: TrajectoryParams,
 ) -> list[HealthCheck]:
@@ -199,12 +198,11 @@ def check_poses(
         for pair in trajectory.logged
         if pair.frame_index in details
     ]
-    measured, _ = load_results(motions, RelativeMotion)
-    checks = check_trajectory(pairs, drive.rig, measured, trajectory, _by_its_clock(drive, params))
-    if measured and len(pairs) > 1:
+    checks = check_trajectory(pairs, drive.rig, motions, trajectory, _by_its_clock(drive, params))
+    if motions and len(pairs) > 1:
         read = grey_reader(drive.rig)
-        checks += [check(pairs, drive.rig, measured, read, params) for check in (check_lost_frames, check_recording)]
-        lost = [motion is None or motion.second_SE3_first is None for motion in motions_between(pairs, measured)]
+        checks += [check(pairs, drive.rig, motions, read, params) for check in (check_lost_frames, check_recording)]
+        lost = [motion is None or motion.second_SE3_first is None for motion in motions_between(pairs, motions)]
         checks += check_lost_parts(drive.model_copy(update={"frame_pairs": tuple(pairs)}), lost)
     return checks if trajectory.control is None else [*checks, trajectory.control]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from conetl.files.parquet_store import load_result, save_result
+from conetl.files.parquet_store import load_result
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
 from conetl.model.health import Verdict
 from conetl.model.params import IngestParams, TrajectoryParams
@@ -36,13 +36,13 @@ def test_a_frame_that_both_cameras_lose_or_repeat_is_found(frames: int, named: s
     assert named in check.detail and check.verdict is (Verdict.HOLD if frames else Verdict.PASS)
 
 
-def test_a_drive_of_which_one_pair_is_left_is_checked(tmp_path: Path) -> None:
+def test_a_drive_of_which_one_pair_is_left_is_checked() -> None:
     drive = read_drive(SAMPLES[0])[0]
     pairs, rig, params = drive.frame_pairs[:3], drive.rig, IngestParams()
     followed = follow_drive(pairs, rig, grey_reader(rig), params.trajectory)
-    motions = save_result(tmp_path, "motions", list(motions_of(followed, pairs, rig, params.trajectory)), [])
+    motions = list(motions_of(followed, pairs, rig, params.trajectory))
     drive = drive.model_copy(update={"frame_pairs": pairs[:1]})
-    checks = steps.check_poses(drive, [motions], steps.refine(drive, [motions], [], params), params.trajectory)
+    checks = steps.check_poses(drive, motions, steps.refine(drive, motions, [], params), params.trajectory)
     assert {check.verdict for check in checks} <= {Verdict.PASS}
 
 
