@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,21 +12,33 @@ from hypothesis import strategies as st
 from scipy.special import fresnel
 
 from conetl.readers.base_layers.opendrive import (
-    Cubic,
-    Lane,
     Piece,
+    clothoid,
     cubic_at,
     lane_borders,
     offset_line,
+    param_poly3,
+    poly3,
     reference_line,
     samples_m,
 )
+
+NONE = np.empty((0, 5))
+
+
+def cubics(*pieces):
+    """Start, a, b, ... of each, the others 0."""
+    return np.array([[*piece, *[0.0] * (5 - len(piece))] for piece in pieces])
+
+
+def straight(length_m, k0=0.0, k1=0.0, *, start_m=0.0, heading_rad=0.0):
+    return Piece(start_m, 0.0, 0.0, heading_rad, length_m, partial(clothoid, length_m, k0, k1))
 
 
 @given(st.floats(20.0, 300.0), st.floats(10.0, 500.0))
 def test_a_spiral_is_eulers(length_m, radius_m):
     """Clothoid from straight to radius: x = a C(t), y = a S(t) with Fresnel's integrals."""
-    piece = Piece("curvature", 0.0, 0.0, 0.0, 0.0, length_m, k0=0.0, k1=1 / radius_m)
+    piece = straight(length_m, 0.0, 1 / radius_m)
     s = np.linspace(0, length_m, 7)
     xy, heading = reference_line([piece], s)
     scale = math.sqrt(math.pi * length_m * radius_m)
@@ -36,15 +49,14 @@ def test_a_spiral_is_eulers(length_m, radius_m):
 
 def test_a_spiral_whose_curvature_hardly_changes_is_an_arc():
     """Which is tested with its straight and its end in `test_base_layers.py`."""
-    arc = Piece("curvature", 0.0, 0.0, 0.0, 0.3, 80.0, k0=0.02, k1=0.02)
-    nearly = arc._replace(k1=0.02 + 1e-12)
+    arc, nearly = (straight(80.0, 0.02, 0.02 + more, heading_rad=0.3) for more in (0.0, 1e-12))
     s = np.linspace(0, 80, 9)
     assert reference_line([nearly], s)[0] == pytest.approx(reference_line([arc], s)[0], abs=1e-6)
 
 
 def test_poly3_counts_along_the_curve():
     """v = u: a line at 45 degrees, so the end after s = 10 is 10 / sqrt(2) away on both axes."""
-    piece = Piece("poly3", 0.0, 1.0, 2.0, 0.0, 10.0, v=(0.0, 1.0, 0.0, 0.0))
+    piece = Piece(0.0, 1.0, 2.0, 0.0, 10.0, partial(poly3, 10.0, (0.0, 1.0, 0.0, 0.0)))
     xy, heading = reference_line([piece], np.array([0.0, 10.0]))
     assert xy[1] == pytest.approx([1 + 10 / math.sqrt(2), 2 + 10 / math.sqrt(2)], abs=1e-6)
     assert heading[1] == pytest.approx(math.pi / 4)
@@ -54,21 +66,19 @@ def test_poly3_counts_along_the_curve():
 def test_param_poly3(normalised):
     """A parabola v = u^2 / 20 over u = 0..10, turned by a right angle."""
     factor = 10.0 if normalised else 1.0
-    piece = Piece(
-        "paramPoly3", 0.0, 0.0, 0.0, math.pi / 2, 10.0,
-        u=(0.0, factor, 0.0, 0.0), v=(0.0, 0.0, factor**2 / 20, 0.0), normalised=normalised,
-    )  # fmt: skip
+    curve = partial(param_poly3, factor, (0.0, factor, 0.0, 0.0), (0.0, 0.0, factor**2 / 20, 0.0))
+    piece = Piece(0.0, 0.0, 0.0, math.pi / 2, 10.0, curve)
     xy, heading = reference_line([piece], np.array([5.0, 10.0]))
     assert xy == pytest.approx(np.array([[-1.25, 5.0], [-5.0, 10.0]]))
     assert heading[1] == pytest.approx(math.pi / 2 + math.pi / 4)
 
 
 def test_lane_borders_add_up_from_the_centre():
-    lanes = [
-        Lane(1, (Cubic(0.0, 3.0),)), Lane(2, (Cubic(0.0, 2.0), Cubic(10.0, 2.0, 0.1))), Lane(-1, (Cubic(0.0, 3.5),)),
-        Lane(-2, (), (Cubic(0.0, -5.0),)),
-    ]  # fmt: skip
-    t = lane_borders(lanes, [Cubic(0.0, 0.5)], 100.0, np.array([100.0, 110.0, 120.0]))
+    lanes = {
+        1: (cubics((0.0, 3.0)), NONE), 2: (cubics((0.0, 2.0), (10.0, 2.0, 0.1)), NONE), -1: (cubics((0.0, 3.5)), NONE),
+        -2: (NONE, cubics((0.0, -5.0))),
+    }  # fmt: skip
+    t = lane_borders(lanes, cubics((0.0, 0.5)), 100.0, np.array([100.0, 110.0, 120.0]))
     assert t[0] == pytest.approx([0.5, 0.5, 0.5])
     assert t[1] == pytest.approx([3.5, 3.5, 3.5])
     assert t[2] == pytest.approx([5.5, 5.5, 6.5])
@@ -77,18 +87,16 @@ def test_lane_borders_add_up_from_the_centre():
 
 
 def test_heights_follow_elevation_and_superelevation():
-    piece = Piece("curvature", 0.0, 0.0, 0.0, 0.0, 100.0)
+    piece = straight(100.0)
     s = np.array([0.0, 50.0])
-    xyz = offset_line([piece], [Cubic(0.0, 100.0, 0.02)], [Cubic(0.0, 0.05)], s, np.array([4.0, 4.0]))
+    xyz = offset_line([piece], cubics((0.0, 100.0, 0.02)), cubics((0.0, 0.05)), s, np.array([4.0, 4.0]))
     assert xyz[:, 2] == pytest.approx([100 + 4 * math.sin(0.05), 101 + 4 * math.sin(0.05)])
     assert xyz[:, 1] == pytest.approx([4 * math.cos(0.05)] * 2)
 
 
 def test_cubics_hold_from_their_start_and_samples_meet_the_joints():
-    assert cubic_at([Cubic(0.0, 1.0), Cubic(5.0, 2.0, 1.0)], np.array([4.9, 5.0, 6.0])) == pytest.approx(
-        [1.0, 2.0, 3.0]
-    )
-    pieces = [Piece("curvature", start, 0.0, 0.0, 0.0, 3.3) for start in (0.0, 3.3, 6.6)]
+    assert cubic_at(cubics((0.0, 1.0), (5.0, 2.0, 1.0)), np.array([4.9, 5.0, 6.0])) == pytest.approx([1.0, 2.0, 3.0])
+    pieces = [straight(3.3, start_m=start) for start in (0.0, 3.3, 6.6)]
     s = samples_m(pieces, 0.0, 9.9)
     assert {0.0, 3.3, 6.6, 9.9} <= set(s.tolist())
     assert (np.diff(s) > 0).all() and np.diff(s).max() <= 1.0 + 1e-9

@@ -7,9 +7,10 @@ and border. s runs along the reference line in plan, t to its left. Lengths in m
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -40,49 +41,30 @@ MAX_COORDINATE_M = 1e9
 _BLOCK = 2_000
 
 
+#: Positions (N, 2) and turns (N,) at distances (N,) from the beginning of a geometry, whose heading there is 0.
+Curve = Callable[[Floats], tuple[Floats, Floats]]
 #: Attributes with the curvature at the beginning and at the end, by geometry.
 _CURVATURES = {"line": (), "arc": ("curvature", "curvature"), "spiral": ("curvStart", "curvEnd")}
 
 
-class Cubic(NamedTuple):
-    """a + b ds + c ds^2 + d ds^3 from `start_m` on."""
-
-    start_m: float
-    a: float
-    b: float = 0.0
-    c: float = 0.0
-    d: float = 0.0
-
-
 class Piece(NamedTuple):
-    """One geometry of the reference line from `start_m` on. Line, arc, spiral: curvature changes linearly from k0 to k1 (1/m)."""
+    """One geometry of the reference line from `start_m` on."""
 
-    shape: Literal["curvature", "poly3", "paramPoly3"]
     start_m: float
     x_m: float
     y_m: float
     heading_rad: float
     length_m: float
-    k0: float = 0.0
-    k1: float = 0.0
-    u: tuple[float, float, float, float] = (0.0, 1.0, 0.0, 0.0)
-    v: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    normalised: bool = False
-    """paramPoly3 with p from 0 to 1 instead of 0 to the length."""
+    curve: Curve
 
 
-class Lane(NamedTuple):
-    """A lane of a section: either widths, or borders (t of its outer edge), from the section's start on."""
+def cubic_at(pieces: Floats, s_m: Floats) -> Floats:
+    """Value (N,) at s of piecewise cubics (M, 5): a + b ds + c ds^2 + d ds^3 from a start on, given start, a, b, c, d.
 
-    lane_id: int
-    widths: tuple[Cubic, ...]
-    borders: tuple[Cubic, ...] = ()
-
-
-def cubic_at(pieces: Sequence[Cubic], s_m: Floats) -> Floats:
-    """Value (N,) of piecewise cubics at s; 0 where there are none or before the first."""
+    0 where there are none or before the first.
+    """
     s = np.asarray(s_m, np.float64)
-    start, a, b, c, d = np.array([Cubic(-np.inf, 0.0), *sorted(pieces, key=lambda p: p.start_m)]).T
+    start, a, b, c, d = np.vstack([[-np.inf, 0, 0, 0, 0], pieces[np.argsort(pieces[:, 0], kind="stable")]]).T
     owner = np.searchsorted(start, s, side="right") - 1
     ds = np.where(owner > 0, s - start[owner], 0.0)
     return np.asarray(a[owner] + ds * (b[owner] + ds * (c[owner] + ds * d[owner])))
@@ -106,7 +88,7 @@ def reference_line(pieces: Sequence[Piece], s_m: Floats) -> tuple[Floats, Floats
     for index in np.unique(owner):
         piece, here = ordered[index], owner == index
         ds = np.clip(s[here] - piece.start_m, 0.0, piece.length_m)
-        local, turn = _curvature(piece, ds) if piece.shape == "curvature" else _polynomial(piece, ds)
+        local, turn = piece.curve(ds)
         cos, sin = np.cos(piece.heading_rad), np.sin(piece.heading_rad)
         xy[here] = local @ np.array([[cos, sin], [-sin, cos]]) + [piece.x_m, piece.y_m]
         heading[here] = piece.heading_rad + turn
@@ -114,26 +96,26 @@ def reference_line(pieces: Sequence[Piece], s_m: Floats) -> tuple[Floats, Floats
 
 
 def lane_borders(
-    lanes: Sequence[Lane], offset: Sequence[Cubic], section_start_m: float, s_m: Floats
+    lanes: Mapping[int, tuple[Floats, Floats]], offset: Floats, section_start_m: float, s_m: Floats
 ) -> dict[int, Floats]:
-    """Lane id -> t (N,) of its outer border at s; id 0 is the centre line. Left lanes have positive ids."""
+    """Lane id -> t (N,) of its outer border at s; id 0 is the centre line. Left lanes have positive ids.
+
+    lanes: cubics of the widths and of the borders (t of the outer edge) of each, one of them without any.
+    """
     centre = cubic_at(offset, s_m)
     ds = np.asarray(s_m, np.float64) - section_start_m
     found = {0: centre}
     for side in (1, -1):
         t = centre
-        for lane in sorted((lane for lane in lanes if lane.lane_id * side > 0), key=lambda lane: abs(lane.lane_id)):
-            if lane.widths or not lane.borders:
-                t = t + side * np.maximum(cubic_at(lane.widths, ds), 0.0)
-            else:
-                t = cubic_at(lane.borders, ds)  # borders are signed distances from the reference line
-            found[lane.lane_id] = t
+        for number in sorted((number for number in lanes if number * side > 0), key=abs):
+            widths, borders = lanes[number]
+            wide = len(widths) or not len(borders)  # borders are signed distances from the reference line
+            t = t + side * np.maximum(cubic_at(widths, ds), 0.0) if wide else cubic_at(borders, ds)
+            found[number] = t
     return found
 
 
-def offset_line(
-    pieces: Sequence[Piece], elevation: Sequence[Cubic], superelevation: Sequence[Cubic], s_m: Floats, t_m: Floats
-) -> Floats:
+def offset_line(pieces: Sequence[Piece], elevation: Floats, superelevation: Floats, s_m: Floats, t_m: Floats) -> Floats:
     """Points (N, 3) at (s, t): across the reference line, tilted by the superelevation (counter-clockwise seen along s)."""
     xy, heading = reference_line(pieces, s_m)
     roll = cubic_at(superelevation, s_m)
@@ -142,31 +124,35 @@ def offset_line(
     return np.column_stack([xy + across[:, None] * left, cubic_at(elevation, s_m) + t_m * np.sin(roll)])
 
 
-def _curvature(piece: Piece, ds: Floats) -> tuple[Floats, Floats]:
-    """Line, arc, spiral: the heading is a quadratic of s; its unit vector is integrated by Gauss-Legendre over short steps.
+def clothoid(length_m: float, k0: float, k1: float, ds: Floats) -> tuple[Floats, Floats]:
+    """Line, arc, spiral, whose curvature changes linearly from k0 to k1 (1/m): the heading is a quadratic of s; its unit vector
+    is integrated by Gauss-Legendre over short steps.
 
     (Fresnel integrals are the closed form, but lose all digits where the curvature hardly changes.)
     """
-    grid = np.unique(np.concatenate([np.linspace(0.0, piece.length_m, int(piece.length_m / STEP_M) + 2), ds]))
-    rate = (piece.k1 - piece.k0) / piece.length_m if piece.length_m > 0 else 0.0
+    grid = np.unique(np.concatenate([np.linspace(0.0, length_m, int(length_m / STEP_M) + 2), ds]))
+    rate = (k1 - k0) / length_m if length_m > 0 else 0.0
     half = np.diff(grid) / 2
     at = grid[:-1, None] + half[:, None] * (1 + _NODES)
-    turn = piece.k0 * at + rate * at**2 / 2
+    turn = k0 * at + rate * at**2 / 2
     steps = half[:, None] * np.column_stack([np.cos(turn) @ _WEIGHTS, np.sin(turn) @ _WEIGHTS])
     track = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    return track[np.searchsorted(grid, ds)], piece.k0 * ds + rate * ds**2 / 2
+    return track[np.searchsorted(grid, ds)], k0 * ds + rate * ds**2 / 2
 
 
-def _polynomial(piece: Piece, ds: Floats) -> tuple[Floats, Floats]:
-    if piece.shape == "poly3":  # v is a polynomial of u, and s the length of the curve: find u(s)
-        u = np.linspace(0.0, piece.length_m, _ARC_LENGTH_SAMPLES)
-        slope = np.abs(np.hypot(1.0, polyval(u, polyder(piece.v))))
-        length = np.concatenate([[0.0], np.cumsum(np.diff(u) * (slope[1:] + slope[:-1]) / 2)])
-        p = np.interp(ds, length, u)
-        return np.column_stack([p, polyval(p, piece.v)]), np.arctan(polyval(p, polyder(piece.v)))
-    p = ds / piece.length_m if piece.normalised and piece.length_m > 0 else ds
-    turn = np.arctan2(polyval(p, polyder(piece.v)), polyval(p, polyder(piece.u)))
-    return np.column_stack([polyval(p, piece.u), polyval(p, piece.v)]), turn
+def poly3(length_m: float, v: Sequence[float], ds: Floats) -> tuple[Floats, Floats]:
+    """v is a polynomial of u, and s the length of the curve: find u(s)."""
+    u = np.linspace(0.0, length_m, _ARC_LENGTH_SAMPLES)
+    slope = np.abs(np.hypot(1.0, polyval(u, polyder(v))))
+    length = np.concatenate([[0.0], np.cumsum(np.diff(u) * (slope[1:] + slope[:-1]) / 2)])
+    p = np.interp(ds, length, u)
+    return np.column_stack([p, polyval(p, v)]), np.arctan(polyval(p, polyder(v)))
+
+
+def param_poly3(unit_m: float, u: Sequence[float], v: Sequence[float], ds: Floats) -> tuple[Floats, Floats]:
+    """u and v are polynomials of the distance in this unit."""
+    p = ds / unit_m
+    return np.column_stack([polyval(p, u), polyval(p, v)]), np.arctan2(polyval(p, polyder(v)), polyval(p, polyder(u)))
 
 
 def read_opendrive(path: Path) -> LineFile:
@@ -229,7 +215,7 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
     about = {"road": road.get("id"), "road_name": road.get("name") or None}
     spend(_points(pieces, 0.0, length))
     s = samples_m(pieces, 0.0, length)
-    centre = offset_line(pieces, elevation, [], s, np.zeros(len(s)))
+    centre = offset_line(pieces, elevation, np.empty((0, 5)), s, np.zeros(len(s)))
     yield Line("reference_line", centre, {**about, "border": "reference line"})
     sections = sorted(road.findall("lanes/laneSection"), key=lambda section: _number(section, "s"))
     starts = [_number(section, "s") for section in sections]
@@ -241,10 +227,10 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
         elements = {int(_number(lane, "id")): lane for lane in section.iter("lane")}
         spend(_points(pieces, start, end) * (len(elements) + 1))
         s = samples_m(pieces, start, end)
-        lanes = [
-            Lane(number, _cubics(lane.findall("width"), "sOffset"), _cubics(lane.findall("border"), "sOffset"))
+        lanes = {
+            number: (_cubics(lane.findall("width"), "sOffset"), _cubics(lane.findall("border"), "sOffset"))
             for number, lane in elements.items()
-        ]
+        }
         for number, t in lane_borders(lanes, offset, start, s).items():
             lane = elements.get(number)
             mark = lane.find("roadMark") if lane is not None else None
@@ -269,24 +255,24 @@ def _piece(geometry: Element) -> Piece:
         raise ValueError(f"a geometry's length is {length:g} m")
     shape = next(iter(geometry), None)
     kind = shape.tag if shape is not None else "line"
-    at = start, x, y, heading, length
+    curve: Curve
     if shape is None or kind in _CURVATURES:
         ends = [_number(shape, name) for name in _CURVATURES[kind]] if shape is not None else []
-        k0, k1 = ends or (0.0, 0.0)
-        return Piece("curvature", *at, k0=k0, k1=k1)
-    if kind == "poly3":
-        a, b, c, d = (_number(shape, name) for name in "abcd")
-        return Piece("poly3", *at, v=(a, b, c, d))
-    if kind == "paramPoly3":
-        u0, u1, u2, u3 = (_number(shape, f"{name}U") for name in "abcd")
-        v0, v1, v2, v3 = (_number(shape, f"{name}V") for name in "abcd")
-        normalised = shape.get("pRange", "normalized") != "arcLength"
-        return Piece("paramPoly3", *at, u=(u0, u1, u2, u3), v=(v0, v1, v2, v3), normalised=normalised)
-    raise ValueError(f"its geometry <{kind}> is unknown; expected line, arc, spiral, poly3 or paramPoly3")
+        curve = partial(clothoid, length, *(ends or (0.0, 0.0)))
+    elif kind == "poly3":
+        curve = partial(poly3, length, [_number(shape, name) for name in "abcd"])
+    elif kind == "paramPoly3":
+        u, v = ([_number(shape, f"{name}{axis}") for name in "abcd"] for axis in "UV")
+        normalised = shape.get("pRange", "normalized") != "arcLength" and length > 0
+        curve = partial(param_poly3, length if normalised else 1.0, u, v)
+    else:
+        raise ValueError(f"its geometry <{kind}> is unknown; expected line, arc, spiral, poly3 or paramPoly3")
+    return Piece(start, x, y, heading, length, curve)
 
 
-def _cubics(elements: list[Element], start: str) -> tuple[Cubic, ...]:
-    return tuple(Cubic(_number(e, start), *(_number(e, name) for name in "abcd")) for e in elements)
+def _cubics(elements: list[Element], start: str) -> Floats:
+    """(N, 5) as of `cubic_at`."""
+    return np.array([[_number(e, name) for name in (start, *"abcd")] for e in elements]).reshape(-1, 5)
 
 
 def _number(element: Element, name: str) -> float:
