@@ -17,7 +17,7 @@ from conetl.geometry.geodesy import grid_convergence_rad
 from conetl.model.errors import DriveFolderError
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml
 from conetl.readers.drives.pairs import ContentHash, Source
-from conetl.readers.drives.poses import placed, position_sigmas
+from conetl.readers.drives.poses import placed, stated_sigmas
 from conetl.readers.trajectories import READERS, find_trajectories, read_trajectory, trajectory_format
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.times import (
@@ -496,14 +496,14 @@ def test_unknown_sigmas_must_be_given(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("recorded_m", "vertical_m", "up_m"),
-    [((0.1, 0.1, 5.0), None, 5.0), ((0.1, 0.1, 5.0), 0.4, 0.4), ((0.1, 0.1, np.nan), None, 0.3), (None, None, 0.3)],
+    ("recorded_up_m", "vertical_m", "up_m"), [(5.0, None, 5.0), (5.0, 0.4, 0.4), (np.nan, None, 0.3)]
 )
-def test_a_recorded_height_of_a_bag_stays_as_uncertain_as_it_is(
-    recorded_m: tuple[float, float, float] | None, vertical_m: float | None, up_m: float
+def test_a_recorded_height_stays_as_uncertain_as_it_is(
+    recorded_up_m: float, vertical_m: float | None, up_m: float
 ) -> None:
-    found = position_sigmas(Sigmas(horizontal_m=0.2, vertical_m=vertical_m), recorded_m)
-    assert found == pytest.approx((0.2, 0.2, up_m))
+    recorded = np.array([[0.1, 0.1, recorded_up_m, np.nan, np.nan, np.nan]])
+    found = stated_sigmas(recorded, Sigmas(horizontal_m=0.2, vertical_m=vertical_m))
+    assert found[0, :3] == pytest.approx((0.2, 0.2, up_m))
 
 
 def test_an_unknown_time_system_in_drive_yaml_is_refused(tmp_path: Path) -> None:

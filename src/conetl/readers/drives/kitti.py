@@ -95,7 +95,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
             rejections.append(error.rejection(f"frame pair {number}", number))
         else:
             usable[number] = *images, captured
-    poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()}, settings.sigmas)
+    poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()})
     pairs = {number: (*found, poses[number]) for number, found in usable.items()}
     return drive_of_pairs(pairs, rejections, len(numbers), source, rig, srid)
 

@@ -13,9 +13,8 @@ from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.drive import Pose
 from conetl.readers.drives.drive_yaml import Sigmas
-from conetl.readers.drives.poses import attitude_sigmas, to_pose, wild_fixes
+from conetl.readers.drives.poses import stated_sigmas, to_pose, wild_fixes
 from conetl.readers.trajectories.oxts import OxtsRecord
-from conetl.readers.trajectories.recorded import VERTICAL_FACTOR
 
 MAX_GAP_NS = 500_000_000
 """Poses farther apart in time than this are not interpolated."""
@@ -28,8 +27,8 @@ class OxtsTrajectory(NamedTuple):
     """Rising, of the valid records."""
     map_SE3_body: Floats
     """(N, 4, 4)"""
-    sigma_enu_m: Floats
-    """(N, 3)"""
+    sigma: Floats
+    """(N, 6): easting, northing, height (m), roll, pitch, yaw (rad)."""
     times_ns: dict[int, int]
     """By frame number; frames without a time are missing."""
     rows: dict[int, int]
@@ -48,10 +47,10 @@ def trajectory(
     positions = geodesy.to_map(srid, table[:, 0], table[:, 1], table[:, 2])
     grid_yaw = table[:, 5] + geodesy.grid_convergence_rad(srid, table[:, 0], table[:, 1])
     poses = se3.se3(se3.rotation_from_rpy(table[:, 3], table[:, 4], grid_yaw), positions)
-    horizontal = table[:, 6] if sigmas.horizontal_m is None else np.full(len(numbers), sigmas.horizontal_m)
-    vertical = VERTICAL_FACTOR * horizontal if sigmas.vertical_m is None else np.full(len(numbers), sigmas.vertical_m)
+    recorded = np.full((len(numbers), 6), np.nan)
+    recorded[:, :2] = table[:, [6]]
     return OxtsTrajectory(
-        numbers, poses, np.stack([horizontal, horizontal, vertical], axis=1),
+        numbers, poses, stated_sigmas(recorded, sigmas),
         {number: times_ns[number] for number in numbers if number in times_ns},
         {number: k for k, number in enumerate(numbers)},
     )  # fmt: skip
@@ -65,7 +64,7 @@ def wild_records(track: OxtsTrajectory) -> dict[int, str]:
     return {numbers[k]: text for k, text in wild.items()}
 
 
-def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int], sigmas: Sigmas) -> dict[int, Pose]:
+def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int]) -> dict[int, Pose]:
     """Poses at the exposures of frames, by number; each of them has a valid record.
 
     The pose is interpolated between the records before and after the exposure (straight line, slerp). Where one of them is
@@ -80,12 +79,9 @@ def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int], sigmas: Sig
     late_ns = [time_ns - track.times_ns.get(number, time_ns) for number, time_ns in exposures_ns.items()]
     ends, weights, apart_m = zip(*map(partial(_neighbour, track), rows, late_ns), strict=True)
     poses = se3.interpolate_each([*track.map_SE3_body[rows]], [*track.map_SE3_body[[*ends]]], weights)
-    sigma_enu_m = np.hypot(track.sigma_enu_m[rows], np.array(apart_m)[:, None])
-    sigma_rpy = attitude_sigmas(sigmas, None)
-    return {
-        number: to_pose(pose, [*sigma, *sigma_rpy])
-        for number, pose, sigma in zip(exposures_ns, poses, sigma_enu_m, strict=True)
-    }
+    sigma = track.sigma[rows]
+    sigma[:, :3] = np.hypot(sigma[:, :3], np.array(apart_m)[:, None])
+    return {number: to_pose(pose, own) for number, pose, own in zip(exposures_ns, poses, sigma, strict=True)}
 
 
 def _neighbour(track: OxtsTrajectory, row: int, late_ns: int) -> tuple[int, float, float]:

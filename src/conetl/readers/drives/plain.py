@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,7 +40,7 @@ from conetl.readers.drives.pairs import (
     drive_of_pairs,
     images_ahead,
 )
-from conetl.readers.drives.poses import attitude_sigmas, checked_srid, position_sigmas, to_pose, wild_fixes
+from conetl.readers.drives.poses import checked_srid, stated_sigmas, to_pose, wild_fixes
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import rectified_rig
 from conetl.readers.trajectories.times import misplaced, stamp_or_problem
@@ -226,13 +225,10 @@ def pose_of_row(row: Row, srid: int, settings: Sigmas) -> Pose:
     position = geodesy.to_map(srid, row.lat_deg, row.lon_deg, row.height_m)
     convergence = float(geodesy.grid_convergence_rad(srid, row.lat_deg, row.lon_deg))
     roll, pitch, yaw = np.radians([row.roll_deg, row.pitch_deg, row.yaw_deg])
-    angles = (math.radians(row.sigma_roll_deg), math.radians(row.sigma_pitch_deg), math.radians(row.sigma_yaw_deg))
     rotation = se3.rotation_from_rpy(roll, pitch, yaw + convergence)
-    sigmas = (
-        *position_sigmas(settings, (row.sigma_e_m, row.sigma_n_m, row.sigma_u_m)),
-        *attitude_sigmas(settings, angles),
-    )
-    return to_pose(se3.se3(rotation, position), sigmas)
+    angles = np.radians([row.sigma_roll_deg, row.sigma_pitch_deg, row.sigma_yaw_deg])
+    recorded = np.array([[row.sigma_e_m, row.sigma_n_m, row.sigma_u_m, *angles]])
+    return to_pose(se3.se3(rotation, position), stated_sigmas(recorded, settings)[0])
 
 
 def time_of_row(row: Row, zone: str) -> int | str:

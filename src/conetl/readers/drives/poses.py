@@ -25,6 +25,7 @@ from conetl.readers.drives.pairs import PairError, Source
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, RecordedTrajectory
 
 MAX_SIGMA_M = 1000.0
+NO_SIGMAS = "no sigmas of the position between 0 and 1000 m; give sigmas.horizontal_m in drive.yaml"
 _LOOK_BACK = 500
 
 
@@ -138,32 +139,26 @@ def to_pose(map_SE3_body: Floats, sigma: ArrayLike) -> Pose:
     )  # fmt: skip
 
 
-def position_sigmas(settings: Sigmas, recorded_m: tuple[float, float, float] | None) -> tuple[float, float, float]:
-    """Sigmas of easting, northing, height (m): those of drive.yaml, else the recorded ones. Raises ValueError.
+def stated_sigmas(recorded: Floats, settings: Sigmas) -> Floats:
+    """(N, 6) sigmas of easting, northing, height (m), roll, pitch, yaw (rad): those given in drive.yaml, else the recorded ones
+    (N, 6), else the defaults; NaN where those of the position are unknown.
 
-    A recorded height that is less certain than horizontal_m implies stays so, unless vertical_m is given.
+    A height that is less certain than drive.yaml's horizontal_m implies stays so, unless vertical_m is given: it may be above an
+    unknown geoid.
     """
+    found = recorded.copy()
+    found[~((found > 0.0) & np.isfinite(found))] = np.nan
     if settings.horizontal_m is not None:
-        horizontal, up = settings.horizontal_m, VERTICAL_FACTOR * settings.horizontal_m
-        if recorded_m is not None and up < recorded_m[2] <= MAX_SIGMA_M:
-            up = recorded_m[2]
-        return horizontal, horizontal, settings.vertical_m or up
-    if recorded_m is None:
-        raise ValueError("no covariance was recorded with the position; give sigmas.horizontal_m in drive.yaml")
-    if not all(0.0 < value <= MAX_SIGMA_M for value in recorded_m):  # NaN fails too
-        raise ValueError(f"sigmas of the position are {recorded_m}, expected metres between 0 and 1000")
-    east, north, up = recorded_m
-    return east, north, settings.vertical_m or up
-
-
-def attitude_sigmas(settings: Sigmas, recorded_rad: tuple[float, ...] | None) -> tuple[float, float, float]:
-    """Sigmas of roll, pitch, yaw (rad): those given in drive.yaml, else the recorded ones, else the defaults of drive.yaml."""
-    found = []
-    for index, name in enumerate(("roll_deg", "pitch_deg", "yaw_deg")):
-        own = recorded_rad[index] if recorded_rad else 0.0
-        given = name in settings.model_fields_set or not own > 0.0 or not math.isfinite(own)
-        found.append(math.radians(getattr(settings, name)) if given else own)
-    return found[0], found[1], found[2]
+        found[:, :2] = settings.horizontal_m
+        found[~(found[:, 2] <= MAX_SIGMA_M), 2] = np.nan
+        found[:, 2] = np.fmax(found[:, 2], VERTICAL_FACTOR * settings.horizontal_m)
+    found[:, 2] = np.where(np.isnan(found[:, 2]), VERTICAL_FACTOR * found[:, :2].max(axis=1), found[:, 2])
+    if settings.vertical_m is not None:
+        found[:, 2] = settings.vertical_m
+    found[~(found[:, :3] <= MAX_SIGMA_M).all(axis=1), :3] = np.nan
+    for k, name in enumerate(("roll_deg", "pitch_deg", "yaw_deg"), 3):
+        found[np.isnan(found[:, k]) | (name in settings.model_fields_set), k] = math.radians(getattr(settings, name))
+    return found
 
 
 def rotation_of(w: float, x: float, y: float, z: float) -> Floats:
@@ -216,9 +211,7 @@ def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Floats) 
             poses = se3.se3(enu_to_grid(srid, lat, lon, rotations), geodesy.to_map(srid, lat, lon, height))
     sigma = _sigmas(recorded, source.settings)
     known = np.isfinite(sigma).all(axis=1)
-    bad = recorded.bad | dict.fromkeys(
-        recorded.times_ns[~known].tolist(), "no sigmas of the position between 0 and 1000 m"
-    )
+    bad = recorded.bad | dict.fromkeys(recorded.times_ns[~known].tolist(), NO_SIGMAS)
     if not known.any():
         raise DriveFolderError(
             f"{source.root}: {recorded.name} has no sigmas of its positions; give sigmas.horizontal_m in drive.yaml"
@@ -230,26 +223,11 @@ def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Floats) 
 
 
 def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Floats:
-    """(N, 6) sigmas: as `position_sigmas` and `attitude_sigmas` for each record; NaN where those of the position are unknown.
-
-    A height that is less certain than drive.yaml's horizontal_m implies stays so, unless vertical_m is given: it may be above an
-    unknown geoid. The errors of the attitude times the antenna's lever arm are added.
-    """
-    found, given = recorded.sigma.copy(), settings.sigmas
-    found[~((found > 0.0) & np.isfinite(found))] = np.nan
-    if given.horizontal_m is not None:
-        found[:, :2] = given.horizontal_m
-        found[:, 2] = np.fmax(found[:, 2], VERTICAL_FACTOR * given.horizontal_m)
-    elif recorded.is_local:
-        # The frame may be turned against the map's.
-        found[:, :2] = found[:, :2].max(axis=1, keepdims=True)
-    found[:, 2] = np.where(np.isnan(found[:, 2]), VERTICAL_FACTOR * found[:, :2].max(axis=1), found[:, 2])
-    if given.vertical_m is not None:
-        found[:, 2] = given.vertical_m
-    found[~(found[:, :3] <= MAX_SIGMA_M).all(axis=1), :3] = np.nan
-    for k, name in enumerate(("roll_deg", "pitch_deg", "yaw_deg"), 3):
-        default = math.radians(getattr(given, name))
-        found[np.isnan(found[:, k]) | (name in given.model_fields_set), k] = default
+    """(N, 6) as `stated_sigmas`, with the errors of the attitude times the antenna's lever arm."""
+    sigma = recorded.sigma.copy()
+    if recorded.is_local:  # the frame may be turned against the map's
+        sigma[:, :2] = sigma[:, :2].max(axis=1, keepdims=True)
+    found = stated_sigmas(sigma, settings.sigmas)
     x, y, z = settings.antenna_t_m or (0.0, 0.0, 0.0)
     level_m, up_m = np.hypot(x, y), abs(z)
     tilt = found[:, 3:5].max(axis=1)

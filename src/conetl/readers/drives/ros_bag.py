@@ -13,7 +13,6 @@ NAME.drive.yaml and NAME.rig.yaml beside it). Times are the header stamps, UTC.
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -41,13 +40,15 @@ from conetl.readers.drives.bag_rig import (
     rig_of_infos,
     transforms_of,
 )
-from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, small_file
+from conetl.readers.drives.drive_yaml import DriveYaml, small_file
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.trajectories.recorded import MAX_LOCAL_M, check_fix
 from conetl.readers.trajectories.times import clock_problem
 
-Records = dict[int, tuple[Floats, tuple[float, ...]]]
+Records = dict[int, tuple[Floats, Floats]]
+#: Variances of what a message does not have: a fix no attitude, an attitude no position.
+_NONE = np.full(3, np.nan)
 NAME, TITLE = "bag", "ROS bag or MCAP"
 READS_OBJECTS = False
 
@@ -138,8 +139,8 @@ def _read_small(bag: bag_messages.Bag, topics: Topics, settings: DriveYaml, cont
     readers = {topics.trajectory: _odometry} if topics.imu is None else {topics.trajectory: _fix, topics.imu: _attitude}
     infos = {topic for topic in (topics.left_info, topics.right_info) if topic}
     transforms = {TF_STATIC} if bag.types.get(TF_STATIC) == TRANSFORMS else set()
-    found = _Recorded({t: {} for t in readers}, {t: {} for t in readers}, {}, {}, {})
-    hashed = {topic: bytearray() for topic in readers}
+    found = _Recorded({}, {}, {}, {}, {})
+    rows: dict[str, list[tuple[int, tuple[Floats, Floats] | str]]] = {topic: [] for topic in readers}
     for message in bag.messages([*readers, *infos, *transforms]):
         topic, fields = message.topic, message.content
         if fields is None:
@@ -155,56 +156,62 @@ def _read_small(bag: bag_messages.Bag, topics: Topics, settings: DriveYaml, cont
             child = getattr(fields, "child_frame_id", "")
             found.frame_ids.setdefault(topic, str(child or fields.header.frame_id))
             try:
-                record = readers[topic](fields, settings.sigmas)
+                rows[topic].append((stamp, readers[topic](fields)))
             except ValueError as error:
-                found.bad[topic][stamp] = str(error)
-                hashed[topic] += struct.pack("<q", stamp)
+                rows[topic].append((stamp, str(error)))
+    for topic, read in rows.items():
+        variances = np.array([record[1] for _, record in read if not isinstance(record, str)]).reshape(-1, 6)
+        stated = poses.stated_sigmas(np.sqrt(variances), settings.sigmas)
+        sigmas = iter(np.where(np.isnan(variances), 0.0, stated))
+        found.records[topic], found.bad[topic], hashed = {}, {}, bytearray()
+        for stamp, record in read:
+            hashed += struct.pack("<q", stamp)
+            if isinstance(record, str):
+                found.bad[topic][stamp] = record
+            elif np.isnan(sigma := next(sigmas)).any():
+                found.bad[topic][stamp] = poses.NO_SIGMAS
             else:
-                found.records[topic][stamp] = record
-                hashed[topic] += struct.pack("<q", stamp) + record[0].tobytes() + struct.pack("<6d", *record[1])
-    for topic, data in hashed.items():
-        content.add(f"trajectory{topic}", bytes(data))
+                found.records[topic][stamp] = record[0], sigma
+                hashed += record[0].tobytes() + sigma.tobytes()
+        content.add(f"trajectory{topic}", bytes(hashed))
     return found
 
 
-def _fix(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]]:
-    """Latitude, longitude, height in the translation. Raises ValueError."""
+def _fix(message: Any) -> tuple[Floats, Floats]:
+    """Latitude, longitude, height in the translation; variances. Raises ValueError."""
     if int(message.status.status) < 0:
         raise ValueError("the receiver had no fix (status -1)")
     lat, lon, height = float(message.latitude), float(message.longitude), float(message.altitude)
     check_fix(lat, lon, height)
     known = int(message.position_covariance_type) != 0
-    c = [float(message.position_covariance[i]) for i in (0, 4, 8)]
-    recorded = (_root(c[0]), _root(c[1]), _root(c[2])) if known else None
-    return se3.se3(np.eye(3), [lat, lon, height]), (*poses.position_sigmas(settings, recorded), 0.0, 0.0, 0.0)
+    variances = _variances(message.position_covariance, (0, 4, 8)) if known else np.zeros(3)
+    return se3.se3(np.eye(3), [lat, lon, height]), np.concatenate([variances, _NONE])
 
 
-def _attitude(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]]:
-    """Rotation against east, north, up (REP 103). Raises ValueError."""
+def _attitude(message: Any) -> tuple[Floats, Floats]:
+    """Rotation against east, north, up (REP 103), and variances. Raises ValueError."""
     if float(message.orientation_covariance[0]) == -1.0:
         raise ValueError("the IMU has no orientation (covariance -1, see sensor_msgs/Imu)")
     q = message.orientation
-    recorded = tuple(_root(float(message.orientation_covariance[i])) for i in (0, 4, 8))
     rotation = poses.rotation_of(float(q.w), float(q.x), float(q.y), float(q.z))
-    return se3.se3(rotation, np.zeros(3)), (0.0, 0.0, 0.0, *poses.attitude_sigmas(settings, recorded))
+    variances = _variances(message.orientation_covariance, (0, 4, 8))
+    return se3.se3(rotation, np.zeros(3)), np.concatenate([_NONE, variances])
 
 
-def _odometry(message: Any, settings: Sigmas) -> tuple[Floats, tuple[float, ...]]:
-    """Pose in the odometry's own frame; with the larger of the x and y sigmas, as the frame may be turned. Raises ValueError."""
+def _odometry(message: Any) -> tuple[Floats, Floats]:
+    """Pose in the odometry's own frame, and variances: of x and y the larger, as the frame may be turned. Raises ValueError."""
     p, q = message.pose.pose.position, message.pose.pose.orientation
     position = float(p.x), float(p.y), float(p.z)
     if not all(abs(value) < MAX_LOCAL_M for value in position):  # NaN fails too
         raise ValueError(f"expected finite metres below {MAX_LOCAL_M:,.0f}, found {position}")
-    c = [_root(float(message.pose.covariance[i])) for i in (0, 7, 14, 21, 28, 35)]
-    level = max(c[0], c[1])
-    recorded = (level, level, c[2]) if level > 0.0 and c[2] > 0.0 else None
-    rotation = poses.rotation_of(float(q.w), float(q.x), float(q.y), float(q.z))
-    sigma = (*poses.position_sigmas(settings, recorded), *poses.attitude_sigmas(settings, tuple(c[3:])))
-    return se3.se3(rotation, position), sigma
+    variances = _variances(message.pose.covariance, (0, 7, 14, 21, 28, 35))
+    variances[:2] = variances[:2].max()
+    return se3.se3(poses.rotation_of(float(q.w), float(q.x), float(q.y), float(q.z)), position), variances
 
 
-def _root(variance: float) -> float:
-    return math.sqrt(variance) if variance > 0.0 else 0.0
+def _variances(covariance: Any, diagonal: tuple[int, ...]) -> Floats:
+    """Those that are on the diagonal of a covariance; 0 where it states none."""
+    return np.fmax(np.asarray(covariance, dtype=np.float64)[[*diagonal]], 0.0)
 
 
 def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> tuple[Rig, Floats]:
