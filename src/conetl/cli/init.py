@@ -191,7 +191,7 @@ def _earlier(root: Path) -> dict[str, Any]:
     """What an earlier drive.yaml states."""
     try:
         return read_drive_yaml(root).model_dump(mode="json", exclude_unset=True)
-    except DriveFolderError as error:
+    except InputError as error:
         complain(f"{error}\nconetl ignores this file and writes a new one.")
         return {}
 

@@ -20,7 +20,7 @@ from conetl.files.documents import MAX_JSON_BYTES
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import CalibrationError, InputError
 from conetl.model.rig import Camera, Lens, Rig
 from conetl.readers.rigs import WRITERS, read_rig, read_rig_and_format
 from conetl.readers.rigs.common import rig_of
@@ -329,7 +329,7 @@ BAD_OPENCV = {
 
 
 def complaint(path: Path, message: str, named: Path | None = None, **options: Any) -> None:
-    with pytest.raises(CalibrationError, match=message) as raised:
+    with pytest.raises(InputError, match=message) as raised:
         read_rig(path, **options)
     assert str(raised.value).startswith(str(named or path)), "the file is not named"
     assert len(str(raised.value)) < 900

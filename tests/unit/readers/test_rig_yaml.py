@@ -10,7 +10,7 @@ import pytest
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import CalibrationError, InputError
 from conetl.readers.rigs import read_kitti_rig, read_rig, write_rig_yaml
 
 #: Numbers of the size of KITTI's own: camera 2 sits 6 cm left of camera 0, camera 3 47 cm right of it.
@@ -120,7 +120,7 @@ def test_files_that_are_not_calibrations(tmp_path: Path, make, message: str) -> 
     (tmp_path / "rig.json").write_text("{}")
     (tmp_path / "rig.toml").write_text("a = 1")
     (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(CalibrationError, match=message):
+    with pytest.raises(InputError, match=message):
         read_rig(make(tmp_path))
 
 
@@ -237,6 +237,6 @@ def with_lens(lens: str) -> str:
 )
 def test_a_broken_rig_yaml_raises_one_message(tmp_path: Path, text: str, message: str) -> None:
     path = yaml_rig(tmp_path, text)
-    with pytest.raises(CalibrationError, match=message) as raised:
+    with pytest.raises(InputError, match=message) as raised:
         read_rig(path)
     assert re.match(re.escape(str(path)), str(raised.value))

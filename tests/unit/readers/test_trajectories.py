@@ -14,7 +14,7 @@ from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.geodesy import grid_convergence_rad
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import DriveFolderError, InputError
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml
 from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.drives.poses import placed, stated_sigmas
@@ -508,5 +508,5 @@ def test_a_recorded_height_stays_as_uncertain_as_it_is(
 
 def test_an_unknown_time_system_in_drive_yaml_is_refused(tmp_path: Path) -> None:
     (tmp_path / "drive.yaml").write_text("trajectory: {time: Mars}")
-    with pytest.raises(DriveFolderError, match="time system"):
+    with pytest.raises(InputError, match="time system"):
         read_drive_yaml(tmp_path)

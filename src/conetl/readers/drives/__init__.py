@@ -5,13 +5,15 @@ To add a format, write a module that provides what `formats.DriveFormat` lists, 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
 
 from conetl.files.names import require_utf8
 from conetl.files.storage import as_path, forget_listing, is_remote, reached
 from conetl.model.drive import Drive, SurveyedPoint
-from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.errors import CalibrationError, DriveFolderError, InputError
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
@@ -53,7 +55,7 @@ def read_drive(
     """
     path = as_path(path)
     forget_listing(path)
-    with reached(path):
+    with reached(path), _of_the_drive():
         if not path.exists():
             raise DriveFolderError(f"{path}: there is no such folder; give the folder of one drive")
         if not is_remote(path):
@@ -70,6 +72,17 @@ def read_drive(
     _require_plausible_sigmas(drive)
     drive, frozen = without_frozen(drive)
     return drive, [*rejections, *frozen]
+
+
+@contextmanager
+def _of_the_drive() -> Iterator[None]:
+    """What is wrong with any file of a drive is wrong with the drive: another try does not help (`may_pass`)."""
+    try:
+        yield
+    except InputError as error:
+        if isinstance(error, DriveFolderError | CalibrationError):
+            raise
+        raise DriveFolderError(str(error)) from error.__cause__
 
 
 def _require_plausible_sigmas(drive: Drive) -> None:
@@ -99,10 +112,7 @@ def _control_points(source: Source, path: Path | None, srid: int) -> tuple[Surve
     given = source.settings.control_points
     if path is None or given is None:
         return ()
-    try:
-        return tuple(read_surveyed_points(path, srid, crs=given.crs, heights=given.heights, sigma_m=given.sigma_m))
-    except InputError as error:
-        raise DriveFolderError(f"control points: {error}") from error
+    return tuple(read_surveyed_points(path, srid, crs=given.crs, heights=given.heights, sigma_m=given.sigma_m))
 
 
 def _not_a_drive(path: Path) -> DriveFolderError:

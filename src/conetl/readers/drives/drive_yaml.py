@@ -195,21 +195,18 @@ def small_file(source: Path, name: str) -> Path:
 
 
 def read_drive_yaml(source: Path) -> DriveYaml:
-    """Settings of a drive, a folder or a bare bag; all defaults without a `drive.yaml`. Raises DriveFolderError."""
+    """Settings of a drive, a folder or a bare bag; all defaults without a `drive.yaml`. Raises InputError."""
     path = small_file(source, DRIVE_YAML)
     if not path.is_file():
         return DriveYaml()
-    try:
-        return validated(read_yaml_mapping(path, "settings", " drive_id: morning-run"), DriveYaml, f"settings {path}")
-    except InputError as error:
-        raise DriveFolderError(str(error)) from error.__cause__
+    return validated(read_yaml_mapping(path, "settings", " drive_id: morning-run"), DriveYaml, f"settings {path}")
 
 
 def names_images(source: Path) -> bool:
     """Whether drive.yaml names videos or folders of images; the format says what is wrong with a broken file."""
     try:
         return (source / DRIVE_YAML).is_file() and read_drive_yaml(source).images.left is not None
-    except DriveFolderError:
+    except InputError:
         return False
 
 

@@ -32,7 +32,7 @@ from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
 from conetl.readers.drives.poses import Samples, at, placed, to_pose
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.rigs.common import Node, calibration_errors, pinhole_camera, stereo_rig
+from conetl.readers.rigs.common import Node, pinhole_camera, stereo_rig
 from conetl.readers.trajectories import read_trajectory
 
 NAME, TITLE = "euroc", "EuRoC / ASL folder"
@@ -141,7 +141,6 @@ def _stamp(text: str, where: str) -> int | str:
     return f"{where}: '{word[:40]}' is not a time stamp; expected nanoseconds since 1970"
 
 
-@calibration_errors()
 def _read_rig(root: Path, settings: DriveYaml, content: pairs.ContentHash) -> tuple[Rig, Floats]:
     """The rectified rig and body_R (3, 3) of it in B. Raises CalibrationError."""
     given = own_rig(root / RIG_YAML, settings.pair)
@@ -184,8 +183,7 @@ def _trajectory(source: pairs.Source, sensor_R_body: Floats) -> tuple[int, Sampl
     B_SE3_S = np.eye(4)
     if sensor_path.is_file():
         content.add(sensor_path.relative_to(root).as_posix(), sensor_path.read_bytes())
-        with calibration_errors():
-            B_SE3_S = Node(sensor_path, read_yaml(sensor_path)).at("T_BS").motion()
+        B_SE3_S = Node(sensor_path, read_yaml(sensor_path)).at("T_BS").motion()
     name = path.relative_to(root).as_posix()
     content.add(name, path.read_bytes())
     recorded = read_trajectory(path, settings.trajectory.model_copy(update={"format": "euroc"}))

@@ -21,8 +21,7 @@ from conetl.readers.drives import drive_format
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
-from conetl.readers.rigs import RIG_YAML
-from conetl.readers.rigs.found import RIG_SUFFIXES, FoundRigs, find_rigs, read_given_rig
+from conetl.readers.rigs import RIG_SUFFIXES, RIG_YAML, FoundRigs, find_rigs, read_given_rig
 from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format, unknown_heights
 from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M
 from conetl.readers.trajectories.recorded import RecordedTrajectory

@@ -23,7 +23,7 @@ from conetl.geometry.geodesy import CAMERA_R_BODY
 from conetl.geometry.rectification import stored_camera
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive
-from conetl.model.errors import CalibrationError, DriveFolderError, InputError
+from conetl.model.errors import CalibrationError, DriveFolderError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, frame_of, index_video, region_of, video_facts
@@ -161,10 +161,7 @@ def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> li
         return [_folder_camera(root, source) for source in sources]
     videos: dict[Path, VideoIndex] = {}
     for source in dict.fromkeys(sources):
-        try:
-            videos[source] = index_video(source, hashed=not content.headers_only)
-        except InputError as error:
-            raise DriveFolderError(str(error)) from error
+        videos[source] = index_video(source, hashed=not content.headers_only)
         content.add(source.relative_to(root).as_posix(), b"".join(videos[source].sha256s))
     cameras = []
     for side, source in zip(SIDES, sources, strict=True):

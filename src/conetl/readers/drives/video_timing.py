@@ -20,7 +20,7 @@ from conetl.files.documents import read_bytes
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
-from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.errors import DriveFolderError
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig, Side
 from conetl.perception.images import ImageFileError
@@ -179,10 +179,7 @@ def _listed(camera: CameraImages, name: str | None, source: Source, track: Sampl
             )
         return [Image(stamp_ns, path) for stamp_ns, path in zip(track.times_ns, camera.paths, strict=True)]
     file = inside(source.root, name, DRIVE_YAML)
-    try:
-        data = read_bytes(file, _MOST_TIME_BYTES)
-    except InputError as error:
-        raise DriveFolderError(f"{name}: the time stamps: {error}") from error
+    data = read_bytes(file, _MOST_TIME_BYTES)
     source.content.add(name, data)
     lines = _lines(data)
     if len(lines) != len(camera.paths):

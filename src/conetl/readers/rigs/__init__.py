@@ -1,21 +1,22 @@
 """Calibration files of many tools -> `Rig`, and back: one module per format, `read_rig` recognises the format.
 
 The result is the rig of the stored images: raw, with its lenses, unless the file describes a rectified pair
-(`geometry/rectification.py` makes the other from it). Every error is a CalibrationError that names the file, the key, what was
-expected and what to do.
+(`geometry/rectification.py` makes the other from it). Every error is an InputError that names the file, the key, what was
+expected and what to do; a CalibrationError where the file can be read, but not used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from inspect import signature
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from conetl.files.documents import read_json, read_limited, read_yaml
-from conetl.model.errors import CalibrationError
-from conetl.model.rig import Rig
-from conetl.readers.rigs.common import Pair, Size, calibration_errors, read_xml, rectified_rig
+from conetl.model.errors import CalibrationError, InputError
+from conetl.model.rig import Camera, Rig
+from conetl.readers.rigs.common import Pair, Size, read_xml, rectified_rig
 from conetl.readers.rigs.devices import read_oak_rig, read_zed_rig
 from conetl.readers.rigs.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 from conetl.readers.rigs.matlab import read_matlab_rig, structure, write_matlab_rig
@@ -25,8 +26,23 @@ from conetl.readers.rigs.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
 from conetl.readers.rigs.ros import read_kalibr_rig, read_ros_rig, write_kalibr_rig, write_ros_rig
 
 __all__ = [
-    "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "read_kitti_rig", "read_rig",
-    "read_rig_and_format", "read_rig_for_images", "read_rig_yaml", "write_rig_yaml",
+    "CAM_TO_CAM",
+    "FORMAT_NAMES",
+    "IMU_TO_VELO",
+    "RIG_SUFFIXES",
+    "RIG_YAML",
+    "VELO_TO_CAM",
+    "WRITERS",
+    "Format",
+    "FoundRigs",
+    "find_rigs",
+    "read_given_rig",
+    "read_kitti_rig",
+    "read_rig",
+    "read_rig_and_format",
+    "read_rig_for_images",
+    "read_rig_yaml",
+    "write_rig_yaml",
 ]  # fmt: skip
 
 Format = Literal["rig", "kitti", "opencv", "kalibr", "ros", "matlab", "zed", "oak", "metashape"]
@@ -60,7 +76,6 @@ def read_rig(
     return read_rig_and_format(path, image_size=image_size, length_unit=length_unit, pair=pair)[0]
 
 
-@calibration_errors()
 def read_rig_and_format(
     path: Path, *, image_size: Size | None = None, length_unit: str | None = None, pair: Pair | None = None
 ) -> tuple[Rig, Format]:
@@ -79,7 +94,6 @@ def read_rig_and_format(
     return _READERS[found](path, **given), found
 
 
-@calibration_errors()
 def read_rig_for_images(path: Path, size: Size | None) -> Rig:
     """The rectified rig for images of this width and height (None: unknown), of a calibration file of any known format.
 
@@ -160,3 +174,77 @@ def _in_folder(folder: Path, pair: Pair | None) -> tuple[Path, Format]:
             f"{names or 'none of them'}; name the file itself. Known: {_KNOWN}"
         )
     return found[0]
+
+
+# --------------------------------------------------------------------------- the calibrations in a folder, for `conetl init`
+
+RIG_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".json", ".conf", ".mat"})
+_LARGEST_BYTES = 4_000_000
+#: How far a principal point is from the centre of its image, at most, in parts of the image's size.
+_OFF_CENTRE = 0.2
+#: Baselines that a file without a unit may mean in millimetres (m).
+_MILLIMETRES_M = (0.1, 2.0)
+
+
+class FoundRigs(NamedTuple):
+    """What `find_rigs` found; reasons are sentences that name the file."""
+
+    fitting: list[tuple[Path, Rig, str]]
+    """With their formats in words."""
+    of_other_size: list[str]
+    unread: list[str]
+
+
+def find_rigs(paths: Sequence[Path], size: tuple[int, int] | None) -> FoundRigs:
+    """The calibrations for images of this size (width, height): rig.yaml, or if there is none that fits, those of other tools.
+
+    paths: files of one folder, with one of `RIG_SUFFIXES`. Raises CalibrationError for a rig.yaml that cannot be read.
+    """
+    found = FoundRigs([], [], [])
+    for path in sorted(paths, key=lambda path: (path.name != RIG_YAML, path.name)):
+        of_conetl = bool(found.fitting) and found.fitting[0][0].name == RIG_YAML
+        if of_conetl or path.stat().st_size > _LARGEST_BYTES:
+            continue
+        try:
+            rig, kind = read_given_rig(path, size)
+        except InputError as error:
+            if path.name == RIG_YAML:
+                raise
+            found.unread.append(f"{path.name} is not used as a calibration: {str(error).removeprefix(f'{path}: ')}")
+            continue
+        width_px, height_px = rig.left.width_px, rig.left.height_px
+        if size is None or size == (width_px, height_px):
+            found.fitting.append((path, rig, kind))
+        else:
+            found.of_other_size.append(
+                f"calibration {path.name}: for images of {width_px} x {height_px}, these have {size[0]} x {size[1]}; 'conetl rig "
+                "convert --scale-to' fits one to images that were scaled"
+            )
+    return found
+
+
+def read_given_rig(path: Path, size: tuple[int, int] | None) -> tuple[Rig, str]:
+    """A calibration, and its format in words. Raises CalibrationError.
+
+    A file without an image size is one of images of this size, one without a unit whose baseline in metres is too long is in mm.
+    """
+    try:
+        rig, kind = read_rig_and_format(path)
+        return rig, FORMAT_NAMES[kind]
+    except InputError:
+        shortest_m, longest_m = _MILLIMETRES_M
+        for image_size, unit in ((size, None), (None, "mm"), (size, "mm")):
+            with suppress(InputError):
+                rig, kind = read_rig_and_format(path, image_size=image_size, length_unit=unit)
+                # With another size the principal point would not be near the centre.
+                if _is_centred(rig.left) and _is_centred(rig.right):
+                    if unit is None:
+                        return rig, FORMAT_NAMES[kind]
+                    if shortest_m <= rig.baseline_m <= longest_m:
+                        return rig, f"{FORMAT_NAMES[kind]}, lengths taken as mm"
+        raise
+
+
+def _is_centred(camera: Camera) -> bool:
+    x, y = camera.cx_px / camera.width_px, camera.cy_px / camera.height_px
+    return max(abs(x - 0.5), abs(y - 0.5)) <= _OFF_CENTRE

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -33,17 +32,6 @@ LENGTH_UNITS: Mapping[str, float] = {
     "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
 }  # fmt: skip
 _SKEW_SHARE = 1e-6
-
-
-@contextmanager
-def calibration_errors() -> Iterator[None]:
-    """Errors of reading documents as CalibrationError; also a decorator of the functions that read calibrations."""
-    try:
-        yield
-    except CalibrationError:
-        raise
-    except InputError as error:
-        raise CalibrationError(str(error)) from error
 
 
 def read_xml(path: Path) -> ElementTree.Element:

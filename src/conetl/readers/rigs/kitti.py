@@ -20,7 +20,7 @@ from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
 from conetl.model.errors import CalibrationError
 from conetl.model.rig import Camera, Lens, Rig
-from conetl.readers.rigs.common import Node, Size, calibration_errors, camera_from_matrix, rectified_rig
+from conetl.readers.rigs.common import Node, Size, camera_from_matrix, rectified_rig
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"
 VELO_TO_CAM = "calib_velo_to_cam.txt"
@@ -29,7 +29,6 @@ IMU_TO_VELO = "calib_imu_to_velo.txt"
 _MAX_BASELINE_SLOPE = 0.1
 
 
-@calibration_errors()
 def read_kitti_rig(
     cam_to_cam: Path,
     *,
@@ -131,7 +130,6 @@ def _raw_size(cam_to_cam: Path, number: int) -> Size | None:
     return int(width), int(height)
 
 
-@calibration_errors()
 def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Floats]:
     """The wanted keys of a `key: numbers` file as flat arrays, given their counts of numbers. Raises CalibrationError."""
     lines = _lines(path)

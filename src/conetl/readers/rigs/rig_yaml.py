@@ -21,7 +21,7 @@ from conetl.model.arrays import Floats
 from conetl.model.base import Matrix3, NonNegative, Positive, Record, Vec3
 from conetl.model.errors import CalibrationError
 from conetl.model.rig import CalibrationCovariance, Camera, Lens, Rig
-from conetl.readers.rigs.common import Pair, calibration_errors, choose_pair, rig_of, write_yaml
+from conetl.readers.rigs.common import Pair, choose_pair, rig_of, write_yaml
 
 RIG_YAML = "rig.yaml"
 #: Ways to give the interior orientation: in pixels, or in millimetres with the sensor's size.
@@ -197,7 +197,6 @@ def _check_covariance(covariance: CalibrationCovariance, left: Lens, right: Lens
         raise ValueError("'calibration_covariance.matrix' is not a covariance: it has a negative eigenvalue")
 
 
-@calibration_errors()
 def read_rig_yaml(path: Path, *, pair: Pair | None = None) -> Rig:
     """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras; pair: of its `cameras`. Raises CalibrationError."""
     content: Any = read_yaml(path)

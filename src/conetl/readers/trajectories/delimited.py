@@ -20,14 +20,23 @@ from conetl.model.errors import DriveFolderError
 from conetl.readers.trajectories.earth import is_geocentric
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.tables import ANGLES, POSITIONS, ROLES, Column, TableLayout, require, table_records
+from conetl.readers.trajectories.tables import (
+    ANGLES,
+    POSITIONS,
+    ROLES,
+    TIMES,
+    Column,
+    TableLayout,
+    require,
+    table_records,
+)
 from conetl.readers.trajectories.text import head_lines, split_line
 
 _ALIASES = {
     "time": "time timestamp timestamps stamp t utc utctime timeutc datetime utcdatetime capturedat unixtime unix "
         "epoch posixtime zeit zeitstempel uhrzeit utczeit gpszeit datumzeit timeofday "
         "gpstime gpstimestamp gpsdatetime gpsutc tow gpstow sow gpssow secondsofweek timeofweek gpsseconds gpssecs "
-        "localtime timelocal localdatetime localtimestamp ortszeit",
+        "correctedtime localtime timelocal localdatetime localtimestamp ortszeit",
     "date": "date utcdate datum tag gpsdate gpsdatum day",
     "week": "week gpsweek weekno weeknumber gpswk wn",
     "lat": "lat latitude breite breitengrad geobreite latitud phi",
@@ -52,16 +61,19 @@ _ALIASES = {
     "sigma_e": "sigmae sde sdeast eastsd stde stdeast eaststd eaststddev sigmaeast easterror",
     "sigma_n": "sigman sdn sdnorth northsd stdn stdnorth northstd northstddev sigmanorth northerror",
     "sigma_u": "sigmau sdu sdup sdheight heightsd stdu stdup stdheight upstd upstddev sigmaup sigmaheight "
-        "vacc verticalaccuracy stdvertical sdv verticalsd",
+        "vacc verticalaccuracy stdvertical sdv verticalsd sdh sdvert",
     "sigma_horizontal": "sigmahorizontal hacc horizontalaccuracy sdhoriz horizontalsd stdhorizontal accuracy posaccuracy "
         "poshacc",
-    "sigma_roll": "sigmaroll rollsd sdroll stdroll rollstd rollaccuracy",
-    "sigma_pitch": "sigmapitch pitchsd sdpitch stdpitch pitchstd pitchaccuracy",
+    "sigma_roll": "sigmaroll rollsd rllsd sdroll stdroll rollstd rollaccuracy",
+    "sigma_pitch": "sigmapitch pitchsd ptchsd sdpitch stdpitch pitchstd pitchaccuracy",
     "sigma_heading": "sigmaheading headingsd hdngsd sdheading stdheading headingstd headingaccuracy sigmayaw yawsd sdyaw "
         "stdyaw yawstd",
 }  # fmt: skip
 _ROLE_OF = {alias: role for role, aliases in _ALIASES.items() for alias in aliases.split()}
-_DEGREES = {"deg": 1.0, "degree": 1.0, "degrees": 1.0, "°": 1.0, "rad": 57.29577951308232, "radians": 57.29577951308232}
+_DEGREES = {
+    "deg": 1.0, "degree": 1.0, "degrees": 1.0, "°": 1.0, "rad": 57.29577951308232, "radians": 57.29577951308232,
+    "arcmin": 1 / 60, "amin": 1 / 60, "arcsec": 1 / 3600, "asec": 1 / 3600,
+}  # fmt: skip
 _LENGTHS = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}
 _TIMES = {"s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"}
 _REFUSED = frozenset({"ft", "feet", "usft", "gon", "grad", "grads", "mil", "mils"})
@@ -117,7 +129,7 @@ def looks_like(lines: list[str]) -> bool:
     for line in lines[:_HEADER_LINES]:
         for mark in _MARKS:
             names = split_line(line[:_LONGEST_HEADER].lstrip("#% \t\ufeff"), mark)
-            roles = {_role_of(name) for name in names[:_MOST_COLUMNS]}
+            roles = {role_of(name) for name in names[:_MOST_COLUMNS]}
             found = {"height" if role == "height_msl" else role for role in roles}
             if "time" in found and any(set(names) <= found for names in POSITIONS.values()):
                 return True
@@ -200,7 +212,7 @@ def _columns(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str
                 f"drive.yaml: trajectory.columns: {shown(stated)} is unknown; known are {', '.join(ROLES)}"
             )
     for at, name in enumerate(names):
-        role = mapped.get(name) or _role_of(name)
+        role = mapped.get(name) or role_of(name)
         if role is None or (role in settings.columns and name not in mapped):
             continue
         if role in columns:
@@ -208,7 +220,7 @@ def _columns(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str
                 f"{path}: the columns {shown(columns[role].name)} and {shown(name)} may both be the {role}; name one "
                 f"in drive.yaml, trajectory: {{columns: {{{role}: ...}}}}"
             )
-        columns[role] = _column(path, role, at, name, settings)
+        columns[role] = column_of(path, role, at, name, _unit_of(name), settings)
     return columns
 
 
@@ -218,21 +230,25 @@ def _numbered(path: Path, role: str, number: int, settings: TrajectoryFile) -> C
             f"drive.yaml: trajectory.columns: {shown(role)}: {number}: expected a number from 1 to 1000 for "
             f"one of {', '.join(ROLES)}"
         )
-    return _column(path, role, number - 1, f"column {number}", settings)._replace(unit=None)
+    return column_of(path, role, number - 1, f"column {number}", "", settings)
 
 
-def _column(path: Path, role: str, at: int, name: str, settings: TrajectoryFile) -> Column:
-    """A column with the factor of its unit. Raises DriveFolderError for units that are not supported."""
-    unit = _unit_of(name)
-    if unit in _REFUSED:
-        raise DriveFolderError(
-            f"{path}: column {shown(name)}: the unit {unit} is not supported; write degrees, radians or metres"
-        )
-    if role == "time":
+def column_of(
+    path: Path, role: str, at: int, name: str, unit: str, settings: TrajectoryFile, *, required: bool = False
+) -> Column:
+    """A column with the factor of its unit. Raises DriveFolderError for units that are not supported.
+
+    required: the file states all units; else what is not one of this column's is part of its name.
+    """
+    if role in TIMES:
         return Column(at, name, unit=_TIMES.get(unit))
-    if role in ANGLES:
-        return Column(at, name, _DEGREES.get(unit, _DEGREES["rad"] if settings.angles == "radians" else 1.0))
-    return Column(at, name, _LENGTHS.get(unit, 1.0))
+    units = _DEGREES if role in ANGLES else _LENGTHS
+    if unit in _REFUSED or (required and unit not in units):
+        raise DriveFolderError(
+            f"{path}: column {shown(name)}: the unit {unit[:40]} is not supported; write degrees, radians or metres"
+        )
+    unstated = "rad" if role in ANGLES and settings.angles == "radians" else ""
+    return Column(at, name, units.get(unit or unstated, 1.0))
 
 
 def _plain(text: str) -> str:
@@ -250,7 +266,7 @@ def _unit_of(name: str) -> str:
 
 
 @lru_cache(maxsize=10_000)
-def _role_of(name: str) -> str | None:
+def role_of(name: str) -> str | None:
     """Our name of a column, None where it is unknown."""
     if len(name) > _LONGEST_NAME:
         return None
