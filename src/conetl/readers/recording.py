@@ -65,15 +65,10 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
 
 @dataclass
 class _Couples:
-    """Images of two folders by stem.
-
-    By names, each handled once: an hour's drive has 72,000, and making paths of them is too slow.
-    """
+    """Images of two folders by stem. An hour's drive has 72,000 names, each handled once."""
 
     left: Path
     right: Path
-    seen: dict[Path, set[str]] = field(default_factory=dict)
-    """All names by folder, images or not."""
     images: dict[Path, dict[str, str]] = field(default_factory=dict)
     """Names of images by folder and stem."""
 
@@ -94,14 +89,13 @@ class _Couples:
 
     def _add(self, folder: Path, names: set[str]) -> set[str]:
         """Add names of a folder; the stems of new images."""
-        seen, known = self.seen.setdefault(folder, set()), self.images.setdefault(folder, {})
-        unseen = names - seen
-        seen |= unseen
-        visible = (name for name in sorted(unseen, reverse=True) if not name.startswith("."))
-        parts = ((name, *os.path.splitext(name)) for name in visible)  # noqa: PTH122 -- a path of every name is slow
-        stems = {stem: name for name, stem, suffix in parts if suffix.lower() in IMAGE_SUFFIXES}
-        new = stems.keys() - known.keys()
-        known |= {stem: stems[stem] for stem in new}
+        known = self.images.setdefault(folder, {})
+        new = set()
+        for name in sorted(names.difference(known.values())):
+            stem, suffix = os.path.splitext(name)  # noqa: PTH122 -- a path of every name is slow
+            if suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".") and stem not in known:
+                known[stem] = name
+                new.add(stem)
         return new
 
 

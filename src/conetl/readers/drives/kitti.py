@@ -29,9 +29,9 @@ from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
 from conetl.readers.drives.formats import SAMPLED_POSES, HeaderFacts, every_nth, image_files, names_in
 from conetl.readers.drives.pairs import (
     ContentHash,
-    ImageFile,
     PairError,
     Source,
+    UsablePair,
     check_images,
     drive_of_pairs,
     first_size,
@@ -67,7 +67,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     numbers = sorted(left.keys() | right.keys())
     if not numbers:
         raise DriveFolderError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
-    size = first_size((paths[0] for _, paths in sorted(left.items())), content)
+    size = first_size((paths[0] for _, paths in sorted(left.items())))
     rig = read_rig_for(root, calibration, size, settings, content)
     name = f"{settings.cameras.left}/timestamps.txt"
     stamps = _stamps(root, name, settings, content)
@@ -76,11 +76,14 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     oxts_stamps = _stamps(root, OXTS_STAMPS, settings, content) if (root / OXTS_STAMPS).is_file() else {}
     srid, track, bad_records = _trajectory(source, oxts_stamps)
 
-    usable: dict[int, tuple[ImageFile, ImageFile, int]] = {}
+    pairs: dict[int, UsablePair] = {}
     misplaced_at = misplaced({number: times[number] for number in numbers if number in times and number not in split})
     wrong = {number: str(stamp) for number, stamp in stamps.items() if number not in times}
     wrong |= {number: f"the time {text}" for number, text in misplaced_at.items()}
     wrong_times = {number: f"{name}, line {number + 1}: {text}" for number, text in wrong.items()} | split
+    poses = oxts.poses_at(
+        track, {number: times[number] for number in numbers if number in times.keys() & track.rows.keys()}
+    )
     for number in images_ahead(numbers, left, right, content):
         try:
             images = check_images(left.get(number, []), right.get(number, []), rig, content, root)
@@ -89,14 +92,11 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
                 raise PairError(RejectionReason.TIMESTAMP_MISSING, lines)
             if number in wrong_times:
                 raise PairError(RejectionReason.TIMESTAMP_INVALID, wrong_times[number])
-            captured = times[number]
-            _check_pose(number, captured, bad_records, track, root)
+            _check_pose(number, times[number], bad_records, track, root)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
         else:
-            usable[number] = *images, captured
-    poses = oxts.poses_at(track, {number: captured for number, (_, _, captured) in usable.items()})
-    pairs = {number: (*found, poses[number]) for number, found in usable.items()}
+            pairs[number] = *images, times[number], poses[number]
     return drive_of_pairs(pairs, rejections, len(numbers), source, rig, srid)
 
 

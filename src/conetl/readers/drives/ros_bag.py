@@ -14,7 +14,7 @@ NAME.drive.yaml and NAME.rig.yaml beside it). Times are the header stamps, UTC.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,7 +46,8 @@ from conetl.readers.rigs import RIG_YAML
 from conetl.readers.trajectories.recorded import MAX_LOCAL_M, check_fix
 from conetl.readers.trajectories.times import clock_problem
 
-Records = dict[int, tuple[Floats, Floats]]
+#: Time of a record, and its pose (4, 4) with six variances, or what is wrong with it.
+_Row = tuple[int, tuple[Floats, Floats] | str]
 #: Variances of what a message does not have: a fix no attitude, an attitude no position.
 _NONE = np.full(3, np.nan)
 NAME, TITLE = "bag", "ROS bag or MCAP"
@@ -56,9 +57,8 @@ READS_OBJECTS = False
 class _Recorded(NamedTuple):
     """The content of a bag without its images."""
 
-    records: dict[str, Records]
-    """By topic and time: pose (4, 4) as recorded (a fix has degrees and metres in its translation), six sigmas."""
-    bad: dict[str, dict[int, str]]
+    samples: dict[str, poses.Samples]
+    """By topic, as recorded: a fix has degrees and metres in its translation, an attitude no translation."""
     infos: dict[str, Any]
     frame_ids: dict[str, str]
     """By topic; odometry has that of its child. Like all names of frames, they may begin with a slash."""
@@ -87,7 +87,7 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     add_settings(content, root)
     with bag_messages.open_bag(file) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
-        recorded = _read_small(bag, topics, settings, content)
+        recorded = _read_small(bag, topics, settings, content, path)
         rig, sensor_R_body = _rig(small_file(root, RIG_YAML), topics, recorded, settings, path)
         srid, pose_at = _trajectory(topics, recorded, source, sensor_R_body)
         images = _read_images(bag, topics, rig, content, source.images_folder, root)
@@ -134,13 +134,15 @@ def _stamp_ns(message: bag_messages.Message) -> int | str:
     return time_ns if time_ns > 0 else f"{message.topic}: the header stamp is zero: the driver did not set it"
 
 
-def _read_small(bag: bag_messages.Bag, topics: Topics, settings: DriveYaml, content: pairs.ContentHash) -> _Recorded:
-    """All messages of the drive except its images."""
+def _read_small(
+    bag: bag_messages.Bag, topics: Topics, settings: DriveYaml, content: pairs.ContentHash, source: Path
+) -> _Recorded:
+    """All messages of the drive except its images. Raises DriveFolderError."""
     readers = {topics.trajectory: _odometry} if topics.imu is None else {topics.trajectory: _fix, topics.imu: _attitude}
     infos = {topic for topic in (topics.left_info, topics.right_info) if topic}
     transforms = {TF_STATIC} if bag.types.get(TF_STATIC) == TRANSFORMS else set()
-    found = _Recorded({}, {}, {}, {}, {})
-    rows: dict[str, list[tuple[int, tuple[Floats, Floats] | str]]] = {topic: [] for topic in readers}
+    found = _Recorded({}, {}, {}, {})
+    rows: dict[str, list[_Row]] = {topic: [] for topic in readers}
     for message in bag.messages([*readers, *infos, *transforms]):
         topic, fields = message.topic, message.content
         if fields is None:
@@ -159,22 +161,35 @@ def _read_small(bag: bag_messages.Bag, topics: Topics, settings: DriveYaml, cont
                 rows[topic].append((stamp, readers[topic](fields)))
             except ValueError as error:
                 rows[topic].append((stamp, str(error)))
-    for topic, read in rows.items():
-        variances = np.array([record[1] for _, record in read if not isinstance(record, str)]).reshape(-1, 6)
-        stated = poses.stated_sigmas(np.sqrt(variances), settings.sigmas)
-        sigmas = iter(np.where(np.isnan(variances), 0.0, stated))
-        found.records[topic], found.bad[topic], hashed = {}, {}, bytearray()
-        for stamp, record in read:
-            hashed += struct.pack("<q", stamp)
-            if isinstance(record, str):
-                found.bad[topic][stamp] = record
-            elif np.isnan(sigma := next(sigmas)).any():
-                found.bad[topic][stamp] = poses.NO_SIGMAS
-            else:
-                found.records[topic][stamp] = record[0], sigma
-                hashed += record[0].tobytes() + sigma.tobytes()
-        content.add(f"trajectory{topic}", bytes(hashed))
+    found.samples.update({topic: _samples(topic, read, settings, content, source) for topic, read in rows.items()})
     return found
+
+
+def _samples(
+    topic: str, rows: Sequence[_Row], settings: DriveYaml, content: pairs.ContentHash, source: Path
+) -> poses.Samples:
+    """The records of a topic, given in the order of their recording. Raises DriveFolderError where none can be used."""
+    variances = np.array([record[1] for _, record in rows if not isinstance(record, str)]).reshape(-1, 6)
+    stated = poses.stated_sigmas(np.sqrt(variances), settings.sigmas)
+    sigmas = iter(np.where(np.isnan(variances), 0.0, stated))
+    records: dict[int, tuple[Floats, Floats]] = {}
+    bad, hashed = {}, bytearray()
+    for stamp, record in rows:
+        hashed += struct.pack("<q", stamp)
+        if isinstance(record, str):
+            bad[stamp] = record
+        elif np.isnan(sigma := next(sigmas)).any():
+            bad[stamp] = poses.NO_SIGMAS
+        else:
+            records[stamp] = record[0], sigma
+            hashed += record[0].tobytes() + sigma.tobytes()
+    content.add(f"trajectory{topic}", bytes(hashed))
+    if not records:
+        raise DriveFolderError(f"{source}: {topic}: no usable pose: {next(iter(bad.values()), 'there are none')}")
+    times = sorted(records)
+    return poses.Samples(
+        topic, times, np.array([records[t][0] for t in times]), np.array([records[t][1] for t in times]), bad
+    )
 
 
 def _fix(message: Any) -> tuple[Floats, Floats]:
@@ -241,23 +256,13 @@ def _trajectory(
     """EPSG code of the map, and the body's pose at a time. Raises DriveFolderError."""
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
     sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
-
-    def samples_of(topic: str) -> poses.Samples:
-        records, bad = found.records[topic], found.bad[topic]
-        if not records:
-            first = next(iter(bad.values()), "there are none")
-            raise DriveFolderError(f"{path}: {topic}: no usable pose: {first}")
-        times = sorted(records)
-        recorded, sigmas = zip(*(records[t] for t in times), strict=True)
-        return poses.Samples(topic, times, np.array(recorded), np.array(sigmas), bad)
-
-    raw = samples_of(topics.trajectory)
+    raw = found.samples[topics.trajectory]
     if topics.imu is None:
         srid, placed = poses.georeferenced(source, raw.name, raw.map_SE3_body)
         track = poses.without_wild_fixes(raw._replace(map_SE3_body=se3.compose(placed, sensor_SE3_body)))
         return srid, lambda time_ns: poses.to_pose(*poses.at(track, time_ns, gap_ns))
     antenna_m = _antenna(topics, found, source.settings, path)
-    attitude = samples_of(topics.imu)
+    attitude = found.samples[topics.imu]
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
     srid = poses.checked_srid(source.map_srid, float(lat[0]), float(lon[0]), path)
     with named(path, DriveFolderError):

@@ -26,22 +26,8 @@ from conetl.readers.rigs.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
 from conetl.readers.rigs.ros import read_kalibr_rig, read_ros_rig, write_kalibr_rig, write_ros_rig
 
 __all__ = [
-    "CAM_TO_CAM",
-    "FORMAT_NAMES",
-    "IMU_TO_VELO",
-    "RIG_SUFFIXES",
-    "RIG_YAML",
-    "VELO_TO_CAM",
-    "WRITERS",
-    "Format",
-    "FoundRigs",
-    "find_rigs",
-    "read_given_rig",
-    "read_kitti_rig",
-    "read_rig",
-    "read_rig_and_format",
-    "read_rig_for_images",
-    "read_rig_yaml",
+    "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_SUFFIXES", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "FoundRigs",
+    "find_rigs", "read_given_rig", "read_kitti_rig", "read_rig", "read_rig_and_format", "read_rig_for_images", "read_rig_yaml",
     "write_rig_yaml",
 ]  # fmt: skip
 

@@ -16,7 +16,7 @@ from conetl.readers.trajectories import delimited, gpx, inertial_explorer, local
 from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M, in_wgs84
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory, assembled
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
-from conetl.readers.trajectories.text import encoding_of, head_bytes
+from conetl.readers.trajectories.text import head_bytes, head_lines
 
 READERS: dict[FormatName, Callable[[Path, TrajectoryFile], Reading]] = {
     "rtklib": rtklib.read, "sbet": sbet.read, "inertial_explorer": inertial_explorer.read, "nmea": nmea.read, "gpx": gpx.read,
@@ -88,13 +88,12 @@ def trajectory_format(path: Path) -> FormatName | None:
     head = head_bytes(path)
     if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
         return "sbet" if sbet.looks_like(path.stat().st_size, head) else None
-    text = head.decode(encoding_of(head), errors="replace").replace("\r\n", "\n").replace("\r", "\n")
-    lines = text.split("\n")[: -1 if len(head) < path.stat().st_size else None]
+    lines = head_lines(path)
     if rtklib.header_of(lines) is not None:
         return "rtklib"
     if nmea.looks_like(lines):
         return "nmea"
-    if text.lstrip("\ufeff \n\t").startswith("<") and "<gpx" in text.lower():
+    if "<gpx" in (text := "\n".join(lines)).lower() and text.lstrip("\ufeff \n\t").startswith("<"):
         return "gpx"
     if inertial_explorer.looks_like(lines):
         return "inertial_explorer"
