@@ -64,12 +64,9 @@ def _require_finite(path: Path, xyz: Floats, problem: str) -> None:
 
 def _with_heights(table: MapTable) -> Floats:
     """(N, 3) positions of the rows, with heights of their geometry or else of a column; NaN where there are none."""
-    xyz, column = table.xyz.copy(), next((table.columns[name] for name in _HEIGHTS if name in table.columns), None)
-    if column is not None and np.isnan(xyz[:, 2]).all():
-        try:
-            xyz[:, 2] = [np.nan if value is None else float(value) for value in column]
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{table.path}: a height is not a number: {shown(str(error))}") from error
+    xyz, name = table.xyz.copy(), next((name for name in _HEIGHTS if name in table.columns), None)
+    if name is not None and np.isnan(xyz[:, 2]).all():
+        xyz[:, 2] = _numbers(table, name)
     return xyz
 
 
@@ -77,14 +74,16 @@ def _sigmas(table: MapTable, sigma_m: float | None, path: Path) -> Floats:
     """(N, 3). Raises InputError."""
     if sigma_m is None and not all(name in table.columns for name in _SIGMAS):
         raise InputError(f"{path}: states no sigmas of the survey ({', '.join(_SIGMAS)}); give one sigma_m (--sigma-m)")
-    try:
-        found = (
-            np.full((len(table), 3), sigma_m)
-            if sigma_m is not None
-            else np.array([[float(v) for v in table.columns[name]] for name in _SIGMAS]).T
-        )
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{path}: a sigma is not a number: {shown(str(error))}") from error
+    stated = [np.full(len(table), sigma_m) if sigma_m is not None else _numbers(table, name) for name in _SIGMAS]
+    found = np.column_stack(stated)
     if not ((found > 0) & np.isfinite(found)).all():
         raise InputError(f"{path}: sigmas must be above 0 m")
     return found
+
+
+def _numbers(table: MapTable, name: str) -> Floats:
+    """A column (N,), NaN where it is empty. Raises InputError."""
+    try:
+        return np.array([np.nan if value is None else float(value) for value in table.columns[name]])
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{table.path}: {name} is not a number: {shown(str(error))}") from error

@@ -231,7 +231,7 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
     assert "names of the images in left (0000.jpg to 0015.jpg) are not times" in said and "--timestamps: " in said
     assert "images.start is for videos" in said and not (root / "drive.yaml").exists()
     made = init(root, "--timestamps", "time.txt")
-    assert "--timestamps time.txt: there is no such file" in str(made.exception)
+    assert "--timestamps time.txt: there is no such file or folder" in str(made.exception)
     (root / "local.txt").write_text("\n".join(f"{p.captured_at_ns + 3600 * 10**9}" for p in sample.frame_pairs))
     made = init(root, "--timestamps", "local.txt")
     assert made.exit_code == 1 and "its own are from 2026-03-02T09:41:07" in made.output

@@ -235,12 +235,9 @@ def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:
     if "start" in images:
         with named("--start"):
             parse_timestamp(images["start"])
-    for option in ("timestamps", "right-timestamps"):
-        if option in answers and not (root / answers[option]).is_file():
-            raise InputError(f"--{option} {answers[option]}: there is no such file in {root}")
-    for side in SIDES:
-        if side in answers and not (root / answers[side]).exists():
-            raise InputError(f"--{side} {answers[side]}: there is no such file or folder in {root}")
+    for option in ("timestamps", "right-timestamps", *SIDES):
+        if option in answers and not (root / answers[option]).exists():
+            raise InputError(f"--{option} {answers[option]}: there is no such file or folder in {root}")
     return images
 
 

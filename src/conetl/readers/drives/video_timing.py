@@ -30,7 +30,7 @@ from conetl.perception.video import Region, VideoIndex
 from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, DriveYaml, Images, inside
 from conetl.readers.drives.formats import image_files
-from conetl.readers.drives.pairs import Couple, Image, PairError, Source, pair_by_stamp, time_of
+from conetl.readers.drives.pairs import ContentHash, Couple, Image, PairError, Source, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
 from conetl.readers.drives.sparse_poses import pose_reader
 from conetl.readers.trajectories.times import clock_problem, decimal_ns, parse_timestamp
@@ -164,52 +164,28 @@ def _at(camera: CameraImages, start_ns: int) -> list[Image]:
 
 
 def _listed(camera: CameraImages, name: str | None, source: Source, track: Samples, hint: str = "") -> list[Image]:
-    """Images with the times of a file, one line per image, or else with those that their names are. Raises DriveFolderError.
+    """Images with the times of a file, one line per image, or else with those that their names are.
+
+    Raises DriveFolderError, UnknownTimeError where no name is a time.
 
     The file may be the trajectory itself, with one record per image. hint: the end of the message where the file has more or
     fewer lines.
     """
-    if name is None:
-        return _named(camera, source)
-    if name == source.settings.trajectory.file:
+    if name is not None and name == source.settings.trajectory.file:
         if len(track.times_ns) != len(camera.paths) or track.bad:
             raise DriveFolderError(
                 f"{source.root / name}: {len(track.times_ns)} valid and {len(track.bad)} bad records, but {len(camera.paths)} "
                 f"images of {camera.name}: the trajectory states the times of images only if it has one record per image"
             )
         return [Image(stamp_ns, path) for stamp_ns, path in zip(track.times_ns, camera.paths, strict=True)]
-    file = inside(source.root, name, DRIVE_YAML)
-    data = read_bytes(file, _MOST_TIME_BYTES)
-    source.content.add(name, data)
-    lines = _lines(data)
-    if len(lines) != len(camera.paths):
+    texts = _texts(camera.paths, name, source.root, source.content)
+    if len(texts) != len(camera.paths):
         raise DriveFolderError(
-            f"{file}: {len(lines)} time stamps for the {len(camera.paths)} images of {camera.name}, expected one line per "
-            f"image{hint}"
+            f"{source.root / str(name)}: {len(texts)} time stamps for the {len(camera.paths)} images of {camera.name}, expected "
+            f"one line per image{hint}"
         )
-    return [Image(_stamp(line, source.settings), path) for line, path in zip(lines, camera.paths, strict=True)]
-
-
-def _lines(data: bytes) -> list[str]:
-    return [line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"]
-
-
-def stamps_of_images(folder: Path, root: Path, settings: DriveYaml) -> list[int]:
-    """Times (UTC ns) of the images of a folder, by their names or the file of their times, without those that cannot be read."""
-    name = settings.images.timestamps
-    if name is not None and name == settings.trajectory.file:
-        return []  # the header of a drive reads no trajectory
-    if name is None:
-        texts = [path.stem for path in image_files(folder)]
-    else:
-        texts = _lines(read_bytes(inside(root, name, DRIVE_YAML), _MOST_TIME_BYTES))
-    return [stamp for text in texts if isinstance(stamp := _stamp(text, settings), int)]
-
-
-def _named(camera: CameraImages, source: Source) -> list[Image]:
-    """Images with the times that their names are. Raises UnknownTimeError where none is one."""
-    images = [Image(_stamp(path.stem, source.settings), path) for path in camera.paths]
-    if not any(isinstance(image.stamp, int) and clock_problem(image.stamp) is None for image in images):
+    images = [Image(_stamp(text, source.settings), path) for text, path in zip(texts, camera.paths, strict=True)]
+    if name is None and not any(isinstance(t := image.stamp, int) and clock_problem(t) is None for image in images):
         found = f"{camera.paths[0].name} to {camera.paths[-1].name}"
         raise UnknownTimeError(
             "timestamps",
@@ -220,6 +196,24 @@ def _named(camera: CameraImages, source: Source) -> list[Image]:
             "right_timestamps where the right ones have others",
         )
     return images
+
+
+def _texts(paths: Sequence[Path], name: str | None, root: Path, content: ContentHash) -> list[str]:
+    """The time stamps of images: the lines of a file, or else their names."""
+    if name is None:
+        return [path.stem for path in paths]
+    data = read_bytes(inside(root, name, DRIVE_YAML), _MOST_TIME_BYTES)
+    content.add(name, data)
+    return [line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"]
+
+
+def stamps_of_images(folder: Path, root: Path, settings: DriveYaml) -> list[int]:
+    """Times (UTC ns) of the images of a folder, by their names or the file of their times, without those that cannot be read."""
+    name = settings.images.timestamps
+    if name is not None and name == settings.trajectory.file:
+        return []  # the header of a drive reads no trajectory
+    texts = _texts(image_files(folder), name, root, ContentHash())
+    return [stamp for text in texts if isinstance(stamp := _stamp(text, settings), int)]
 
 
 def _stamp(text: str, settings: DriveYaml) -> int | str:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from conetl.model.errors import DriveFolderError
-from conetl.readers.trajectories import delimited, gpx, inertial_explorer, local, nmea, oxts, rtklib, sbet
+from conetl.readers.trajectories import delimited, gpx, inertial_explorer, nmea, oxts, rtklib, sbet, tables
 from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M, in_wgs84
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory, assembled
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
@@ -20,7 +20,7 @@ from conetl.readers.trajectories.text import head_bytes, head_lines
 
 READERS: dict[FormatName, Callable[[Path, TrajectoryFile], Reading]] = {
     "rtklib": rtklib.read, "sbet": sbet.read, "inertial_explorer": inertial_explorer.read, "nmea": nmea.read, "gpx": gpx.read,
-    "oxts": oxts.read, "euroc": local.read_euroc, "tum": local.read_tum, "table": delimited.read,
+    "oxts": oxts.read, "euroc": tables.read_euroc, "tum": tables.read_tum, "table": delimited.read,
 }  # fmt: skip
 _SUFFIXES = frozenset(
     {".pos", ".out", ".sbet", ".txt", ".nmea", ".nme", ".log", ".gpx", ".csv", ".tsv", ".tum", ".dat", ".ie"}
@@ -97,9 +97,9 @@ def trajectory_format(path: Path) -> FormatName | None:
         return "gpx"
     if inertial_explorer.looks_like(lines):
         return "inertial_explorer"
-    if local.looks_like_euroc(lines):
+    if tables.looks_like_euroc(lines):
         return "euroc"
-    if local.looks_like_tum(lines):
+    if tables.looks_like_tum(lines):
         return "tum"
     return "table" if delimited.looks_like(lines) else None
 

@@ -8,6 +8,7 @@ is a `heading`; with a `yaw` they are those of conetl's own trajectory.csv (docs
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -16,7 +17,7 @@ import numpy as np
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.errors import DriveFolderError
-from conetl.readers.trajectories.recorded import Axes, Heights, Records, attitude, rotations_of_quaternions
+from conetl.readers.trajectories.recorded import Axes, Heights, Reading, Records, attitude, rotations_of_quaternions
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import floats, line_blocks, split_line
 from conetl.readers.trajectories.times import OFFSET, TimeFormat, TimeReader, common_clock, time_reader
@@ -231,3 +232,43 @@ def require(columns: dict[str, Column], path: Path, header: Sequence[str]) -> tu
         f"{path}: expected {missing}, found {shown_header}. Name them in drive.yaml, for example "
         "trajectory: {columns: {time: Zeit, lat: B, lon: L, height: H}}"
     )
+
+
+# --------------------------------------------------------------------------- poses in a local level frame, columns by their order
+#
+#   TUM    # timestamp tx ty tz qx qy qz qw                                    seconds since 1970 (Sturm et al., IROS 2012)
+#   EuRoC  #timestamp,p_RS_R_x [m],...,q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z []  nanoseconds since 1970 (Burri et al., IJRR 2016)
+#
+# drive.yaml gives the position of the frame on the earth (`georeference`) and the sigmas.
+
+
+def looks_like_euroc(lines: list[str]) -> bool:
+    """Whether the first lines are those of a EuRoC trajectory: 19-digit times, and eight or more numbers."""
+    rows = [line.split(",") for line in lines if line.strip() and not line.startswith("#")][:5]
+    return bool(rows) and all(len(row) >= 8 and len(row[0].strip()) == 19 and row[0].strip().isdigit() for row in rows)
+
+
+def looks_like_tum(lines: list[str]) -> bool:
+    """Whether the first lines are a time since 1970, three numbers and a quaternion of about unit length."""
+    rows = [floats(line.split()) for line in lines if line.strip() and not line.startswith("#")][:5]
+    return bool(rows) and all(
+        len(row) == 8 and 6e8 < row[0] < 4.2e9 and abs(float((row[4:] ** 2).sum()) - 1.0) < 2e-2 for row in rows
+    )
+
+
+def _read_local(
+    path: Path, settings: TrajectoryFile, *, names: tuple[str, ...], delimiter: str | None, clock: TimeFormat
+) -> Reading:
+    columns = {"time": Column(0, "timestamp")} | {name: Column(i, name) for i, name in enumerate(names, 1)}
+    return Reading(
+        table_records(path, TableLayout(columns, "local", 1, delimiter, clock=clock), settings), axes="local"
+    )
+
+
+#: The poses of a data.csv, and those of a TUM file.
+read_euroc = partial(
+    _read_local, names=("x", "y", "z", "qw", "qx", "qy", "qz"), delimiter=",", clock=TimeFormat("UTC", "unix", 0)
+)
+read_tum = partial(
+    _read_local, names=("x", "y", "z", "qx", "qy", "qz", "qw"), delimiter=None, clock=TimeFormat("UTC", "unix")
+)
