@@ -249,13 +249,12 @@ def pair_by_stamp(left: Sequence[Image], right: Sequence[Image], tolerance_ns: i
             used.add(last + 1)
         last = last if (partner := partners[i]) is None else partner
     couples: list[Couple] = [(p, None if i is None else right[i]) for p, i in zip(left, partners, strict=True)]
-    # A right image that is alone comes before the first later one. Of cameras that never agree all are alone: no nested loops.
+    # A right image that is alone comes before the first later one.
     latest = list(accumulate((-1 if (t := time_of(c)) is None else t for c in couples), max))
-    alone: dict[int, list[Couple]] = {}
-    for time in right_times:
-        if number[time] not in used:
-            alone.setdefault(bisect_right(latest, time), []).append((None, right[number[time]]))
-    return [c for i in range(len(couples) + 1) for c in (*alone.get(i, ()), *couples[i : i + 1])]
+    alone = [time for time in right_times if number[time] not in used]
+    couples += [(None, right[number[time]]) for time in alone]
+    order = sorted(range(len(couples)), key=(latest + alone).__getitem__)
+    return [couples[i] for i in order]
 
 
 def _nearest_index(times_ns: list[int], time_ns: int) -> int:

@@ -97,20 +97,10 @@ def _recognise(path: Path, pair: Pair | None = None) -> tuple[Path, Format]:
         return _in_folder(path, pair)
     if not path.is_file():
         raise CalibrationError(f"{path}: there is no such file. Known: {_KNOWN}, or a folder that holds one of them")
-    match path.suffix.lower():
-        case ".txt":
-            return path, "kitti"
-        case ".mat":
-            return path, "matlab"
-        case ".xml":
-            return path, "metashape" if looks_like_metashape(read_xml(path)) else "opencv"
-        case ".conf":
-            return path, "zed"
-        case ".json":
-            return path, _of_json(path)
-        case ".yaml" | ".yml":
-            return path, _of_yaml(path)
-    raise CalibrationError(f"{path}: a calibration is not a '{path.suffix.lower()}' file. Known: {_KNOWN}")
+    kind = _OF_SUFFIX.get(path.suffix.lower())
+    if kind is None:
+        raise CalibrationError(f"{path}: a calibration is not a '{path.suffix.lower()}' file. Known: {_KNOWN}")
+    return path, kind(path) if callable(kind) else kind
 
 
 def _of_json(path: Path) -> Format:
@@ -140,6 +130,13 @@ def _of_yaml(path: Path) -> Format:
     return "opencv" if looks_like_opencv(content) else "rig"
 
 
+#: The format, or how to find it in the content.
+_OF_SUFFIX: dict[str, Format | Callable[[Path], Format]] = {
+    ".txt": "kitti", ".mat": "matlab", ".conf": "zed", ".json": _of_json, ".yaml": _of_yaml, ".yml": _of_yaml,
+    ".xml": lambda path: "metashape" if looks_like_metashape(read_xml(path)) else "opencv",
+}  # fmt: skip
+
+
 def _in_folder(folder: Path, pair: Pair | None) -> tuple[Path, Format]:
     if pair is not None and any((folder / f"{pair[0]}{suffix}").is_file() for suffix in (".yaml", ".yml")):
         return folder, "ros"
@@ -164,7 +161,7 @@ def _in_folder(folder: Path, pair: Pair | None) -> tuple[Path, Format]:
 
 # --------------------------------------------------------------------------- the calibrations in a folder, for `conetl init`
 
-RIG_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".json", ".conf", ".mat"})
+RIG_SUFFIXES = frozenset(_OF_SUFFIX.keys() - {".txt"})
 _LARGEST_BYTES = 4_000_000
 #: How far a principal point is from the centre of its image, at most, in parts of the image's size.
 _OFF_CENTRE = 0.2
