@@ -142,7 +142,7 @@ def _stamp(text: str, where: str) -> int | str:
 
 
 def _read_rig(root: Path, settings: DriveYaml, content: pairs.ContentHash) -> tuple[Rig, Floats]:
-    """The rectified rig and body_R (3, 3) of it in B. Raises CalibrationError."""
+    """The rectified rig and body_R (3, 3) of it in B. Raises InputError."""
     given = own_rig(root / RIG_YAML, settings.pair)
     if given is not None:
         return rig_on_body(*given, settings, root / RIG_YAML)

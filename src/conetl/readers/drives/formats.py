@@ -151,7 +151,7 @@ def own_rig(path: Path, pair: Pair | None) -> tuple[Rig, Floats] | None:
 
     pair: of its cameras, where it has more than two.
 
-    None without the file. Raises CalibrationError where the file has no pose of the left camera on the body.
+    None without the file. Raises InputError where the file has no pose of the left camera on the body.
     """
     if not path.is_file():
         return None

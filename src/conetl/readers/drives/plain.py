@@ -179,7 +179,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
 
 
 def read_plain_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig:
-    """The rectified rig; its file is added to the content hash. Raises CalibrationError.
+    """The rectified rig; its file is added to the content hash. Raises InputError.
 
     A rig.yaml with lenses or turned cameras describes raw images: they are rectified when they are read.
     """

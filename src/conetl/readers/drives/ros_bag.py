@@ -230,7 +230,7 @@ def _variances(covariance: Any, diagonal: tuple[int, ...]) -> Floats:
 
 
 def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> tuple[Rig, Floats]:
-    """The rectified rig and sensor_R_body (3, 3). Raises CalibrationError."""
+    """The rectified rig and sensor_R_body (3, 3). Raises InputError."""
     given = own_rig(rig_path, settings.pair)
     if given is not None:
         return rig_on_body(*given, settings, rig_path)

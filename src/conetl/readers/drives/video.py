@@ -126,7 +126,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
 
 
 def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None = None) -> tuple[Rig, Floats]:
-    """The rectified rig on the body, and sensor_R_body (3, 3). rig: instead of rig.yaml's. Raises CalibrationError."""
+    """The rectified rig on the body, and sensor_R_body (3, 3). rig: instead of rig.yaml's. Raises InputError."""
     path = root / RIG_YAML
     if rig is None:
         if not path.is_file():

@@ -202,7 +202,10 @@ def _texts(paths: Sequence[Path], name: str | None, root: Path, content: Content
     """The time stamps of images: the lines of a file, or else their names."""
     if name is None:
         return [path.stem for path in paths]
-    data = read_bytes(inside(root, name, DRIVE_YAML), _MOST_TIME_BYTES)
+    file = inside(root, name, DRIVE_YAML)
+    if not file.is_file():
+        raise DriveFolderError(f"{file}: the time stamps of the images, which {DRIVE_YAML} names, are missing")
+    data = read_bytes(file, _MOST_TIME_BYTES)
     content.add(name, data)
     return [line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"]
 

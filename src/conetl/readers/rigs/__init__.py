@@ -69,7 +69,7 @@ def read_rig_and_format(
 
     image_size (width, height) and length_unit are for files without them, image_size also chooses the resolution of a ZED file.
     pair: names of the left and the right camera in a file with more than two. A KITTI calibration gives its rectified pair
-    (cameras 02 and 03; with the two other files beside it the body is the IMU, else the left camera). Raises CalibrationError.
+    (cameras 02 and 03; with the two other files beside it the body is the IMU, else the left camera). Raises InputError.
     """
     path, found = _recognise(path, pair)
     options = {"image_size": image_size, "length_unit": length_unit, "pair": pair}
@@ -83,7 +83,7 @@ def read_rig_and_format(
 def read_rig_for_images(path: Path, size: Size | None) -> Rig:
     """The rectified rig for images of this width and height (None: unknown), of a calibration file of any known format.
 
-    Where they are raw, `rectified_from` is the rig that took them. Raises CalibrationError.
+    Where they are raw, `rectified_from` is the rig that took them. Raises InputError.
     """
     path, found = _recognise(path)
     if found == "kitti":
@@ -92,7 +92,7 @@ def read_rig_for_images(path: Path, size: Size | None) -> Rig:
 
 
 def _recognise(path: Path, pair: Pair | None = None) -> tuple[Path, Format]:
-    """The file to read (or the folder, for formats of several files) and its format. Raises CalibrationError."""
+    """The file to read (or the folder, for formats of several files) and its format. Raises InputError."""
     if path.is_dir():
         return _in_folder(path, pair)
     if not path.is_file():
@@ -181,7 +181,7 @@ class FoundRigs(NamedTuple):
 def find_rigs(paths: Sequence[Path], size: tuple[int, int] | None) -> FoundRigs:
     """The calibrations for images of this size (width, height): rig.yaml, or if there is none that fits, those of other tools.
 
-    paths: files of one folder, with one of `RIG_SUFFIXES`. Raises CalibrationError for a rig.yaml that cannot be read.
+    paths: files of one folder, with one of `RIG_SUFFIXES`. Raises InputError for a rig.yaml that cannot be read.
     """
     found = FoundRigs([], [], [])
     for path in sorted(paths, key=lambda path: (path.name != RIG_YAML, path.name)):
@@ -207,7 +207,7 @@ def find_rigs(paths: Sequence[Path], size: tuple[int, int] | None) -> FoundRigs:
 
 
 def read_given_rig(path: Path, size: tuple[int, int] | None) -> tuple[Rig, str]:
-    """A calibration, and its format in words. Raises CalibrationError.
+    """A calibration, and its format in words. Raises InputError.
 
     A file without an image size is one of images of this size, one without a unit whose baseline in metres is too long is in mm.
     """

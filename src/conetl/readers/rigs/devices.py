@@ -54,7 +54,7 @@ _MAX_CONTRADICTION = 5e-3
 def read_zed_rig(path: Path, *, image_size: Size | None = None) -> Rig:
     """Raw rig of one resolution; image_size: width and height of one camera's image, where the file has several.
 
-    Raises CalibrationError.
+    Raises InputError.
     """
     sections = _sections(path)
     name = _resolution(path, sections, image_size)
@@ -125,7 +125,7 @@ def _zed_lens(camera: Node, sections: Sections, disto: str) -> Lens:
 def read_oak_rig(path: Path, *, pair: Pair | None = None) -> Rig:
     """Raw rig of two cameras; pair: sockets like CAM_B,CAM_C or 1,2; default the stereo pair that the file names.
 
-    Raises CalibrationError.
+    Raises InputError.
     """
     content = Node(path, read_json(path))
     cameras = _cameras(content)

@@ -45,7 +45,7 @@ def read_kitti_rig(
     "raw" for the cameras that took the images ("synced only": S_0i, K_0i, D_0i, R_0i, T_0i), lenses included; or width and
     height of the left images, which decide: raw ones have the size S_0i and give a rectified rig with `rectified_from`; those of
     another size, or where both sizes are equal, are taken for rectified ones.
-    rig_id: default "kitti-" and the start of a hash over the numbers. Raises CalibrationError.
+    rig_id: default "kitti-" and the start of a hash over the numbers. Raises InputError.
     """
     if isinstance(images, tuple):
         read = partial(
@@ -131,7 +131,7 @@ def _raw_size(cam_to_cam: Path, number: int) -> Size | None:
 
 
 def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Floats]:
-    """The wanted keys of a `key: numbers` file as flat arrays, given their counts of numbers. Raises CalibrationError."""
+    """The wanted keys of a `key: numbers` file as flat arrays, given their counts of numbers. Raises InputError."""
     lines = _lines(path)
     for key, count in wanted.items():
         if key not in lines:

@@ -40,7 +40,7 @@ _HOW = "In MATLAB: s = toStruct(stereoParams); then save('stereo.mat', 's', '-v7
 def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: str | None = None) -> Rig:
     """Raw rig of camera 1 (left) and camera 2 (right).
 
-    image_size: width and height where the file has none; length_unit: instead of WorldUnits. Raises CalibrationError.
+    image_size: width and height where the file has none; length_unit: instead of WorldUnits. Raises InputError.
     """
     content = _read_mat(path) if path.suffix.lower() == ".mat" else read_json(path)
     found = Node(path, structure(content))

@@ -30,7 +30,7 @@ def looks_like_metashape(root: Element) -> bool:
 
 
 def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str | None = None) -> Rig:
-    """Raw rig of two sensors; pair: their labels or numbers. length_unit: of `location`. Raises CalibrationError."""
+    """Raw rig of two sensors; pair: their labels or numbers. length_unit: of `location`. Raises InputError."""
     root = read_xml(path)
     chunks = root.findall("chunk")
     if len(chunks) != 1:

@@ -61,7 +61,7 @@ _MODEL_NAMES = ("distortion_model", "model", "camera_model")
 
 
 def read_storage(path: Path) -> dict[str, Any]:
-    """Content of an OpenCV file as plain dictionaries, lists and texts. Raises CalibrationError.
+    """Content of an OpenCV file as plain dictionaries, lists and texts. Raises InputError.
 
     Not by `cv2.FileStorage`: a damaged file overwrites its memory (OpenCV 5.0).
     """
@@ -115,7 +115,7 @@ def looks_like_opencv(content: Any) -> bool:
 def read_opencv_rig(path: Path, *, image_size: Size | None = None, length_unit: str | None = None) -> Rig:
     """Raw rig of an OpenCV stereo calibration: one file, or a folder (or one of the files) of the two forms above.
 
-    image_size: width and height where the files have none. length_unit: of T, default metres. Raises CalibrationError.
+    image_size: width and height where the files have none. length_unit: of T, default metres. Raises InputError.
     """
     files = _files(path)
     content: dict[str, Any] = {}

@@ -198,7 +198,7 @@ def _check_covariance(covariance: CalibrationCovariance, left: Lens, right: Lens
 
 
 def read_rig_yaml(path: Path, *, pair: Pair | None = None) -> Rig:
-    """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras; pair: of its `cameras`. Raises CalibrationError."""
+    """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras; pair: of its `cameras`. Raises InputError."""
     content: Any = read_yaml(path)
     if not isinstance(content, dict):
         raise CalibrationError(f"{path}: expected a YAML mapping with the keys left, right and baseline_m")

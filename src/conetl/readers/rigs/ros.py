@@ -68,7 +68,7 @@ def pair_of(path: Path, pair: Pair | None = None) -> tuple[Path, Path]:
 
 
 def read_ros_rig(path: Path, *, pair: Pair | None = None) -> Rig:
-    """Raw rig of a camera_info pair; pair as in `pair_of`. Raises CalibrationError."""
+    """Raw rig of a camera_info pair; pair as in `pair_of`. Raises InputError."""
     left_path, right_path = pair_of(path, pair)
     left_info, right_info = Node(left_path, read_yaml(left_path)), Node(right_path, read_yaml(right_path))
     extrinsics = left_path.parent / EXTRINSICS
@@ -150,7 +150,7 @@ def _matrix(values: Floats) -> dict[str, Any]:
 
 
 def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
-    """Raw rig of cam0 (left) and cam1 (right), or of another pair of a chain of more cameras. Raises CalibrationError."""
+    """Raw rig of cam0 (left) and cam1 (right), or of another pair of a chain of more cameras. Raises InputError."""
     content = read_yaml(path)
     if not isinstance(content, Mapping):
         raise CalibrationError(f"{path}: expected a YAML mapping with the keys cam0 and cam1")
