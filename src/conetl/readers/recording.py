@@ -65,7 +65,7 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
 
 @dataclass
 class _Couples:
-    """Images of two folders by stem. An hour's drive has 72,000 names, each handled once."""
+    """Images of two folders by stem. By names, each handled once: an hour's drive has 72,000."""
 
     left: Path
     right: Path
@@ -91,9 +91,9 @@ class _Couples:
         """Add names of a folder; the stems of new images."""
         known = self.images.setdefault(folder, {})
         new = set()
-        for name in sorted(names.difference(known.values())):
+        for name in sorted(name for name in names.difference(known.values()) if not name.startswith(".")):
             stem, suffix = os.path.splitext(name)  # noqa: PTH122 -- a path of every name is slow
-            if suffix.lower() in IMAGE_SUFFIXES and not name.startswith(".") and stem not in known:
+            if suffix.lower() in IMAGE_SUFFIXES and stem not in known:
                 known[stem] = name
                 new.add(stem)
         return new

@@ -506,6 +506,13 @@ def test_a_recorded_height_stays_as_uncertain_as_it_is(
     assert found[0, :3] == pytest.approx((0.2, 0.2, up_m))
 
 
+@pytest.mark.parametrize(("horizontal_m", "up_m"), [(0.2, 0.3), (5000.0, 7500.0), (None, np.nan)])
+def test_only_recorded_sigmas_have_a_limit(horizontal_m: float | None, up_m: float) -> None:
+    recorded = np.array([[2000.0, 0.1, np.nan, np.nan, np.nan, np.nan]])
+    found = stated_sigmas(recorded, Sigmas(horizontal_m=horizontal_m))
+    np.testing.assert_allclose(found[0, :3], [horizontal_m or np.nan, horizontal_m or np.nan, up_m])
+
+
 def test_an_unknown_time_system_in_drive_yaml_is_refused(tmp_path: Path) -> None:
     (tmp_path / "drive.yaml").write_text("trajectory: {time: Mars}")
     with pytest.raises(InputError, match="time system"):

@@ -155,7 +155,9 @@ def stated_sigmas(recorded: Floats, settings: Sigmas) -> Floats:
     found[:, 2] = np.where(np.isnan(found[:, 2]), VERTICAL_FACTOR * found[:, :2].max(axis=1), found[:, 2])
     if settings.vertical_m is not None:
         found[:, 2] = settings.vertical_m
-    found[~(found[:, :3] <= MAX_SIGMA_M).all(axis=1), :3] = np.nan
+    given_m = (settings.horizontal_m, settings.horizontal_m, settings.vertical_m or settings.horizontal_m)
+    limited = [k for k, value in enumerate(given_m) if value is None]
+    found[~(found[:, limited] <= MAX_SIGMA_M).all(axis=1), :3] = np.nan
     for k, name in enumerate(("roll_deg", "pitch_deg", "yaw_deg"), 3):
         found[np.isnan(found[:, k]) | (name in settings.model_fields_set), k] = math.radians(getattr(settings, name))
     return found
