@@ -203,9 +203,8 @@ insert into conetl.changeset_published (changeset_id) values (%(changeset_id)s) 
 
 -- name: pending_changesets
 -- Changesets of drives whose events were not handed to Prefect, oldest first. An import or a decision has no events.
--- Parameters: map_name; quiet_s: changesets younger than this are left to the runs that committed them.
--- Columns: idempotency_key, map_srid (EPSG), content_sha256, expected_frame_count (both of the drive).
-select c.idempotency_key, m.srid as map_srid, d.content_sha256, d.expected_frame_count
+-- Parameters: map_name; quiet_s: changesets younger than this are left to the runs that committed them. Columns: changeset_id.
+select c.changeset_id
 from conetl.changeset c
 join conetl.map m using (map_id)
 join conetl.drive d using (drive_uuid)

@@ -24,7 +24,7 @@ select
         ) k
     ), '{}') end as line_counts,
     c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.marking_count, c.rejection_count,
-    d.captured_from_ns, d.captured_to_ns,
+    d.captured_from_ns, d.captured_to_ns, d.content_sha256, d.expected_frame_count, m.srid as map_srid,
     h.reason is null and exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
     h.reason as hold
 from conetl.changeset c

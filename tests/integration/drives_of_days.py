@@ -132,7 +132,7 @@ def merge(
     )  # fmt: skip
     with drive_transaction(conn, map_name):
         merged = merge_drive(conn, survey, changeset, params, map_name=map_name, evidence=evidence, hold=held_for(hold))
-    return merged if merged.result.committed else None
+    return merged if isinstance(merged, Merged) else None
 
 
 def held_for(reason: str | None) -> tuple[HealthCheck, ...]:

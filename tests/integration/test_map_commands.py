@@ -156,7 +156,7 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
         assert facts["objects_by_class"] == {"traffic_cone": 2, "lane_marking": 1}
     assert facts["bbox"][0] < 458_000 and facts["bbox"][2] > 458_010
     assert "no other class" in conetl("map", "classify", str(line.feature_id), "drum", code=2)
-    page = next(w for w in conetl("report", "drive", str(line_only.changeset.drive_id)).split() if w.endswith(".html"))
+    page = next(w for w in conetl("report", "drive", str(line_only.drive_id)).split() if w.endswith(".html"))
     assert "This drive did not change any cone" in Path(page).read_text()
 
 

@@ -298,26 +298,16 @@ class RemovedCone:
     cone_height_m: float
 
 
-@dataclass(frozen=True)
-class PendingChangeset:
-    """A changeset on the map that was not published."""
-
-    idempotency_key: str
-    map_srid: int
-    content_sha256: str
-    expected_frame_count: int
-
-
 def is_published(conn: Connection, changeset_id: UUID) -> bool:
     """Whether the events of this changeset were handed to Prefect."""
     return bool(query(conn, "commit.is_published", changeset_id=changeset_id)[0]["is_published"])
 
 
-def pending_changesets(conn: Connection, *, map_name: str, quiet: timedelta) -> list[PendingChangeset]:
+def pending_changesets(conn: Connection, *, map_name: str, quiet: timedelta) -> list[UUID]:
     """Changesets of drives that were not published, oldest first, except those committed within `quiet`."""
     with transaction(conn, "The pending changesets cannot be read"):
         rows = query(conn, "commit.pending_changesets", map_name=map_name, quiet_s=quiet.total_seconds())
-    return [PendingChangeset(**row) for row in rows]
+    return [row["changeset_id"] for row in rows]
 
 
 def mark_published(conn: Connection, changeset_id: UUID) -> None:

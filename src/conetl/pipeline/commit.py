@@ -23,13 +23,12 @@ from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.decision_store import held_drives, replaced_by_delivery
 from conetl.db.map.map_store import drive_transaction, find_changeset, find_map, read_features_as_of
 from conetl.db.map.results import CommittedChangeset, RunInfo
-from conetl.db.receipt_store import PendingChangeset
 from conetl.files.parquet_store import result_key
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.mapping.agreement import FARTHEST_M, far_displacement
-from conetl.model.base import Record, utc_from_ns
-from conetl.model.detector_evidence import DetectorEvidence, evidence_sha256
+from conetl.model.base import utc_from_ns
+from conetl.model.detector_evidence import evidence_sha256
 from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import AGREES, HealthCheck, hold_reason, holding
 from conetl.model.ingest_report import ChangeLine, IngestReport
@@ -49,16 +48,6 @@ _NAMESPACE = UUID("0b9b3a5e-9c1f-4d0e-8b55-2f7d9a1c6e42")
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pyproj", "prefect")
 
 
-class Identity(Record):
-    """What makes an ingest the same as an earlier one."""
-
-    idempotency_key: str
-    params_sha256: str
-    model_sha256: str
-    evidence: DetectorEvidence | None
-    """What is measured of the model's boxes."""
-
-
 @dataclass(frozen=True)
 class CommittedDrive:
     """What a drive did to the map."""
@@ -71,31 +60,39 @@ class CommittedDrive:
     report: IngestReport
 
 
-def identify(drive: Drive, params: IngestParams, settings: Settings) -> Identity:
-    """Hashes of content, parameters and model with its evidence; the same on the same map are the same changeset."""
+def changeset_of(drive: Drive, params: IngestParams, settings: Settings) -> Changeset:
+    """The changeset of a drive, without deltas. Its key follows from content, parameters, model with its evidence, and CRS."""
     card = read_model_card(settings.model_path)
     parameters, measured = params_sha256(params), evidence_sha256(card.evidence)
     key = result_key(
         "changeset", drive.content_sha256, parameters, card.detections_sha256, measured, str(drive.map_srid)
     )
-    return Identity(idempotency_key=key, params_sha256=parameters, model_sha256=card.sha256, evidence=card.evidence)
+    return Changeset(
+        changeset_id=uuid5(_NAMESPACE, f"{settings.map_name}/{key}"),
+        drive_id=drive.drive_id,
+        idempotency_key=key,
+        params_sha256=parameters,
+        model_sha256=card.sha256,
+        code_version=version("conetl"),
+        deltas=(),
+    )
 
 
 def already_committed(
-    drive: Drive, identity: Identity, settings: Settings, database: MapDatabase
+    drive: Drive, changeset: Changeset, settings: Settings, database: MapDatabase
 ) -> IngestReport | None:
-    """The report "no changes" where this very drive is already on the map."""
+    """The report "no changes" where this very drive is already on the map. changeset: of the drive, without deltas."""
     with database.connection() as conn:
-        known = find_changeset(conn, identity.idempotency_key, map_name=settings.map_name)
+        known = find_changeset(conn, changeset.idempotency_key, map_name=settings.map_name)
         if known is None:
             return None
         with transaction(conn, "Provisional features cannot be removed"):  # it may have been watched again since
             drop_watched_recording(conn, drive, map_name=settings.map_name)
         held = held_drives(conn, map_name=settings.map_name) if known.hold else []
         not_counted = None if known.counts or known.hold else _why_not_counted(conn, known)
-    report = _no_changes(drive, identity, known, settings)
     checks = next((one.checks for one in held if one.changeset_id == known.changeset_id), ())
-    return report.model_copy(update={"health": checks, "not_counted": not_counted})
+    facts = {"health": checks, "not_counted": not_counted, "model_sha256": changeset.model_sha256}
+    return report_of(known, settings.map_name).model_copy(update=facts)
 
 
 def _why_not_counted(conn: Connection, known: CommittedChangeset) -> str:
@@ -125,7 +122,6 @@ def commit(
     """
     settings = settings or read_settings()
     drive, records, params = analysed.drive, analysed.records, analysed.params
-    identity = identify(drive, params, settings)
     run = run or run_info(analysed)
     with ExitStack() as stack:
         database = database or stack.enter_context(MapDatabase(settings))
@@ -135,21 +131,20 @@ def commit(
             merged = merge_drive(
                 conn,
                 records,
-                _changeset(drive, settings.map_name, identity),
+                changeset_of(drive, params, settings),
                 params,
                 map_name=settings.map_name,
-                evidence=identity.evidence,
+                evidence=read_model_card(settings.model_path).evidence,
                 run=run,
                 hold=holding(health),
             )
-    if not merged.result.committed:
-        known = merged.result.changeset
-        return CommittedDrive(known, drive, (), (), _no_changes(drive, identity, known, settings))
+    if isinstance(merged, CommittedChangeset):
+        return CommittedDrive(merged, drive, (), (), report_of(merged, settings.map_name))
     deltas = merged.changeset.deltas
     if not holding(health):  # a recording that contradicts itself is not compared with the map
         health = (*health, merged.extension.hold or AGREES)
     hold = hold_reason(health)
-    report = report_of(merged.result.changeset, drive, settings.map_name).model_copy(
+    report = report_of(merged.committed, settings.map_name).model_copy(
         update={
             "status": "committed" if hold is None else "held",
             "frame_pairs_rejected": len(lost_frame_pairs(records.rejections, INPUT_REASONS)),
@@ -166,7 +161,7 @@ def commit(
             "hold_changes": merged.hold_changes,
         }
     )
-    return CommittedDrive(merged.result.changeset, drive, deltas, tuple(merged.extension.untouched), report)
+    return CommittedDrive(merged.committed, drive, deltas, tuple(merged.extension.untouched), report)
 
 
 def _cones_elsewhere(
@@ -206,18 +201,6 @@ def lost_frame_pairs(rejections: Iterable[Rejection], reasons: frozenset[Rejecti
     return {rejection.record for rejection in rejections if rejection.reason in reasons}
 
 
-def _changeset(drive: Drive, map_name: str, identity: Identity) -> Changeset:
-    return Changeset(
-        changeset_id=uuid5(_NAMESPACE, f"{map_name}/{identity.idempotency_key}"),
-        drive_id=drive.drive_id,
-        idempotency_key=identity.idempotency_key,
-        params_sha256=identity.params_sha256,
-        model_sha256=identity.model_sha256,
-        code_version=version("conetl"),
-        deltas=(),
-    )
-
-
 def _line(delta: Delta) -> ChangeLine:
     feature = delta.state_after
     return ChangeLine(
@@ -234,12 +217,8 @@ def _line(delta: Delta) -> ChangeLine:
     )
 
 
-def _no_changes(drive: Drive, identity: Identity, known: CommittedChangeset, settings: Settings) -> IngestReport:
-    return report_of(known, drive, settings.map_name).model_copy(update={"model_sha256": identity.model_sha256})
-
-
-def report_of(known: CommittedChangeset, drive: Drive | PendingChangeset, map_name: str) -> IngestReport:
-    """The report of a drive that is already on the map, whether the drive itself is at hand or not."""
+def report_of(known: CommittedChangeset, map_name: str) -> IngestReport:
+    """The report of a drive that is already on the map."""
     return IngestReport(
         drive_id=known.drive_id,
         status="no changes" if known.hold is None else "held",
@@ -247,9 +226,9 @@ def report_of(known: CommittedChangeset, drive: Drive | PendingChangeset, map_na
         captured_from=utc_from_ns(known.captured_from_ns),
         captured_to=utc_from_ns(known.captured_to_ns),
         map_name=map_name,
-        map_srid=drive.map_srid,
+        map_srid=known.map_srid,
         frame_pairs=known.frame_pair_count,
-        frame_pairs_rejected=drive.expected_frame_count - known.frame_pair_count,
+        frame_pairs_rejected=known.expected_frame_count - known.frame_pair_count,
         detections=known.detection_count,
         matches=known.match_count,
         positions=known.position_count,
@@ -261,7 +240,7 @@ def report_of(known: CommittedChangeset, drive: Drive | PendingChangeset, map_na
         rejections={},
         params_sha256=known.params_sha256,
         model_sha256=known.model_sha256,
-        content_sha256=drive.content_sha256,
+        content_sha256=known.content_sha256,
         seconds=0.0,
         committed_at=known.committed_at,
         counts_on_map=known.counts,

@@ -22,9 +22,9 @@ from conetl.model.errors import ConetlError, ServiceError, is_of_storage, may_pa
 from conetl.model.ingest_report import DriveOnHoldError, IngestReport, TooManyRejectionsError
 from conetl.model.params import IngestParams
 from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
-from conetl.perception.model_card import NOT_MEASURED
+from conetl.perception.model_card import NOT_MEASURED, read_model_card
 from conetl.pipeline.analysis import AnalysedDrive, analyse
-from conetl.pipeline.commit import CommittedDrive, already_committed, commit, identify, lost_frame_pairs, run_info
+from conetl.pipeline.commit import CommittedDrive, already_committed, changeset_of, commit, lost_frame_pairs, run_info
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Executor, Progress, ThreadExecutor
 from conetl.pipeline.publish import publish
@@ -85,13 +85,13 @@ def ingest(
             info = find_map(conn, settings.map_name)
         srid = map_srid or (info.srid if info and info.counts else None)  # later drives use the map's own CRS
         drive, rejections = steps.run(read, folder, srid, settings.images_folder.resolve())
-        identity = identify(drive, params, settings)
-        if identity.evidence is None:
+        changeset = changeset_of(drive, params, settings)
+        if read_model_card(settings.model_path).evidence is None:
             _log.warning(NOT_MEASURED)
 
         def known() -> IngestReport | None:
             """The report of a drive that is already on the map, once what was left pending is published."""
-            report = already_committed(drive, identity, settings, db)
+            report = already_committed(drive, changeset, settings, db)
             if report is None or publish_known is None:
                 return report
             return _after_commit(report, lambda: steps.run(publish_known, report, settings, db))

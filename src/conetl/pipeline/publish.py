@@ -19,7 +19,7 @@ import numpy as np
 from conetl.db import receipt_store as receipts
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import hold_events
-from conetl.db.map.map_store import find_changeset, list_changesets
+from conetl.db.map.map_store import list_changesets
 from conetl.db.map.results import CommittedChangeset
 from conetl.exports.text_files import export_geojson
 from conetl.files.home import make_home
@@ -140,15 +140,12 @@ def catch_up_all(settings: Settings, database: MapDatabase, send: Notify, *, qui
     """
     with database.connection() as conn:
         pending = receipts.pending_changesets(conn, map_name=settings.map_name, quiet=quiet)
-    for found in pending:
-        with database.connection() as conn:
-            known = find_changeset(conn, found.idempotency_key, map_name=settings.map_name)
-        if known is None:
-            continue
+        known = [one for one in list_changesets(conn, map_name=settings.map_name) if one.changeset_id in pending]
+    for changeset in reversed(known):
         try:
-            catch_up(report_of(known, found, settings.map_name), settings, database, send)
+            catch_up(report_of(changeset, settings.map_name), settings, database, send)
         except Exception as error:
-            _log.warning("Changes by drive %s are on the map, but not published: %s", known.drive_id, error)
+            _log.warning("Changes by drive %s are on the map, but not published: %s", changeset.drive_id, error)
 
 
 def _write_map(conn: Connection, settings: Settings) -> Path:

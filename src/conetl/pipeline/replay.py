@@ -22,7 +22,7 @@ from conetl.db.map.commit import INFLUENCE_M, commit_changeset, path_wkt, place_
 from conetl.db.map.decision_store import held_drives, hold_changes, read_decisions
 from conetl.db.map.drive_store import load_stored_drive, read_view
 from conetl.db.map.map_store import require_map
-from conetl.db.map.results import CommitResult, CommittedChangeset, DriveRef, Replay, RunInfo
+from conetl.db.map.results import CommittedChangeset, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
 from conetl.mapping import visibility
 from conetl.mapping.agreement import is_confirmed
@@ -70,7 +70,7 @@ class Merged(NamedTuple):
     extension: MapUpdate
     replayed: int
     """Later drives that were compared with the map again because of it."""
-    result: CommitResult
+    committed: CommittedChangeset
     hold_changes: tuple[HoldChange, ...]
     """Other drives that went on hold because of it, or are on hold no longer."""
 
@@ -86,13 +86,13 @@ def merge_drive(
     evidence: DetectorEvidence | None = None,
     run: RunInfo | None = None,
     hold: Sequence[HealthCheck] = (),
-) -> Merged:
+) -> Merged | CommittedChangeset:
     """Compare a drive with the map as the drives recorded before it left it, and commit the differences.
 
     changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: what is measured of
     the detector (None: nothing); the weight of a cone that it did not find follows from it. hold: the checks for which the
-    recording must not count; it is stored and changes nothing until a person accepts it. A drive that is already on the map is
-    not merged again (`result.committed`).
+    recording must not count; it is stored and changes nothing until a person accepts it. The result is a changeset where the
+    drive is already on the map; it is not merged again.
     """
     drive, reach_m = records.drive, influence_m(params)
     figures = AbsenceFigures(
@@ -116,9 +116,9 @@ def merge_drive(
         conn, map_name, drive, changeset.idempotency_key, place, path_wkt=None if hold else path_wkt(drive), influence_m=reach_m,
         adjoining_ns=WITHIN_NS, reaches_far=is_in_doubt,
     )  # fmt: skip
-    extension, replay = MapUpdate([], [], [], []), None
     if isinstance(near, CommittedChangeset):  # another ingest of the same drive was faster
-        return Merged(changeset, extension, 0, CommitResult(False, near, 0), ())
+        return near
+    extension, replay = MapUpdate([], [], [], []), None
     changeset = with_free_id(conn, changeset, near.drive_uuid)
     affected, held_before = [ref.changeset_id for ref in near.affected], held_drives(conn, map_name=map_name)
     by_map = not hold
@@ -130,14 +130,14 @@ def merge_drive(
         affected = affected if replay is None else [*replay.holds]
         hold = () if extension.hold is None else (extension.hold,)
     changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
-    result = commit_changeset(
+    committed = commit_changeset(
         conn, records, changeset, map_name=map_name, run=run, suppressed=extension.suppressed, replay=replay, hold=hold,
         held_by_map=by_map, placed=near.drive_uuid,
     )  # fmt: skip
     others: tuple[HoldChange, ...] = ()
     if held_before or affected:  # else there is no drive whose hold could begin or end
         others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
-    return Merged(changeset, extension, 0 if replay is None else len(replay.holds), result, others)
+    return Merged(changeset, extension, 0 if replay is None else len(replay.holds), committed, others)
 
 
 def _own_evidence(

@@ -29,7 +29,7 @@ from conetl.db.map import rows as map_rows
 from conetl.db.map.decision_store import write_holds
 from conetl.db.map.map_store import find_changeset, map_for, system_time
 from conetl.db.map.replay_store import take_turn, write_replay
-from conetl.db.map.results import CommitResult, MapInfo, Replay, RunInfo
+from conetl.db.map.results import CommittedChangeset, MapInfo, Replay, RunInfo
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.drive import Drive, DriveRecords
 from conetl.model.errors import MapMismatchError
@@ -103,22 +103,18 @@ def commit_changeset(
     hold: Sequence[HealthCheck] = (),
     held_by_map: bool = False,
     placed: UUID | None = None,
-) -> CommitResult:
+) -> CommittedChangeset:
     """Write a drive, everything made from it, and its changeset, under the locks that the caller holds.
 
     The map is created by its first changeset with the drive's SRID. Versions are numbered here: the open one's plus one.
     suppressed: features that end where a person decided that nothing stands. replay: for a drive that is older than others
     around it, the new state of the whole neighbourhood, the changeset's own deltas included. hold: the checks for which the drive
     must not count until a person accepts it; held_by_map: whether the comparison with the map made them. placed: the drive, where
-    the caller has placed it and knows that it has no changeset yet. Raises MapMismatchError if the drive is in another CRS, the
+    the caller has placed it. It must have no changeset yet. Raises MapMismatchError if the drive is in another CRS, the
     records do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding transaction.
     """
     drive = records.drive
-    if placed is None:
-        known = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
-        if known is not None:
-            return CommitResult(committed=False, changeset=known, versions_written=0)
-        placed = place_drive(conn, drive, changeset.idempotency_key, map_name=map_name)
+    placed = placed or place_drive(conn, drive, changeset.idempotency_key, map_name=map_name)
     _require_consistent(records, changeset)
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}")
     blocks = _encoded_records(placed, info.srid, records)
@@ -141,7 +137,7 @@ def commit_changeset(
         versions_written = write_replay(conn, info, replay, committed_at)
     write_holds(conn, {changeset.changeset_id: hold} if hold else {}, committed_at, by_map=held_by_map)
     renew_statistics(conn, versions_written)
-    return committed_result(conn, changeset, versions_written, map_name=map_name)
+    return committed_changeset(conn, changeset, map_name=map_name)
 
 
 def insert_changeset(
@@ -179,12 +175,12 @@ def renew_statistics(conn: Connection, versions: int) -> None:
         db.execute(conn, "analyze (skip_locked) conetl.feature, conetl.feature_version, conetl.delta")
 
 
-def committed_result(conn: Connection, changeset: Changeset, versions_written: int, *, map_name: str) -> CommitResult:
+def committed_changeset(conn: Connection, changeset: Changeset, *, map_name: str) -> CommittedChangeset:
     """The changeset as the database holds it."""
     written = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
     if written is None:
         raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
-    return CommitResult(committed=True, changeset=written, versions_written=versions_written)
+    return written
 
 
 def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:

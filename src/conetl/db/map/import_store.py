@@ -12,10 +12,10 @@ from conetl.db import connection as db
 from conetl.db.connection import Connection
 from conetl.db.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
 from conetl.db.map import rows as map_rows
-from conetl.db.map.commit import committed_result, insert_changeset, renew_statistics
+from conetl.db.map.commit import insert_changeset, renew_statistics
 from conetl.db.map.map_store import map_for, require_map, system_time
 from conetl.db.map.replay_store import write_replay
-from conetl.db.map.results import CommitResult, MapInfo, Replay, RunInfo
+from conetl.db.map.results import MapInfo, Replay, RunInfo
 from conetl.db.map.rows import feature_of
 from conetl.model.arrays import Bools, Floats
 from conetl.model.base import utc_from_ns
@@ -111,15 +111,13 @@ def commit_import(
     *,
     map_name: str,
     run: RunInfo,
-) -> CommitResult:
+) -> None:
     """Write an import's statements and changeset, inside the caller's `map_transaction`. drive_uuid: of `place_import`."""
     info = map_for(conn, map_name, imported.srid, imported.name)
     committed_at = system_time(conn, info)
     insert_changeset(conn, info, drive_uuid, changeset, None, run, committed_at)
     db.copy_columns(conn, "conetl.statement", _statement_columns(drive_uuid, info.srid, imported.statements))
-    versions_written = write_replay(conn, info, replay, committed_at)
-    renew_statistics(conn, versions_written)
-    return committed_result(conn, changeset, versions_written, map_name=map_name)
+    renew_statistics(conn, write_replay(conn, info, replay, committed_at))
 
 
 def read_statements(conn: Connection, drive_uuid: UUID) -> list[ImportedFeature]:

@@ -85,17 +85,9 @@ class CommittedChangeset(ChangesetFacts):
     marking_count: int
     captured_from_ns: int
     captured_to_ns: int
-
-
-@dataclass(frozen=True)
-class CommitResult:
-    """What `commit_changeset` did."""
-
-    committed: bool
-    """False if this idempotency key was committed before: nothing was written."""
-    changeset: CommittedChangeset
-    versions_written: int
-    """New feature versions; a confirmation that changes nothing makes none."""
+    content_sha256: str
+    expected_frame_count: int
+    map_srid: int
 
 
 @dataclass(frozen=True)

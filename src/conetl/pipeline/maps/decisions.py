@@ -6,18 +6,17 @@ transaction.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 from uuid import UUID
 
 from conetl.db.connection import LOCK_TIMEOUT_S, Connection
 from conetl.db.map import decision_store as store
 from conetl.db.map import replay_store as replays
 from conetl.db.map.decision_store import hold_changes
-from conetl.db.map.drive_store import load_stored_drive
 from conetl.db.map.map_store import find_features, list_changesets, map_transaction, require_map, system_time
 from conetl.db.map.results import CommittedChangeset, Decidable, MapInfo, Replay
 from conetl.mapping.history import is_within
@@ -27,7 +26,6 @@ from conetl.model.health import HeldDrive, HoldChange
 from conetl.model.map_records import Classification, FeatureVersion, Location, MapFeature
 from conetl.pipeline.replay import replay_of
 
-T = TypeVar("T")
 SUPPRESS, PIN, CLASSIFY = "suppress", "pin", "classify"
 REVERT, ACCEPT, WITHDRAW = "revert", "accept", "withdraw"
 #: What `list_decisions` calls a hold, which the checks made.
@@ -149,9 +147,7 @@ def revert(
         decide = partial(at.insert, kind, changeset_id=changeset_id, withdraws=withdraws)
         conflicts: tuple[RevertConflict, ...] = ()
         if target.drive_uuid is not None:
-            decision_id, written, replayed, conflicts = judge_drives(
-                conn, at.info, [target.drive_uuid], decide, at.decided_at, changeset_id
-            )
+            decision_id, written, replayed, conflicts = _judge_drive(conn, at, target.drive_uuid, decide, changeset_id)
         elif decision is not None and (place := decision.place) is not None:
             decision_id = decide()
             written, replayed = _judge_place(conn, at.info, decision.kind, place, at.decided_at)
@@ -184,16 +180,15 @@ def accept_drive(
         if len(held) > 1:
             raise InputError(f"{len(held)} drives {drive} are on hold: give the number that `conetl drive held` lists")
         known = held[0]
-        content_sha256 = load_stored_drive(conn, known.drive_uuid).content_sha256
         captured_ns = known.captured_from_ns, known.captured_to_ns
-        others = replays.other_deliveries(conn, known.drive_id, captured_ns, content_sha256, map_name=map_name)
+        others = replays.other_deliveries(conn, known.drive_id, captured_ns, known.content_sha256, map_name=map_name)
         if others:
             raise ConflictError(
                 f"another delivery of drive {known.drive_id} is already on the map (changeset {others[-1]}); the two would count "
                 f"as two surveys. Revert that one first with `conetl map revert {others[-1]}`, if this one is to count instead."
             )
         decide = partial(at.insert, ACCEPT, changeset_id=known.changeset_id)
-        decision_id, written, replayed, _ = judge_drives(conn, at.info, [known.drive_uuid], decide, at.decided_at, None)
+        decision_id, written, replayed, _ = _judge_drive(conn, at, known.drive_uuid, decide, None)
         return _outcome(conn, at, decision_id, ACCEPT, written, replayed, changeset_id=known.changeset_id)
 
 
@@ -265,28 +260,18 @@ def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, de
     return replays.write_replay(conn, info, replay, decided_at), len(again)
 
 
-def judge_drives(
-    conn: Connection,
-    info: MapInfo,
-    drive_uuids: Sequence[UUID],
-    decide: Callable[[], T],
-    decided_at: datetime,
-    changeset_id: UUID | None,
-) -> tuple[T, int, int, tuple[RevertConflict, ...]]:
-    """Write by `decide` that drives start or cease to count, and compute what changes by it."""
-    counted_before = [other for drive_uuid in drive_uuids for other in replays.superseded_drives(conn, drive_uuid)]
+def _judge_drive(
+    conn: Connection, at: _Deciding, drive_uuid: UUID, decide: Callable[[], UUID], changeset_id: UUID | None
+) -> tuple[UUID, int, int, tuple[RevertConflict, ...]]:
+    """Write by `decide` that a drive starts or ceases to count, and compute what changes by it."""
+    counted_before = replays.superseded_drives(conn, drive_uuid)
     decision_id = decide()
-    counted_now = [other for drive_uuid in drive_uuids for other in replays.superseded_drives(conn, drive_uuid)]
-    seeds = list(dict.fromkeys([*drive_uuids, *counted_before, *counted_now]))
+    seeds = list(dict.fromkeys([drive_uuid, *counted_before, *replays.superseded_drives(conn, drive_uuid)]))
     again = replays.affected_drives(conn, seeds)
     aside = list(dict.fromkeys([*seeds, *(ref.drive_uuid for ref in again)]))
-    _, replay = replay_of(conn, aside, again, store.read_decisions(conn, map_name=info.map_name))
-    return (
-        decision_id,
-        replays.write_replay(conn, info, replay, decided_at),
-        len(again),
-        _conflicts(replay, changeset_id),
-    )
+    _, replay = replay_of(conn, aside, again, store.read_decisions(conn, map_name=at.info.map_name))
+    written = replays.write_replay(conn, at.info, replay, at.decided_at)
+    return decision_id, written, len(again), _conflicts(replay, changeset_id)
 
 
 def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[RevertConflict, ...]:
