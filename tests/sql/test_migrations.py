@@ -12,11 +12,10 @@ from uuid import uuid4
 import psycopg2
 import pytest
 
-from conetl.db import schema
 from conetl.db.connection import connect, execute, load_sql, sql_directory, statements
 from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import read_current_features
-from conetl.db.schema import database_status, migrate, migrate_once
+from conetl.db.schema import database_status, migrate
 from conetl.model.errors import DatabaseError
 from tests.command import until
 from tests.conftest import cloned_database
@@ -137,14 +136,6 @@ def test_a_database_from_before_the_baseline_is_refused_and_left_alone(empty):
     with pytest.raises(DatabaseError, match=r"before the schema's baseline.*conetl map export.*Nothing was changed"):
         migrate(empty)
     assert database_status(empty)["applied_migrations"] == ("0001_schema",)
-
-
-def test_one_process_checks_a_database_once(conn, monkeypatch):
-    checked = []
-    monkeypatch.setattr(schema, "migrate", checked.append)
-    for _ in range(2):
-        migrate_once(conn)
-    assert checked == [conn]
 
 
 def test_a_database_of_a_newer_conetl_is_refused(conn):

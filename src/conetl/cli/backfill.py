@@ -11,11 +11,11 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from conetl.cli import console as ui
-from conetl.cli.database import open_maps
 from conetl.cli.ingest import read_params
 from conetl.db.receipt_store import QUIET, pending_changesets
 from conetl.files.names import minutes
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, EXIT_SERVICE_MISSING
+from conetl.pipeline.database import open_maps
 from conetl.pipeline.settings import prefect_environment, read_settings
 
 if TYPE_CHECKING:

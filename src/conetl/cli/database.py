@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import asdict
@@ -22,25 +21,8 @@ from conetl.db.schema import database_status, run_audits
 from conetl.db.schema import migrate as apply_migrations
 from conetl.files.atomic import old_images, old_publications, old_results, remove, size_bytes, sweep
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
-from conetl.pipeline.database import database_url
-from conetl.pipeline.settings import Settings, read_settings
-
-_log = logging.getLogger(__name__)
-
-
-def open_database(settings: Settings) -> Connection:
-    """A connection to the configured database, or to the private cluster. Raises DatabaseError."""
-    conn = connect(database_url(settings))
-    _log.info("database %s on %s, port %s", conn.info.dbname, conn.info.host, conn.info.port)
-    return conn
-
-
-@contextmanager
-def open_maps(settings: Settings) -> Iterator[Connection]:
-    """A connection to a database whose schema is up to date; the map of the settings may be missing."""
-    with closing(open_database(settings)) as conn:
-        apply_migrations(conn)
-        yield conn
+from conetl.pipeline.database import open_database, open_maps
+from conetl.pipeline.settings import read_settings
 
 
 @contextmanager

@@ -7,7 +7,6 @@ import os
 import socket
 import sys
 from collections.abc import Callable
-from contextlib import closing
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -17,11 +16,11 @@ import typer
 
 from conetl.cli.console import JsonOption, MapOption, answer, counted, print_json, print_table, say, spinner
 from conetl.db.cluster.cluster import cluster_down, cluster_status
-from conetl.db.connection import connect, sqlalchemy_url
-from conetl.db.schema import migrate_once, prefect_database
+from conetl.db.connection import sqlalchemy_url
+from conetl.db.schema import prefect_database
 from conetl.files.home import PREFECT_LOGIN, home_access, login_address, share_home, view_token
 from conetl.model.errors import EXIT_SERVICE_MISSING, ServiceError
-from conetl.pipeline.database import MapDatabase, database_url
+from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import (
     SERVER_AUTH,
     Settings,
@@ -71,9 +70,8 @@ def up(
         if "view" not in services:
             processes.free_port("127.0.0.1", view_port, "the web view", "--view-port").close()
         show("Starting PostGIS")
-        url = database_url(settings)
-        with closing(connect(url)) as conn:
-            migrate_once(conn)
+        with MapDatabase(settings) as database:
+            url = database.url
         settings.inbox.mkdir(parents=True, exist_ok=True)
         done = _start_services(
             settings, services, url, show, host=host, port=port, view_port=view_port, workers=workers, decisions=decisions,

@@ -11,12 +11,10 @@ import typer
 import uvicorn
 
 from conetl.cli.console import JsonOption, MapOption, answer, err
-from conetl.db.connection import connect
 from conetl.db.map.map_store import require_map
-from conetl.db.schema import migrate_once
 from conetl.files.home import WRITER_TOKEN, checked_secret, login_address, make_secret, read_secret, view_token
 from conetl.model.errors import InputError
-from conetl.pipeline.database import database_url
+from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.services.http_protocol import BoundedProtocol
 from conetl.services.processes import free_port
@@ -76,9 +74,8 @@ def view(
         from conetl.readers.maps.gazetteer import read_gazetteer  # GDAL takes seconds to load
 
         places = read_gazetteer(gazetteer)
-    url = database_url(settings)
-    with closing(connect(url)) as conn:
-        migrate_once(conn)
+    with MapDatabase(settings) as database, database.connection() as conn:
+        url = database.url
         if map_name is not None:  # without --map the first drive may come later
             require_map(conn, map_name)
     writer = decision_writer(settings, url, on_request=decisions, token_file=writer_token_file)

@@ -11,12 +11,12 @@ import numpy as np
 import typer
 
 from conetl.cli import console as ui
-from conetl.cli.database import open_maps
 from conetl.cli.ingest import read_params
 from conetl.db.live_store import read_provisional
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.mapping.reasons import probability_text
 from conetl.model.errors import DriveFolderError
+from conetl.pipeline.database import open_maps
 from conetl.pipeline.settings import Settings, read_settings
 
 if TYPE_CHECKING:  # onnxruntime and the watcher are loaded when needed

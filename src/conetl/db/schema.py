@@ -21,16 +21,7 @@ ROLES = ("conetl_reader", "conetl_writer")
 PREFECT_DATABASE = "prefect"
 #: First migration of the databases of conetl 0.1, which had no release.
 _BEFORE_BASELINE = "0001_schema"
-_checked: set[frozenset[tuple[str, str]]] = set()
 SHOWN_ROWS = 100
-
-
-def migrate_once(conn: Connection) -> None:
-    """`migrate`, but only the first time that this process calls it for the same database."""
-    database = frozenset(db.address(conn).items())
-    if database not in _checked:
-        migrate(conn)
-        _checked.add(database)
 
 
 def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:

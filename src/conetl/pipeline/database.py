@@ -2,19 +2,37 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 from conetl.db.cluster.cluster import cluster_up
 from conetl.db.connection import Connection, connect
 from conetl.db.receipt_store import is_alive
-from conetl.db.schema import migrate_once
+from conetl.db.schema import migrate
 from conetl.pipeline.settings import Settings
+
+_log = logging.getLogger(__name__)
 
 
 def database_url(settings: Settings) -> str:
     """Address of the map's database; the private cluster is started where it does not run."""
     return settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
+
+
+def open_database(settings: Settings) -> Connection:
+    """A connection to the map's database. Raises DatabaseError."""
+    conn = connect(database_url(settings))
+    _log.info("database %s on %s, port %s", conn.info.dbname, conn.info.host, conn.info.port)
+    return conn
+
+
+@contextmanager
+def open_maps(settings: Settings) -> Iterator[Connection]:
+    """A connection to a database whose schema is up to date; the map of the settings may be missing."""
+    with closing(open_database(settings)) as conn:
+        migrate(conn)
+        yield conn
 
 
 class MapDatabase:
@@ -41,7 +59,7 @@ class MapDatabase:
         if self._url is None:
             url = database_url(self._settings)
             self._conn = connect(url)
-            migrate_once(self._conn)
+            migrate(self._conn)
             self._url = url
         return self._url
 

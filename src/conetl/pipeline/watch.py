@@ -11,7 +11,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -19,11 +19,10 @@ from queue import Empty, SimpleQueue
 import numpy as np
 from watchfiles import watch as watch_files
 
-from conetl.db.connection import Connection, connect
+from conetl.db.connection import Connection
 from conetl.db.live_store import clear_watches, end_watch, watch_lock
 from conetl.db.map.map_store import find_map
 from conetl.db.receipt_store import held_if_free
-from conetl.db.schema import migrate_once
 from conetl.model.drive import MAX_SPEED_M_S, FramePair, Track
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.params import IngestParams
@@ -31,7 +30,7 @@ from conetl.model.rejections import RejectionReason
 from conetl.model.rig import Rig
 from conetl.perception.images import ImageFileError
 from conetl.pipeline import live_pair as live
-from conetl.pipeline.database import database_url
+from conetl.pipeline.database import open_maps
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import MARKER
 from conetl.readers.drives.pairs import PairError
@@ -149,8 +148,7 @@ def watch_drive(
         raise DriveFolderError(f"{folder}: {what}; make the folder before the recording begins")
     report = WatchReport(map_name=settings.map_name)
     with ExitStack() as stack:
-        conn = stack.enter_context(closing(connect(database_url(settings))))
-        migrate_once(conn)
+        conn = stack.enter_context(open_maps(settings))
         detectors = stack.enter_context(live.open_detectors(settings, params))
         changes = stack.enter_context(_changes_of(folder.resolve(), poll=poll))
         watch = _Watch(

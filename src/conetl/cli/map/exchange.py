@@ -11,7 +11,7 @@ import typer
 from pydantic import ValidationError
 
 from conetl.cli.console import JsonOption, MapOption, answer, counted, counted_by_class, note, parse_instant, parse_time
-from conetl.cli.database import open_map, open_maps
+from conetl.cli.database import open_map
 from conetl.cli.map import work_zones
 from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import find_map
@@ -25,6 +25,7 @@ from conetl.geometry.geodesy import check_map_srid, map_crs
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LANE_MARKING, noun_of
 from conetl.model.params import ImportParams
+from conetl.pipeline.database import open_maps
 from conetl.pipeline.maps.work_zones import export_wzdx
 from conetl.pipeline.settings import read_settings
 

@@ -10,12 +10,13 @@ from typing import Annotated
 import typer
 
 from conetl.cli.console import Columns, JsonOption, answer, at_a_question, counted, print_json, print_records, say
-from conetl.cli.database import open_map, open_maps
+from conetl.cli.database import open_map
 from conetl.db.connection import transaction
 from conetl.db.map.archive import delete_map, list_maps, rename_map, restore_map
 from conetl.db.map.map_store import find_map, insert_map
 from conetl.geometry.geodesy import map_crs, system_name
 from conetl.model.errors import InputError
+from conetl.pipeline.database import open_maps
 from conetl.pipeline.settings import checked_map_name, read_settings
 
 _MAPS: Columns = {
