@@ -50,7 +50,7 @@ from conetl.mapping.history import DriveEvidence, apply_drive
 from conetl.model.drive import DriveRecords
 from conetl.model.map_records import Changeset, Decisions
 from conetl.model.params import ReconcileParams
-from conetl.pipeline.replay import no_cycle_search
+from conetl.pipeline.replay import no_cycle_search, one_more
 
 QUERIES = 60
 BOX_M = 500.0
@@ -93,7 +93,8 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
                 params=ReconcileParams(),
             )
             with watch.phase("reconcile"):
-                extension = apply_drive(standing, evidence, Decisions(), summaries)
+                current = {feature_id: version for feature_id, (version, _) in standing.items()}
+                extension = apply_drive(current, evidence, Decisions(), summaries)
             changeset = Changeset.model_construct(
                 changeset_id=changeset_id,
                 drive_id=drive.drive_id,
@@ -109,7 +110,7 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
                     DriveRecords(drive, positions=sightings.positions, tracks=sightings.tracks),
                     changeset,
                     map_name=MAP_NAME,
-                    suppressed=extension.suppressed,
+                    replay=one_more(standing, extension, changeset_id),
                     placed=near.drive_uuid,
                 )
     rest = np.subtract(watch.phases["lock, commit"], np.sum(list(watch.phases.values())[:-1], axis=0))

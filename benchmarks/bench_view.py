@@ -30,11 +30,11 @@ from pyproj import CRS
 from benchmarks.harness import CONETL, arguments_of, load, own_cluster, processor_s, served_view, write_json
 from benchmarks.made_up_maps import DAY_NS, MAP_NAME, SPACING_M, SRID, drive_along, position_of
 from conetl.db.connection import connect
-from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
 from conetl.model.drive import DriveRecords
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from tests.chromium import CHROMIUM, FLAGS
+from tests.records import write
 
 #: Name of the map with the long list.
 MANY = "many"
@@ -109,7 +109,7 @@ def two_days(conn: Any, count: int, map_name: str = MAP_NAME) -> None:
         )  # fmt: skip
         records = DriveRecords(made.drive, [], [], made.positions, made.tracks)
         with map_transaction(conn, map_name):
-            commit_changeset(conn, records, changeset, map_name=map_name)
+            write(conn, records, changeset, map_name=map_name)
 
 
 def make_layers(folder: Path, points: int, lines: int, cones: int) -> list[Path]:

@@ -53,10 +53,10 @@ and ST_DWithin(d.area, ST_SetSRID(ST_MakePoint(%(easting_m)s::float8, %(northing
 
 -- name: standing_around
 -- The features that stand around a drive's path now, suppressed ones included: what the drive is compared with where no
--- later drive has been. Parameters: drive_uuid. Columns: as FeatureVersion.
+-- later drive has been. Parameters: drive_uuid. Columns: as FeatureVersion, then version_row_id.
 select distinct on (v.feature_id)
     {{feature columns of v}}, v.existence_probability,
-    v.changeset_id, true as present, v.suppressed, v.valid_from_ns, null::bigint as valid_to_ns
+    v.changeset_id, true as present, v.suppressed, v.valid_from_ns, null::bigint as valid_to_ns, v.version_row_id
 from conetl.drive d
 cross join lateral conetl.pieces(d.area) piece
 join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece
@@ -181,17 +181,17 @@ from version_stage s
 where s.version = 1
 on conflict (feature_id) where map_id > 0 do nothing;
 
--- name: close_version_rows
--- End the system period of some versions. Parameters: committed_at (timestamptz); row_ids (bigint[]).
+-- name: close_versions
+-- End the system period of some versions. Parameters: committed_at (timestamptz); closed_versions (bigint[]).
 update conetl.feature_version v
 set system_period = tstzrange(lower(v.system_period), %(committed_at)s)
-where v.version_row_id = any(%(row_ids)s);
+where v.version_row_id = any(%(closed_versions)s) and upper_inf(v.system_period);
 
--- name: close_delta_rows
--- End the system period of some deltas. Parameters: committed_at (timestamptz); row_ids (bigint[]).
+-- name: close_deltas
+-- End the system period of some deltas. Parameters: committed_at (timestamptz); closed_deltas (bigint[]).
 update conetl.delta x
 set system_period = tstzrange(lower(x.system_period), %(committed_at)s)
-where x.delta_row_id = any(%(row_ids)s);
+where x.delta_row_id = any(%(closed_deltas)s) and upper_inf(x.system_period);
 
 -- name: insert_staged_versions
 -- Write the staged versions with a system period from now on. Parameters: map_id; srid; committed_at (timestamptz).

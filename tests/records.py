@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 from uuid import UUID, uuid5
 
-from conetl.db.map.commit import commit_changeset
+from conetl.db.map.commit import commit_changeset, place_drive
 from conetl.db.map.map_store import map_transaction
+from conetl.db.map.replay_store import read_versions
 from conetl.evaluation.truth import TruthCone
+from conetl.mapping.history import MapUpdate
 from conetl.model.base import Cov3
 from conetl.model.drive import Detection, Drive, DriveRecords, FramePair, Pose, Position, StereoMatch, Track
 from conetl.model.feature_classes import CONE, LANE_MARKING
-from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
+from conetl.model.map_records import Changeset, Delta, DeltaKind, FeatureVersion, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
 from conetl.model.rig import Camera, Rig, Side
+from conetl.pipeline.replay import one_more
 
 SRID = 32632
 DAY_NS = 86_400_000_000_000
@@ -272,11 +275,35 @@ def commit(
     """Commit a small drive with these deltas; `key` is one or more hex digits, different for every drive."""
     # Recorded at the same instant; the content puts them into the order of their keys.
     made = drive(f"drive_{key}", start_ns=start_ns, srid=srid, content_sha256=f"{int(key, 16):064x}")
+    records = DriveRecords(made, detections(), matches(), positions(), [track()], (), markings)
     with map_transaction(conn, map_name):
-        return commit_changeset(
-            conn,
-            DriveRecords(made, detections(), matches(), positions(), [track()], (), markings),
-            changeset(*deltas, drive_id=made.drive_id, key=key),
-            map_name=map_name,
-            **options,
-        )
+        return write(conn, records, changeset(*deltas, drive_id=made.drive_id, key=key), map_name=map_name, **options)
+
+
+def write(conn: Any, records: DriveRecords, made: Changeset, *, map_name: str = "default", **options: Any) -> Any:
+    """`commit_changeset` of made-up deltas, of a drive that is newer than all others around it."""
+    placed = place_drive(conn, records.drive, made.idempotency_key, map_name=map_name)
+    standing = {
+        one.version.feature_id: (one.version, one.version_row_id)
+        for one in read_versions(conn, [placed])
+        if one.version.valid_to_ns is None
+    }
+    replay = one_more(standing, MapUpdate(list(made.deltas), versions_of(made, standing), [], []), made.changeset_id)
+    return commit_changeset(conn, records, made, map_name=map_name, replay=replay, placed=placed, **options)
+
+
+def versions_of(made: Changeset, standing: Mapping[UUID, tuple[FeatureVersion, int]]) -> list[FeatureVersion]:
+    """The new versions that made-up deltas bring."""
+    versions = []
+    for delta in made.deltas:
+        if delta.is_change:
+            before, _ = standing.get(delta.feature_id, (None, 0))
+            number, from_ns = (before.feature.version + 1, before.valid_from_ns + 1000) if before else (1, 0)
+            state = delta.state_after.model_copy(update={"version": number})
+            versions.append(
+                FeatureVersion(
+                    feature=state, changeset_id=made.changeset_id, present=delta.new is not None, suppressed=False,
+                    valid_from_ns=max(delta.changed_at_ns, from_ns), valid_to_ns=None,
+                )
+            )  # fmt: skip
+    return versions

@@ -19,7 +19,6 @@ import uvicorn
 from fastapi.testclient import TestClient
 from pydantic import SecretStr
 
-from conetl.db.map.commit import commit_changeset
 from conetl.db.map.map_store import map_transaction
 from conetl.model.base import utc_from_ns
 from conetl.model.drive import Detection, Drive, DriveRecords
@@ -55,7 +54,7 @@ def commit(conn: Any, samples: SimpleNamespace, folder: Path, key: str, day: int
     drive = with_images(made, samples.detections(), folder / made.drive_id)
     noon = utc_from_ns(start_ns) + timedelta(hours=4)
     with map_transaction(conn), patch("conetl.db.map.commit.system_time", return_value=noon):
-        return commit_changeset(
+        return samples.write(
             conn,
             DriveRecords(drive, samples.detections(), samples.matches(), samples.positions(), [samples.track()]),
             samples.changeset(*deltas, drive_id=drive.drive_id, key=key),

@@ -84,11 +84,6 @@ class MapUpdate:
     hold: HealthCheck | None = None
     """Why the drive contradicts the map and changes nothing until a person accepts it; None where it counts."""
 
-    @property
-    def suppressed(self) -> frozenset[UUID]:
-        """Features that the drive observed at a suppressed location."""
-        return frozenset(version.feature_id for version in self.versions if version.suppressed)
-
 
 @dataclass
 class MapHistory:

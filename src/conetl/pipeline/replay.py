@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import gc
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -22,7 +22,7 @@ from conetl.db.map.commit import INFLUENCE_M, commit_changeset, path_wkt, place_
 from conetl.db.map.decision_store import held_drives, hold_changes, read_decisions
 from conetl.db.map.drive_store import load_stored_drive, read_view
 from conetl.db.map.map_store import require_map
-from conetl.db.map.results import CommittedChangeset, DriveRef, Replay, RunInfo
+from conetl.db.map.results import NOTHING, CommittedChangeset, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
 from conetl.mapping import visibility
 from conetl.mapping.agreement import is_confirmed
@@ -118,7 +118,7 @@ def merge_drive(
     )  # fmt: skip
     if isinstance(near, CommittedChangeset):  # another ingest of the same drive was faster
         return near
-    extension, replay = MapUpdate([], [], [], []), None
+    extension, replay = MapUpdate([], [], [], []), NOTHING
     changeset = with_free_id(conn, changeset, near.drive_uuid)
     affected, held_before = [ref.changeset_id for ref in near.affected], held_drives(conn, map_name=map_name)
     by_map = not hold
@@ -127,17 +127,17 @@ def merge_drive(
         extension, replay = _compared(
             conn, near, _own_evidence(records, changeset, key, params, figures), drive, map_name
         )
-        affected = affected if replay is None else [*replay.holds]
+        affected = [*replay.holds]
         hold = () if extension.hold is None else (extension.hold,)
     changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
     committed = commit_changeset(
-        conn, records, changeset, map_name=map_name, run=run, suppressed=extension.suppressed, replay=replay, hold=hold,
-        held_by_map=by_map, placed=near.drive_uuid,
+        conn, records, changeset, map_name=map_name, run=run, replay=replay, hold=hold, held_by_map=by_map,
+        placed=near.drive_uuid,
     )  # fmt: skip
     others: tuple[HoldChange, ...] = ()
     if held_before or affected:  # else there is no drive whose hold could begin or end
         others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
-    return Merged(changeset, extension, 0 if replay is None else len(replay.holds), committed, others)
+    return Merged(changeset, extension, len(replay.holds), committed, others)
 
 
 def _own_evidence(
@@ -163,15 +163,30 @@ def _own_evidence(
 
 def _compared(
     conn: Connection, near: store.Neighbourhood, own: DriveEvidence, drive: Drive, map_name: str
-) -> tuple[MapUpdate, Replay | None]:
-    """What a drive changes; and the new state of its neighbourhood, if others have to be compared again because of it."""
+) -> tuple[MapUpdate, Replay]:
+    """What a drive changes, and the new state of what it changes: of its neighbourhood, if others have to be compared again."""
     decisions, later = read_decisions(conn, map_name=map_name), near.later
     if later or len(near.aside) > 1 or near.reaches_far:
         again = [*near.aside, *(ref.drive_uuid for ref in later)]
         folded, replay = replay_of(conn, again, later, decisions, own=[own], newcomer=_newcomer(near, drive))
         return folded.updates[own.changeset_id], replay
     standing = store.read_standing_around(conn, near.drive_uuid)
-    return apply_drive(standing, own, decisions, store.read_doubts_around(conn, near.drive_uuid)), None
+    doubts = store.read_doubts_around(conn, near.drive_uuid)
+    update = apply_drive({one: version for one, (version, _) in standing.items()}, own, decisions, doubts)
+    return update, one_more(standing, update, own.changeset_id)
+
+
+def one_more(standing: Mapping[UUID, tuple[FeatureVersion, int]], update: MapUpdate, changeset_id: UUID) -> Replay:
+    """What one drive that is newer than all others around it changes; standing: versions with their row ids, by feature id."""
+    replaced = [(*standing[new.feature_id], new) for new in update.versions if new.feature_id in standing]
+    ended = [version.model_copy(update={"valid_to_ns": new.valid_from_ns}) for version, _, new in replaced]
+    return Replay(
+        versions_before={version: row_id for version, row_id, _ in replaced},
+        deltas_before={},
+        versions=[*ended, *update.versions],
+        deltas=[(changeset_id, delta) for delta in update.deltas],
+        holds={},
+    )
 
 
 def _newcomer(near: store.Neighbourhood, drive: Drive) -> Newcomer:
@@ -250,7 +265,7 @@ def _folded(
     given += store.read_misses(conn, [*aside, *around], without=out)
     folded = replay_drives(evidence, decisions, given=given)
     replay = Replay(
-        versions_before=versions,
+        versions_before={stored.version: stored.version_row_id for stored in versions},
         deltas_before=deltas,
         versions=[version for chain in folded.chains.values() for version in chain],
         deltas=[

@@ -14,7 +14,7 @@ Everything is committed at the end of the block, or nothing.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import datetime
 from functools import partial
@@ -28,8 +28,8 @@ from conetl.db.live_store import drop_watched_recording
 from conetl.db.map import rows as map_rows
 from conetl.db.map.decision_store import write_holds
 from conetl.db.map.map_store import find_changeset, map_for, system_time
-from conetl.db.map.replay_store import take_turn, write_replay
-from conetl.db.map.results import CommittedChangeset, MapInfo, Replay, RunInfo
+from conetl.db.map.replay_store import merge_replay, stage_replay, take_turn
+from conetl.db.map.results import NOTHING, CommittedChangeset, MapInfo, Replay, RunInfo
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.drive import Drive, DriveRecords
 from conetl.model.errors import MapMismatchError
@@ -98,20 +98,18 @@ def commit_changeset(
     *,
     map_name: str = "default",
     run: RunInfo | None = None,
-    suppressed: Collection[UUID] = (),
-    replay: Replay | None = None,
+    replay: Replay = NOTHING,
     hold: Sequence[HealthCheck] = (),
     held_by_map: bool = False,
     placed: UUID | None = None,
 ) -> CommittedChangeset:
     """Write a drive, everything made from it, and its changeset, under the locks that the caller holds.
 
-    The map is created by its first changeset with the drive's SRID. Versions are numbered here: the open one's plus one.
-    suppressed: features that end where a person decided that nothing stands. replay: for a drive that is older than others
-    around it, the new state of the whole neighbourhood, the changeset's own deltas included. hold: the checks for which the drive
-    must not count until a person accepts it; held_by_map: whether the comparison with the map made them. placed: the drive, where
-    the caller has placed it. It must have no changeset yet. Raises MapMismatchError if the drive is in another CRS, the
-    records do not fit together, or a delta's `old` is not what the map holds now; DatabaseError from the surrounding transaction.
+    The map is created by its first changeset with the drive's SRID. replay: the new state of what the changeset changes, its own
+    deltas included; of the whole neighbourhood where others were compared again. hold: the checks for which the drive must not
+    count until a person accepts it; held_by_map: whether the comparison with the map made them. placed: the drive, where the
+    caller has placed it. It must have no changeset yet. Raises MapMismatchError if the drive is in another CRS, or the records do
+    not fit together; DatabaseError from the surrounding transaction.
     """
     drive = records.drive
     placed = placed or place_drive(conn, drive, changeset.idempotency_key, map_name=map_name)
@@ -121,8 +119,7 @@ def commit_changeset(
     # Encoding takes nearly as long as sending, during which this process would only wait: a thread encodes the next block.
     with ThreadPoolExecutor(1) as pool:
         upcoming = pool.submit(next, blocks, None)
-        if replay is None:
-            _stage_deltas(conn, info, placed, changeset, suppressed)
+        staged = stage_replay(conn, info, replay)
         while (block := upcoming.result()) is not None:
             upcoming = pool.submit(next, blocks, None)
             db.copy_block(conn, block)
@@ -131,10 +128,7 @@ def commit_changeset(
     insert_changeset(conn, info, placed, changeset, records, run, committed_at)
     db.copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
-    if replay is None:
-        versions_written = _merge_deltas(conn, info, changeset, committed_at)
-    else:
-        versions_written = write_replay(conn, info, replay, committed_at)
+    versions_written = merge_replay(conn, staged, replay, committed_at)
     write_holds(conn, {changeset.changeset_id: hold} if hold else {}, committed_at, by_map=held_by_map)
     renew_statistics(conn, versions_written)
     return committed_changeset(conn, changeset, map_name=map_name)
@@ -246,40 +240,3 @@ def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iter
     for table, some, columns_of in tables:
         for start in range(0, len(some), BLOCK_RECORDS):
             yield db.encoded_block(f"conetl.{table}", columns_of(some[start : start + BLOCK_RECORDS]))
-
-
-def _stage_deltas(
-    conn: Connection, info: MapInfo, drive_uuid: UUID, changeset: Changeset, suppressed: Collection[UUID]
-) -> None:
-    """All deltas, and the versions that they start from, into tables of the transaction's own. Raises MapMismatchError."""
-    db.query(conn, "commit.create_delta_stage")
-    db.copy_columns(conn, "delta_stage", map_rows.delta_columns(info.srid, changeset.deltas, suppressed))
-    db.execute(conn, "analyze delta_stage (feature_id, kind, is_change)")
-    db.query(conn, "commit.create_open_version", drive_uuid=drive_uuid)
-    db.execute(conn, "analyze open_version")
-    db.query(conn, "commit.add_open_versions")
-    conflicts = db.query(conn, "commit.delta_conflicts", map_id=info.map_id)
-    if conflicts:
-        raise MapMismatchError(_conflict_text(info.map_name, conflicts[0]))
-
-
-def _merge_deltas(conn: Connection, info: MapInfo, changeset: Changeset, committed_at: datetime) -> int:
-    """Close what the staged deltas replace, write what they bring; new versions."""
-    parameters = {"map_id": info.map_id, "srid": info.srid, "changeset_id": changeset.changeset_id}
-    parameters |= {"committed_at": committed_at}
-    db.query(conn, "commit.insert_features", **parameters)
-    db.query(conn, "commit.end_versions", **parameters)
-    versions = db.execute_count(conn, db.load_sql("commit.insert_versions"), parameters)
-    db.query(conn, "commit.insert_deltas", **parameters)
-    db.execute(conn, "drop table delta_stage, open_version")
-    return versions
-
-
-def _conflict_text(map_name: str, conflict: Mapping[str, Any]) -> str:
-    found = "nothing" if conflict["version"] is None else f"version {conflict['version']}"
-    state = "" if conflict["present"] is None else (" (standing)" if conflict["present"] else " (removed)")
-    return (
-        f"The map {map_name} changed since this drive was compared with it: feature {conflict['feature_id']} should be "
-        f"{conflict['kind']} from version {conflict['old_version']}, but the map holds {found}{state}. Nothing was written; "
-        "ingest the drive again."
-    )

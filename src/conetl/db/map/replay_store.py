@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from datetime import datetime
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from uuid import UUID
 
 from conetl.db import connection as db
@@ -25,6 +25,7 @@ from conetl.db.map.map_store import find_changeset, find_map, map_lock
 from conetl.db.map.results import CommittedChangeset, DriveRef, MapInfo, Replay, StoredDeltas, StoredVersion
 from conetl.db.map.rows import Row, version_of
 from conetl.model.drive import Drive
+from conetl.model.errors import MapMismatchError
 from conetl.model.map_records import DriveOrder, FeatureVersion, Location, MissedObservation, MissSummary
 
 #: A town is a few regions, a drive of 100 km about a hundred.
@@ -36,11 +37,11 @@ MAX_REGIONS = 200
 _UNREAD = "The neighbourhood of the drives cannot be read"
 
 
-def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, FeatureVersion]:
-    """Open versions of the features that stand around a drive's path, suppressed ones too, by feature id."""
+def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, tuple[FeatureVersion, int]]:
+    """Open versions, with their row ids, of the features that stand around a drive's path, suppressed ones too, by feature id."""
     what = "The features around the drive cannot be read"
     rows = db.stream(conn, what, "replay.standing_around", drive_uuid=drive_uuid)
-    return {row["feature_id"]: version_of(row) for row in rows}
+    return {row["feature_id"]: (version_of(row), row["version_row_id"]) for row in rows}
 
 
 def affected_drives(conn: Connection, drive_uuids: Sequence[UUID]) -> list[DriveRef]:
@@ -112,26 +113,40 @@ def read_deltas(conn: Connection, drive_uuids: Sequence[UUID]) -> StoredDeltas:
 
 def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: datetime) -> int:
     """Write the new state where it differs from the old one; the number of versions written. Does not commit."""
-    kept = {stored.version: stored.version_row_id for stored in replay.versions_before}
-    wanted = set(replay.versions)
-    closed = [row_id for version, row_id in kept.items() if version not in wanted]
-    new = [version for version in replay.versions if version not in kept]
-    known = replay.deltas_before
+    return merge_replay(conn, stage_replay(conn, info, replay), replay, committed_at)
+
+
+def stage_replay(conn: Connection, info: MapInfo, replay: Replay) -> dict[str, Any]:
+    """Load what differs from the old state into temporary tables; parameters of the statements of `merge_replay`."""
+    wanted, known = set(replay.versions), replay.deltas_before
     values = {
         (changeset_id, *map_rows.change_values(delta)): (changeset_id, delta) for changeset_id, delta in replay.deltas
     }
-    closed_deltas = [row_id for value, row_id in known.items() if value not in values]
+    new = [version for version in replay.versions if version not in replay.versions_before]
     new_deltas = [change for value, change in values.items() if value not in known]
-
-    parameters = {"map_id": info.map_id, "srid": info.srid, "committed_at": committed_at}
     db.query(conn, "replay.create_version_stage")
     db.copy_columns(conn, "version_stage", map_rows.version_columns(info.srid, new))
     db.query(conn, "replay.create_replayed_delta_stage")
     db.copy_columns(conn, "replayed_delta_stage", map_rows.replayed_delta_columns(new_deltas))
     db.execute(conn, "analyze version_stage, replayed_delta_stage")
+    return {
+        "map_id": info.map_id,
+        "srid": info.srid,
+        "closed_versions": [row_id for version, row_id in replay.versions_before.items() if version not in wanted],
+        "closed_deltas": [row_id for value, row_id in known.items() if value not in values],
+    }
+
+
+def merge_replay(conn: Connection, staged: dict[str, Any], replay: Replay, committed_at: datetime) -> int:
+    """Write what `stage_replay` loaded; the number of versions written. MapMismatchError if the map is not as it was read."""
+    parameters = staged | {"committed_at": committed_at}
     db.query(conn, "replay.insert_staged_features", **parameters)
-    db.query(conn, "replay.close_version_rows", **parameters | {"row_ids": closed})
-    db.query(conn, "replay.close_delta_rows", **parameters | {"row_ids": closed_deltas})
+    for rows in ("versions", "deltas"):
+        closed = db.execute_count(conn, db.load_sql(f"replay.close_{rows}"), parameters)
+        if closed != len(staged[f"closed_{rows}"]):
+            raise MapMismatchError(
+                "The map changed since it was read. Nothing was written; run the same command again."
+            )
     written = db.execute_count(conn, db.load_sql("replay.insert_staged_versions"), parameters)
     db.query(conn, "replay.insert_replayed_deltas", **parameters)
     db.execute(conn, "drop table version_stage, replayed_delta_stage")

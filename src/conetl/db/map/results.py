@@ -130,14 +130,19 @@ StoredDeltas = Mapping[tuple[Any, ...], int]
 
 @dataclass(frozen=True)
 class Replay:
-    """The state of a neighbourhood before and after a replay; deltas after it with their changesets."""
+    """What of a neighbourhood may change, before and after it does; deltas after it with their changesets."""
 
-    versions_before: Sequence[StoredVersion]
+    versions_before: Mapping[FeatureVersion, int]
+    """With their row ids."""
     deltas_before: StoredDeltas
     versions: Sequence[FeatureVersion]
     deltas: Sequence[tuple[UUID, Delta]]
     holds: Mapping[UUID, HealthCheck | None]
     """Why the drives that were compared again are on hold, by changeset; None of those that count."""
+
+
+NOTHING = Replay({}, {}, (), (), {})
+"""What a drive on hold changes."""
 
 
 class DecisionFacts(Record):

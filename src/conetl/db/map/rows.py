@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from operator import attrgetter
 from typing import Any, TypeVar
 from uuid import UUID
@@ -137,30 +137,14 @@ def marking_track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[MarkingT
     }
 
 
-def delta_columns(srid: int, deltas: Sequence[Delta], suppressed: Collection[UUID] = ()) -> Columns:
-    """Temporary table delta_stage: one row per delta, with the resulting state of the feature.
-
-    A removed feature keeps its last state, marked as not present. suppressed: features that end where a person decided that
-    nothing stands.
-    """
-    changes = _change_columns(deltas)
-    new_version = changes.pop("new_version")  # numbered when the deltas are merged
-    return {
-        **changes,
-        "is_change": binary.booleans(new_version.values != changes["old_version"].values),
-        "present": binary.booleans([d.new is not None and d.feature_id not in suppressed for d in deltas]),
-        "suppressed": binary.booleans([d.new is not None and d.feature_id in suppressed for d in deltas]),
-        **feature_columns(srid, [delta.state_after for delta in deltas]),
-    }
-
-
 def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
     """Temporary table replayed_delta_stage: (changeset, delta) as they hold from now on."""
     deltas = [delta for _, delta in changes]
     return {
         "changeset_id": binary.uuids([changeset_id for changeset_id, _ in changes]),
         "of_line": binary.booleans([d.is_of_line for d in deltas]),
-        **_change_columns(deltas),
+        "changed_at": binary.timestamps_from_ns([d.changed_at_ns for d in deltas]),
+        **_encoded(_CHANGE, map(change_values, deltas)),
     }
 
 
@@ -219,11 +203,6 @@ def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Co
         **_attributes(cones, integers=integers, doubles=doubles, bigints="first_seen_ns last_seen_ns"),
         **jacobian_columns([c.shared_jacobian for c in cones]),
     }
-
-
-def _change_columns(deltas: Sequence[Delta]) -> Columns:
-    columns = _encoded(_CHANGE, map(change_values, deltas))
-    return columns | {"changed_at": binary.timestamps_from_ns([d.changed_at_ns for d in deltas])}
 
 
 def _attributes(records: Sequence[Any], **names: str) -> Columns:

@@ -283,7 +283,7 @@ def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[RevertConflic
             own[feature_id] = kind, old, new
         else:
             others.add(feature_id)
-    before = {(s.version.feature.feature_id, s.version.feature.version): s.version for s in replay.versions_before}
+    before = {(one.feature_id, one.feature.version): one for one in replay.versions_before}
     now = {version.feature.feature_id: version for version in replay.versions if version.valid_to_ns is None}
     return tuple(
         RevertConflict(
