@@ -142,22 +142,6 @@ and ST_NPoints(l.line) > 1
 group by d.drive_uuid, d.drive_id, d.captured_from_ns
 order by d.captured_from_ns, d.drive_id;
 
--- name: committed_drives
--- The recordings that were committed to a map, reverted ones included. Parameters: map_name.
--- Columns: as below; headers are header hashes of its folders according to receipts (empty: ingested by hand).
-select
-    d.drive_id, d.captured_from_ns, d.captured_to_ns, c.params_sha256, c.model_sha256, c.changeset_no, c.committed_at,
-    array(
-        select distinct r.header_sha256
-        from conetl.receipt r
-        where r.map_name = m.map_name and r.changeset_id = c.changeset_id
-    ) as headers
-from conetl.changeset c
-join conetl.drive d using (drive_uuid)
-join conetl.map m on m.map_id = d.map_id
-where m.map_name = %(map_name)s
-order by c.changeset_no;
-
 -- name: drives_at_the_same_time
 -- The active drives with other content that were around a path while it was driven; that have the same id and length at any time; or
 -- in which the longer one passed the middle and the first or third quarter of the shorter one (1 m) at the same interval, at any time;

@@ -54,3 +54,10 @@ from (
     order by r.receipt_no desc
     limit 200
 ) as timed;
+
+-- name: headers_by_changeset
+-- Header hashes of the folders that became changesets of a map. Parameters: map_name. Columns: changeset_id, headers (text[]).
+select changeset_id, array_agg(distinct header_sha256) as headers
+from conetl.receipt
+where map_name = %(map_name)s and changeset_id is not null
+group by changeset_id;

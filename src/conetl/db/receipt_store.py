@@ -71,21 +71,6 @@ class Receipt:
         return drive_lock(self.map_name, self.header_sha256)
 
 
-@dataclass(frozen=True)
-class DriveOnMap:
-    """A recording that was committed, with or without receipts."""
-
-    drive_id: str
-    captured_from_ns: int
-    captured_to_ns: int
-    params_sha256: str
-    model_sha256: str
-    changeset_no: int
-    committed_at: datetime
-    headers: tuple[str, ...]
-    """Header hashes of its folders according to receipts; empty if it was ingested by hand."""
-
-
 def drive_lock(map_name: str, header_sha256: str) -> str:
     """Name of the lock that is held while a drive is being ingested."""
     return f"conetl.drive/{map_name}/{header_sha256}"
@@ -126,11 +111,11 @@ def attempt_ends(conn: Connection, attempt_ids: Sequence[UUID]) -> dict[UUID, Re
     return {row["attempt_id"]: Receipt(**row) for row in rows}
 
 
-def drives_on_map(conn: Connection, *, map_name: str) -> list[DriveOnMap]:
-    """Every recording that was committed, oldest changeset first."""
-    with transaction(conn, "The drives of the map cannot be read"):
-        rows = query(conn, "drives.committed_drives", map_name=map_name)
-        return [DriveOnMap(**{**row, "headers": tuple(row["headers"])}) for row in rows]
+def headers_by_changeset(conn: Connection, *, map_name: str) -> dict[UUID, set[str]]:
+    """Header hashes of the folders of drives by their changesets; nothing of those that were ingested by hand."""
+    with transaction(conn, "The receipts cannot be read"):
+        rows = query(conn, "receipts.headers_by_changeset", map_name=map_name)
+    return {row["changeset_id"]: set(row["headers"]) for row in rows}
 
 
 def pairs_per_second(conn: Connection, *, map_name: str) -> float | None:

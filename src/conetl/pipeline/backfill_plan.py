@@ -13,10 +13,13 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
+from uuid import UUID
 
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import held_drives
-from conetl.db.receipt_store import DriveOnMap, Receipt, drives_on_map, held_locks, latest_receipts, pairs_per_second
+from conetl.db.map.map_store import list_changesets
+from conetl.db.map.results import CommittedChangeset
+from conetl.db.receipt_store import Receipt, headers_by_changeset, held_locks, latest_receipts, pairs_per_second
 from conetl.files.atomic import write_json
 from conetl.files.names import printable
 from conetl.files.parquet_store import result_key
@@ -124,10 +127,11 @@ def plan_drives(
     receipts = latest_receipts(conn, map_name=settings.map_name, headers=[o.header_sha256 for o in headers])
     locked = held_locks(conn, [receipt.drive_lock for receipt in receipts.values() if receipt.state == "started"])
     on_hold = {drive.changeset_no: drive for drive in held_drives(conn, map_name=settings.map_name)}
+    known: dict[str, list[CommittedChangeset]] = {}
+    for changeset in reversed(list_changesets(conn, map_name=settings.map_name)):
+        known.setdefault(changeset.drive_id, []).append(changeset)
     conn.rollback()
-    known: dict[str, list[DriveOnMap]] = {}
-    for drive in drives_on_map(conn, map_name=settings.map_name):
-        known.setdefault(drive.drive_id, []).append(drive)
+    folders_of = headers_by_changeset(conn, map_name=settings.map_name)
     lines: list[PlanLine] = []
     seen: dict[str, Path] = {}
     for header in sorted(headers, key=lambda o: (o.captured_from_ns or 0, str(o.path))):
@@ -136,7 +140,7 @@ def plan_drives(
             action, why = "skip", f"the same recording as {printable(seen[header.header_sha256])}"
         else:
             action, why = _judge(
-                header, receipt, known.get(header.drive_id, []), analysis, on_hold,
+                header, receipt, known.get(header.drive_id, []), folders_of, analysis, on_hold,
                 working=receipt is not None and receipt.drive_lock in locked, once=once, recheck=recheck,
             )  # fmt: skip
         seen.setdefault(header.header_sha256, header.path)
@@ -157,7 +161,8 @@ def plan_drives(
 def _judge(
     header: DriveHeader,
     receipt: Receipt | None,
-    on_map: Sequence[DriveOnMap],
+    on_map: Sequence[CommittedChangeset],
+    folders_of: Mapping[UUID, set[str]],
     analysis: Analysis,
     on_hold: Mapping[int, HeldDrive],
     *,
@@ -165,7 +170,7 @@ def _judge(
     once: bool,
     recheck: bool,
 ) -> tuple[Action, str]:
-    """What to do with one drive, and why."""
+    """What to do with one drive, and why. on_map: those of its id, oldest first; folders_of: header hashes by changeset."""
     if working and receipt is not None:
         return "wait", f"{receipt.host} ingests it since {_when(receipt.at)}"
     same = receipt is not None and receipt.analysis_sha256 == analysis.sha256
@@ -188,7 +193,9 @@ def _judge(
         if recheck:
             return "ingest", "asked to compare it again"
         # `conetl ingest` writes no receipt, so the header is unknown: id and time have to do.
-        same_folder = [d for d in alike if not d.headers or header.header_sha256 in d.headers]
+        same_folder = [
+            d for d in alike if header.header_sha256 in folders_of.get(d.changeset_id, (header.header_sha256,))
+        ]
         if not same_folder:
             return "ingest", f"changed since it was brought onto the map (changeset {alike[-1].changeset_no})"
         drive = same_folder[-1]
@@ -204,7 +211,7 @@ def _on_hold_since(drive: HeldDrive) -> str:
     return f"on hold since {_when(drive.since)} (changeset {drive.changeset_no}; see `conetl drive held`)"
 
 
-def _is_same_recording(header: DriveHeader, drive: DriveOnMap) -> bool:
+def _is_same_recording(header: DriveHeader, drive: CommittedChangeset) -> bool:
     """By time: the recorded span contains that on the map, whose first and last pair may have been rejected."""
     if header.captured_from_ns is None or header.captured_to_ns is None:
         return False
