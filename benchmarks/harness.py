@@ -27,10 +27,11 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
-from conetl.db.cluster.cluster import cluster_remove, cluster_up
+from conetl.db.cluster.cluster import cluster_up
 from conetl.db.connection import connect
 from conetl.db.schema import migrate
 from conetl.pipeline.settings import prefect_environment
+from tests.clusters import remove_cluster
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
@@ -68,7 +69,7 @@ def own_cluster(home: Path | None = None, *, folder: Path | None = None) -> Iter
         yield chosen, url
     finally:
         if home is None:
-            cluster_remove(chosen)
+            remove_cluster(chosen)
             shutil.rmtree(chosen, ignore_errors=True)
 
 

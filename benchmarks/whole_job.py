@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 
 from benchmarks.harness import KITTI, SAMPLE
-from conetl.db.cluster.cluster import cluster_remove, cluster_up
+from conetl.db.cluster.cluster import cluster_up
 from conetl.db.connection import connect, execute
 from conetl.model.ingest_report import DriveOnHoldError
 from conetl.model.params import IngestParams
@@ -24,6 +24,7 @@ from conetl.pipeline.executor import ThreadExecutor
 from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import read_header
+from tests.clusters import remove_cluster
 
 
 def source_drive(given: Path | None) -> Path:
@@ -74,7 +75,7 @@ def database_in(home: Path) -> Iterator[int]:
     try:
         yield database_pid(settings_in(home))
     finally:
-        cluster_remove(home)
+        remove_cluster(home)
 
 
 class TimedExecutor(ThreadExecutor):

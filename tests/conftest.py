@@ -56,13 +56,13 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 
 def _remove(home: Path) -> None:
-    from conetl.db.cluster.cluster import cluster_remove
     from conetl.services.processes import read_services, stop_service
+    from tests.clusters import remove_cluster
 
     if home.is_dir():
         for service in read_services(home).values():
             stop_service(service)
-        cluster_remove(home)
+        remove_cluster(home)
         shutil.rmtree(home, ignore_errors=True)  # services that were just stopped may still remove their own files
 
 

@@ -22,13 +22,14 @@ from typing import Any
 import httpx
 import pytest
 
-from conetl.db.cluster.cluster import cluster_remove, cluster_status
+from conetl.db.cluster.cluster import cluster_status
 from conetl.db.connection import connect, execute
 from conetl.exports import FORMATS
 from conetl.files.home import VIEW_TOKEN
 from conetl.services.processes import TOKEN, read_services
 from tests import command
 from tests.chromium import CHROMIUM, HTML_NAME, chromium, nothing_of_html_happens
+from tests.clusters import remove_cluster
 from tests.command import conetl, free_port
 from tests.integration.small_drives import SAMPLES, cut_drive, processes_with
 from tests.integration.strangers import (
@@ -158,7 +159,7 @@ def desk(services_home: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
     finally:
         api.close()
         found.run("down", code=None)
-        cluster_remove(home)
+        remove_cluster(home)
         left = processes_with("CONETL_HOME", home)
         shutil.rmtree(home)
     assert left == set()

@@ -145,23 +145,6 @@ def cluster_status(home: Path) -> ClusterStatus:
     )
 
 
-def cluster_remove(home: Path) -> bool:
-    """Stop the private cluster of `home` and DELETE its data; True if there was one."""
-    if not home.is_dir():
-        return False
-    with places.cluster_lock(home):
-        location = places.find_location(home)
-        if location is None:
-            return False
-        if _running_pid(location) is not None:
-            _stop(location, data_are_needed=False)
-        require_no_server_elsewhere(location)
-        shutil.rmtree(location.socket_directory, ignore_errors=True)
-        shutil.rmtree(location.directory)
-        (home / places.POINTER_NAME).unlink(missing_ok=True)
-        return True
-
-
 def _url(location: ClusterLocation) -> str:
     return f"postgresql://{SUPERUSER}@/{DATABASE}?host={quote(str(location.socket_directory), safe='')}&port={PORT}"
 
@@ -227,9 +210,9 @@ def _run_server(location: ClusterLocation, command: list[str], lock: int) -> Non
         time.sleep(0.5)
 
 
-def _stop(location: ClusterLocation, *, data_are_needed: bool = True) -> None:
+def _stop(location: ClusterLocation) -> None:
     install = choose_install(find_installs(), data_major=location.data_major)
-    for mode, timeout_s in (("fast", 60), ("immediate", 20)) if data_are_needed else (("immediate", 20),):
+    for mode, timeout_s in (("fast", 60), ("immediate", 20)):
         stop = [install.program("pg_ctl"), "stop", "-D", "data", "-m", mode, "-w", "-t", str(timeout_s)]
         stopped = run_as(location, stop, timeout_s=timeout_s + 10)
         if stopped.returncode == 0 or _running_pid(location) is None:
