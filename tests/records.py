@@ -283,11 +283,8 @@ def commit(
 def write(conn: Any, records: DriveRecords, made: Changeset, *, map_name: str = "default", **options: Any) -> Any:
     """`commit_changeset` of made-up deltas, of a drive that is newer than all others around it."""
     placed = place_drive(conn, records.drive, made.idempotency_key, map_name=map_name)
-    standing = {
-        one.version.feature_id: (one.version, one.version_row_id)
-        for one in read_versions(conn, [placed])
-        if one.version.valid_to_ns is None
-    }
+    stored, _ = read_versions(conn, [placed])
+    standing = {one.feature_id: (one, row_id) for one, row_id in stored.items() if one.valid_to_ns is None}
     replay = one_more(standing, MapUpdate(list(made.deltas), versions_of(made, standing), [], []), made.changeset_id)
     return commit_changeset(conn, records, made, map_name=map_name, replay=replay, placed=placed, **options)
 

@@ -105,8 +105,8 @@ def test_lane_markings_come_back_to_the_last_bit(conn, samples):
         if v.feature.marking
     ]
     assert before == wider.new and store.read_current_features(conn) == [cone]
-    versions = read_versions(conn, [result.drive_uuid])
-    assert [v.version.feature for v in versions if v.version.feature.marking] == [
+    versions, _ = read_versions(conn, [result.drive_uuid])
+    assert [v.feature for v in versions if v.feature.marking] == [
         line, wider.new, wider.new.model_copy(update={"version": 3}),
     ]  # fmt: skip
 
@@ -192,7 +192,7 @@ def test_equal_coordinates_in_another_crs_disturb_no_drive(conn, samples):
             cursor.execute(f"set local enable_{kind} = off")
     for drive_uuid in drives:
         assert len(replay_store.read_standing_around(conn, drive_uuid)) == 1
-        assert len(replay_store.read_versions(conn, [drive_uuid])) == 1
+        assert len(replay_store.read_versions(conn, [drive_uuid])[0]) == 1
         assert not replay_store.read_doubts_around(conn, drive_uuid)
         assert not replay_store.read_misses(conn, [drive_uuid], without=())
 

@@ -32,7 +32,7 @@ from conetl.mapping.markings import ViewCheck
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
 from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import HealthCheck, HoldChange
-from conetl.model.map_records import Changeset, Decisions, DriveOrder, FeatureVersion, MissedObservation
+from conetl.model.map_records import Changeset, Decisions, FeatureVersion
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.rig import Rig
@@ -257,15 +257,13 @@ def _folded(
     evidence: Sequence[DriveEvidence],
     decisions: Decisions,
 ) -> tuple[MapHistory, Replay]:
-    versions = store.read_versions(conn, [*aside, *around])
-    deltas = store.read_deltas(conn, aside)
     out = set(aside)
-    given: list[tuple[DriveOrder, FeatureVersion | MissedObservation]] = []
-    given += [(stored.key, stored.version) for stored in versions if stored.drive_uuid not in out]
-    given += store.read_misses(conn, [*aside, *around], without=out)
-    folded = replay_drives(evidence, decisions, given=given)
+    versions, others = store.read_versions(conn, [*aside, *around], without=out)
+    deltas = store.read_deltas(conn, aside)
+    misses = store.read_misses(conn, [*aside, *around], without=out)
+    folded = replay_drives(evidence, decisions, given=[*others, *misses])
     replay = Replay(
-        versions_before={stored.version: stored.version_row_id for stored in versions},
+        versions_before=versions,
         deltas_before=deltas,
         versions=[version for chain in folded.chains.values() for version in chain],
         deltas=[

@@ -22,7 +22,7 @@ from conetl.db.connection import Connection
 from conetl.db.map import rows as map_rows
 from conetl.db.map.decision_store import write_holds
 from conetl.db.map.map_store import find_changeset, find_map, map_lock
-from conetl.db.map.results import CommittedChangeset, DriveRef, MapInfo, Replay, StoredDeltas, StoredVersion
+from conetl.db.map.results import CommittedChangeset, DriveRef, MapInfo, Replay, StoredDeltas
 from conetl.db.map.rows import Row, version_of
 from conetl.model.drive import Drive
 from conetl.model.errors import MapMismatchError
@@ -79,10 +79,20 @@ def drives_at(conn: Connection, map_name: str, place: Location) -> list[UUID]:
     return [row["drive_uuid"] for row in db.query(conn, "replay.drives_at", map_name=map_name, **around)]
 
 
-def read_versions(conn: Connection, drive_uuids: Sequence[UUID]) -> list[StoredVersion]:
-    """All current versions of the features that ever stood around the drives."""
+def read_versions(
+    conn: Connection, drive_uuids: Sequence[UUID], *, without: Collection[UUID] = ()
+) -> tuple[dict[FeatureVersion, int], list[tuple[DriveOrder, FeatureVersion]]]:
+    """All current versions of the features that ever stood around the drives: with their row ids, and, of drives that are not in
+    `without`, with the drives' keys."""
     rows = db.stream(conn, _UNREAD, "replay.versions_around", drive_uuids=list(drive_uuids))
-    return [StoredVersion(row["version_row_id"], row["drive_uuid"], _key(row), version_of(row)) for row in rows]
+    stored: dict[FeatureVersion, int] = {}
+    others: list[tuple[DriveOrder, FeatureVersion]] = []
+    for row in rows:
+        version = version_of(row)
+        stored[version] = row["version_row_id"]
+        if row["drive_uuid"] not in without:
+            others.append((_key(row), version))
+    return stored, others
 
 
 def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, MissSummary]:

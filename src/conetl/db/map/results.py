@@ -10,7 +10,7 @@ from uuid import UUID
 
 from conetl.model.base import Record
 from conetl.model.health import HealthCheck
-from conetl.model.map_records import Classification, Delta, DeltaKind, DriveOrder, FeatureVersion, Location, MapFeature
+from conetl.model.map_records import Classification, Delta, DeltaKind, FeatureVersion, Location, MapFeature
 
 
 @dataclass(frozen=True)
@@ -112,16 +112,6 @@ class DriveRef:
     drive_uuid: UUID
     changeset_id: UUID
     idempotency_key: str
-
-
-@dataclass(frozen=True)
-class StoredVersion:
-    """A current version."""
-
-    version_row_id: int
-    drive_uuid: UUID
-    key: DriveOrder
-    version: FeatureVersion
 
 
 StoredDeltas = Mapping[tuple[Any, ...], int]
