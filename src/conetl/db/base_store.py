@@ -12,9 +12,9 @@ from uuid import UUID, uuid4
 import numpy as np
 import shapely
 
-from conetl.db import copy_binary as binary
+from conetl.db import copy_rows as copy
 from conetl.db.connection import Connection, copy_columns, query, read, stream_values, transaction
-from conetl.db.copy_binary import CopyColumn
+from conetl.db.copy_rows import Columns
 from conetl.model.arrays import Floats
 from conetl.model.work_zone_records import LaneLine
 from conetl.readers.base_layers.georeferencing import MapGround, ground_under
@@ -77,7 +77,7 @@ def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) ->
 
 def find_base_file(conn: Connection, file: BaseFile) -> int | None:
     """Number of points or lines kept by an earlier import of this file; None if there was none."""
-    identity = asdict(file) | {"params": binary.json_text(file.params)}
+    identity = asdict(file) | {"params": copy.json_text(file.params)}
     rows = read(conn, _unread(file.map_name), "base_layers.find_source", **identity)
     return int(rows[0]["kept_count"]) if rows else None
 
@@ -116,14 +116,14 @@ def _write(
     file: BaseFile,
     counts: BaseCounts,
     table: str,
-    blocks: Iterable[tuple[dict[str, CopyColumn], int]],
+    blocks: Iterable[tuple[Columns, int]],
 ) -> int | None:
     with transaction(conn, f"{file.source_path} was not imported, nothing was written"):
         kept = 0
         for columns, count in blocks:
             copy_columns(conn, table, columns)
             kept += count
-        own = {"params": binary.json_text(file.params), "source_id": source_id, "kept_count": kept}
+        own = {"params": copy.json_text(file.params), "source_id": source_id, "kept_count": kept}
         parameters = asdict(file) | asdict(counts) | own
         if not query(conn, "base_layers.insert_source", **parameters):
             conn.rollback()
@@ -132,28 +132,26 @@ def _write(
         return kept
 
 
-def _tile_columns(source_id: UUID, tiles: list[Tile]) -> dict[str, CopyColumn]:
+def _tile_columns(source_id: UUID, tiles: list[Tile]) -> Columns:
     return {
-        "source_id": binary.constant_uuid(source_id, len(tiles)),
-        "level": binary.fixed([t.level for t in tiles], ">i2"),
-        "ix": binary.integers([t.ix for t in tiles]),
-        "iy": binary.integers([t.iy for t in tiles]),
-        "points": binary.integers([t.points for t in tiles]),
-        "origin_m": binary.arrays([t.origin_m for t in tiles], ">f8"),
-        "scale_m": binary.arrays([t.scale_m for t in tiles], ">f8"),
-        "high_m": binary.doubles([t.high_m for t in tiles]),
-        "sha256": binary.texts([hashlib.sha256(t.payload).hexdigest() for t in tiles]),
-        "payload": binary.byteas([t.payload for t in tiles]),
+        "source_id": [source_id] * len(tiles),
+        **{
+            name: [getattr(tile, name) for tile in tiles]
+            for name in ("level", "ix", "iy", "points", "high_m", "payload")
+        },
+        "origin_m": copy.arrays(t.origin_m for t in tiles),
+        "scale_m": copy.arrays(t.scale_m for t in tiles),
+        "sha256": [hashlib.sha256(t.payload).hexdigest() for t in tiles],
     }
 
 
-def _line_columns(source_id: UUID, lines: list[Line], srid: int) -> dict[str, CopyColumn]:
+def _line_columns(source_id: UUID, lines: list[Line], srid: int) -> Columns:
     shapes = [shapely.set_srid(shapely.LineString(line.xyz), srid) for line in lines]
     return {
-        "source_id": binary.constant_uuid(source_id, len(lines)),
-        "kind": binary.texts([line.kind for line in lines]),
-        "attributes": binary.jsons([line.attributes for line in lines]),
-        "geom": binary.byteas(list(shapely.to_wkb(shapes, include_srid=True, output_dimension=3))),
+        "source_id": [source_id] * len(lines),
+        "kind": [line.kind for line in lines],
+        "attributes": [line.attributes for line in lines],
+        "geom": list(shapely.to_wkb(shapes, hex=True, include_srid=True, output_dimension=3)),
     }
 
 

@@ -25,7 +25,7 @@ import psycopg2.errors
 import psycopg2.extensions
 import psycopg2.extras
 
-from conetl.db.copy_binary import CopyColumn, encode
+from conetl.db.copy_rows import Columns, encode
 from conetl.model.errors import DatabaseError, InputError
 
 Connection: TypeAlias = psycopg2.extensions.connection
@@ -314,14 +314,14 @@ def query_columns(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> 
         return [(column.name, column.type_code) for column in cursor.description or ()]
 
 
-def copy_columns(conn: Connection, table: str, columns: Mapping[str, CopyColumn]) -> None:
-    """Load columns into a table by COPY BINARY, inside the open transaction."""
+def copy_columns(conn: Connection, table: str, columns: Columns) -> None:
+    """Load columns into a table by COPY, inside the open transaction."""
     copy_block(conn, encoded_block(table, columns))
 
 
-def encoded_block(table: str, columns: Mapping[str, CopyColumn]) -> CopyBlock:
-    """Rows of columns encoded for COPY BINARY; needs no connection."""
-    return f"copy {table} ({', '.join(columns)}) from stdin (format binary)", encode(columns)
+def encoded_block(table: str, columns: Columns) -> CopyBlock:
+    """Rows of columns encoded for COPY; needs no connection."""
+    return f"copy {table} ({', '.join(columns)}) from stdin (format csv)", encode(columns)
 
 
 def copy_block(conn: Connection, block: CopyBlock) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 from uuid import UUID
 
 from conetl.db.connection import Connection, execute_count, load_sql, query, read, transaction
-from conetl.db.copy_binary import clean_text
+from conetl.db.copy_rows import clean_text
 from conetl.db.receipt_store import held_locks
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.drive import Drive, Track

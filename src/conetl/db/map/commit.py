@@ -23,7 +23,7 @@ from uuid import NAMESPACE_URL, UUID, uuid5
 
 from conetl.db import connection as db
 from conetl.db.connection import Connection
-from conetl.db.copy_binary import clean_text, json_text
+from conetl.db.copy_rows import Columns, clean_text, json_text
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map import rows as map_rows
 from conetl.db.map.decision_store import write_holds
@@ -229,7 +229,7 @@ def path_wkt(drive: Drive) -> str:
 
 
 def _encoded_records(drive_uuid: UUID, srid: int, records: DriveRecords) -> Iterator[db.CopyBlock]:
-    tables: tuple[tuple[str, Sequence[Any], Callable[[Any], map_rows.Columns]], ...] = (
+    tables: tuple[tuple[str, Sequence[Any], Callable[[Any], Columns]], ...] = (
         ("frame_pair", records.drive.frame_pairs, partial(map_rows.frame_pair_columns, drive_uuid, srid)),
         ("detection", records.detections, partial(map_rows.detection_columns, drive_uuid)),
         ("stereo_match", records.matches, partial(map_rows.match_columns, drive_uuid)),

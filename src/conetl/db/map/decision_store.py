@@ -7,7 +7,7 @@ from datetime import datetime
 from uuid import UUID, uuid4
 
 from conetl.db.connection import Connection, query, read
-from conetl.db.copy_binary import clean_text, json_text
+from conetl.db.copy_rows import clean_text, json_text
 from conetl.db.map.results import Decidable, MapInfo, StoredDecision
 from conetl.model.health import HealthCheck, HeldDrive, HoldChange, HoldEvent, hold_reason
 from conetl.model.map_records import Classification, Decisions, Location

@@ -13,7 +13,7 @@ from uuid import UUID
 import numpy as np
 
 from conetl.db.connection import Connection, read, stream, stream_values
-from conetl.db.copy_binary import json_text
+from conetl.db.copy_rows import json_text
 from conetl.db.map.import_store import read_statements
 from conetl.db.map.rows import Row, covariances, jacobian_of, marking_of, record_of
 from conetl.model.arrays import Floats

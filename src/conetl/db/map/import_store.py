@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
 
 from conetl.db import connection as db
 from conetl.db.connection import Connection
-from conetl.db.copy_binary import bigints, clean_text, constant_uuid, integers, json_text, uuids
+from conetl.db.copy_rows import Columns, clean_text, json_text
 from conetl.db.map import rows as map_rows
 from conetl.db.map.commit import insert_changeset, renew_statistics
 from conetl.db.map.map_store import map_for, require_map, system_time
@@ -141,15 +141,15 @@ def set_licence(conn: Connection, map_name: str, licence: str) -> None:
         db.query(conn, "map.set_licence", map_name=map_name, licence=clean_text(licence).strip() or None)
 
 
-def _statement_columns(drive_uuid: UUID, srid: int, statements: Sequence[ImportedFeature]) -> Mapping[str, Any]:
+def _statement_columns(drive_uuid: UUID, srid: int, statements: Sequence[ImportedFeature]) -> Columns:
     features = [statement.feature for statement in statements]
     cones = map_rows.cone_columns(srid, features)
     return {
-        "drive_uuid": constant_uuid(drive_uuid, len(statements)),
-        "statement_index": integers(np.arange(len(statements))),
-        "feature_id": uuids([feature.feature_id for feature in features]),
+        "drive_uuid": [drive_uuid] * len(statements),
+        "statement_index": np.arange(len(statements)),
+        "feature_id": [feature.feature_id for feature in features],
         **{name: column for name, column in cones.items() if name not in _NOT_STATED},
-        "valid_from_ns": bigints([statement.valid_from_ns for statement in statements]),
+        "valid_from_ns": [statement.valid_from_ns for statement in statements],
     }
 
 

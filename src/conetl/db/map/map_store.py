@@ -14,7 +14,7 @@ import numpy as np
 
 from conetl.db import connection as db
 from conetl.db.connection import Connection
-from conetl.db.copy_binary import clean_text
+from conetl.db.copy_rows import clean_text
 from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, MapInfo
 from conetl.db.map.rows import feature_of, version_of
 from conetl.model.errors import InputError, MapMismatchError

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from operator import attrgetter
 from typing import Any, TypeVar
 from uuid import UUID
@@ -11,8 +11,8 @@ from uuid import UUID
 import numpy as np
 import shapely
 
-from conetl.db import copy_binary as binary
-from conetl.db.copy_binary import CopyColumn
+from conetl.db import copy_rows as copy
+from conetl.db.copy_rows import Columns
 from conetl.geometry.packing import stacked
 from conetl.model.base import Cov3, Record, SharedErrorJacobian
 from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
@@ -22,8 +22,6 @@ from conetl.model.rejections import Rejection
 
 R = TypeVar("R", bound=Record)
 Row = Mapping[str, Any]
-Columns = dict[str, CopyColumn]
-Encoder = Callable[[Any], CopyColumn]
 _COV_NAMES = ("xx", "xy", "xz", "yy", "yz", "zz")
 #: Bytes before the items of an array of one dimension and of three, and the offset of the former's length.
 _HEAD_OF_ONE, _HEAD_OF_THREE, _LENGTH_AT = 20, 36, 12
@@ -31,17 +29,12 @@ _REALS = np.dtype([("length", ">i4"), ("value", ">f4")])
 #: Bytes before the vertices in `ST_AsBinary`.
 _WKB_HEAD = 9
 #: Columns of a lane marking that are named as the attributes.
-_PAINT: dict[str, Encoder] = {
-    "width_m": binary.doubles, "width_sigma_m": binary.doubles, "colour": binary.texts, "pattern": binary.texts,
-    "dash_m": binary.doubles, "gap_m": binary.doubles,
-}  # fmt: skip
+_PAINT = ("width_m", "width_sigma_m", "colour", "pattern", "dash_m", "gap_m")
 #: Columns of a delta's row in the order of `replay.current_deltas`. new_version: the old one if a confirmation changed nothing.
-_CHANGE: dict[str, Encoder] = {
-    "feature_id": binary.uuids, "kind": binary.texts, "old_version": binary.integers, "new_version": binary.integers,
-    "track_index": binary.integers, "changed_at_ns": binary.bigints, "shift_m": binary.doubles,
-    "other_feature_id": binary.uuids, "log_likelihood_ratio": binary.doubles, "existence_after": binary.doubles,
-    "frames_seen": binary.integers, "frames_empty": binary.integers,
-}  # fmt: skip
+_CHANGE = (
+    "feature_id", "kind", "old_version", "new_version", "track_index", "changed_at_ns", "shift_m", "other_feature_id",
+    "log_likelihood_ratio", "existence_after", "frames_seen", "frames_empty",
+)  # fmt: skip
 
 
 def record_of(record_type: type[R], row: Row, **computed: Any) -> R:
@@ -63,76 +56,69 @@ def frame_pair_columns(drive_uuid: UUID, srid: int, pairs: Sequence[FramePair]) 
     """Table frame_pair."""
     poses = [pair.pose for pair in pairs]
     return {
-        "drive_uuid": binary.constant_uuid(drive_uuid, len(pairs)),
-        **_attributes(
-            pairs, integers="frame_index", texts="left_path right_path", bigints="captured_at_ns", doubles="detail"
-        ),
-        "geom": binary.points([p.map_t_body_m for p in poses], srid),
-        "map_r_body": binary.arrays(np.reshape([p.map_R_body for p in poses], (-1, 9)), ">f8"),
-        "sigma_enu_m": binary.arrays([p.sigma_enu_m for p in poses], ">f8"),
-        "sigma_rpy_rad": binary.arrays([p.sigma_rpy_rad for p in poses], ">f8"),
+        "drive_uuid": [drive_uuid] * len(pairs),
+        **_attributes(pairs, "frame_index left_path right_path captured_at_ns detail"),
+        "geom": copy.points([p.map_t_body_m for p in poses], srid),
+        "map_r_body": copy.arrays(sum(p.map_R_body, ()) for p in poses),
+        "sigma_enu_m": copy.arrays([p.sigma_enu_m for p in poses]),
+        "sigma_rpy_rad": copy.arrays([p.sigma_rpy_rad for p in poses]),
     }
 
 
 def detection_columns(drive_uuid: UUID, detections: Sequence[Detection]) -> Columns:
     """Table detection."""
-    named = _attributes(
-        detections, integers="frame_index detection_index", texts="side category", doubles="x_px y_px w_px h_px score"
-    )
-    return named | {"drive_uuid": binary.constant_uuid(drive_uuid, len(detections))}
+    names = "frame_index detection_index side category x_px y_px w_px h_px score"
+    return {"drive_uuid": [drive_uuid] * len(detections), **_attributes(detections, names)}
 
 
 def match_columns(drive_uuid: UUID, matches: Sequence[StereoMatch]) -> Columns:
     """Table stereo_match."""
-    doubles = "sigma_u_px sigma_v_px sigma_pointing_px cost"
-    columns = {
-        "drive_uuid": binary.constant_uuid(drive_uuid, len(matches)),
-        **_attributes(matches, integers="frame_index match_index", booleans="refined", doubles=doubles),
-        "left_detection_index": binary.integers([m.left.detection_index for m in matches]),
-        "right_detection_index": binary.integers([m.right.detection_index for m in matches]),
+    columns: dict[str, Any] = {
+        "drive_uuid": [drive_uuid] * len(matches),
+        **_attributes(matches, "frame_index match_index refined sigma_u_px sigma_v_px sigma_pointing_px cost"),
+        "left_detection_index": [m.left.detection_index for m in matches],
+        "right_detection_index": [m.right.detection_index for m in matches],
     }
     for point in ("foot", "centre", "tip"):
         for side in ("left", "right"):
             uv_px = stacked([getattr(m, f"{point}_{side}_uv_px") for m in matches], 2)
-            columns[f"{point}_{side}_u_px"] = binary.doubles(uv_px[:, 0])
-            columns[f"{point}_{side}_v_px"] = binary.doubles(uv_px[:, 1])
+            columns[f"{point}_{side}_u_px"] = uv_px[:, 0]
+            columns[f"{point}_{side}_v_px"] = uv_px[:, 1]
     return columns
 
 
 def position_columns(drive_uuid: UUID, srid: int, positions: Sequence[Position]) -> Columns:
     """Table position."""
     camera = stacked([p.camera_xyz_m for p in positions], 3)
-    doubles = "range_m ray_angle_rad residual_rms_px score"
+    names = "frame_index match_index iterations range_m ray_angle_rad residual_rms_px score"
     return {
-        "drive_uuid": binary.constant_uuid(drive_uuid, len(positions)),
+        "drive_uuid": [drive_uuid] * len(positions),
         **_located(srid, positions),
-        **{f"camera_{axis}_m": binary.doubles(camera[:, i]) for i, axis in enumerate("xyz")},
+        **{f"camera_{axis}_m": camera[:, i] for i, axis in enumerate("xyz")},
         **_covariance("camera_cov", [p.camera_cov_m2 for p in positions]),
-        **_attributes(positions, integers="frame_index match_index iterations", doubles=doubles),
+        **_attributes(positions, names),
     }
 
 
 def track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[Track]) -> Columns:
     """Table track."""
     return {
-        "drive_uuid": binary.constant_uuid(drive_uuid, len(tracks)),
+        "drive_uuid": [drive_uuid] * len(tracks),
         **cone_columns(srid, tracks),
         **_covariance("relative_cov", [t.relative_cov_m2 for t in tracks]),
-        **_attributes(tracks, integers="track_index", doubles="residual_rms_px nearest_range_m"),
-        "members": binary.arrays([sorted(track.members) for track in tracks], ">i4"),
+        **_attributes(tracks, "track_index residual_rms_px nearest_range_m"),
+        "members": copy.arrays([sorted(track.members) for track in tracks]),
     }
 
 
 def marking_track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[MarkingTrack]) -> Columns:
     """Table marking_track."""
-    integers, doubles = "marking_index observation_count", "existence_probability contrast blur_px"
+    seen = "observation_count existence_probability first_seen_ns last_seen_ns"
     return {
-        "drive_uuid": binary.constant_uuid(drive_uuid, len(tracks)),
-        **_attributes(
-            tracks, integers=integers, doubles=doubles, bigints="first_seen_ns last_seen_ns", texts="category"
-        ),
+        "drive_uuid": [drive_uuid] * len(tracks),
+        **_attributes(tracks, f"marking_index category contrast blur_px {seen}"),
         **marking_columns(srid, [track.marking for track in tracks]),
-        "relative_cov": binary.arrays([track.relative_cov_m2 for track in tracks], ">f8"),
+        "relative_cov": copy.arrays([track.relative_cov_m2 for track in tracks]),
         **jacobian_columns([track.shared_jacobian for track in tracks]),
     }
 
@@ -141,10 +127,10 @@ def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
     """Temporary table replayed_delta_stage: (changeset, delta) as they hold from now on."""
     deltas = [delta for _, delta in changes]
     return {
-        "changeset_id": binary.uuids([changeset_id for changeset_id, _ in changes]),
-        "of_line": binary.booleans([d.is_of_line for d in deltas]),
-        "changed_at": binary.timestamps_from_ns([d.changed_at_ns for d in deltas]),
-        **_encoded(_CHANGE, map(change_values, deltas)),
+        "changeset_id": [changeset_id for changeset_id, _ in changes],
+        "of_line": [d.is_of_line for d in deltas],
+        "changed_at": copy.timestamps_from_ns([d.changed_at_ns for d in deltas]),
+        **_named(_CHANGE, map(change_values, deltas)),
     }
 
 
@@ -152,13 +138,13 @@ def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
     """Temporary table version_stage: whole versions, as they hold from now on."""
     return {
         **feature_columns(srid, [v.feature for v in versions]),
-        "feature_id": binary.uuids([v.feature.feature_id for v in versions]),
-        "version": binary.integers([v.feature.version for v in versions]),
-        "present": binary.booleans([v.present and not v.suppressed for v in versions]),
-        **_attributes(versions, uuids="changeset_id", booleans="suppressed", bigints="valid_from_ns"),
-        "valid_from": binary.timestamps_from_ns([v.valid_from_ns for v in versions]),
-        "valid_to": binary.timestamps_from_ns([0 if v.valid_to_ns is None else v.valid_to_ns for v in versions]),
-        "is_open": binary.booleans([v.valid_to_ns is None for v in versions]),
+        "feature_id": [v.feature.feature_id for v in versions],
+        "version": [v.feature.version for v in versions],
+        "present": [v.present and not v.suppressed for v in versions],
+        **_attributes(versions, "changeset_id suppressed valid_from_ns"),
+        "valid_from": copy.timestamps_from_ns([v.valid_from_ns for v in versions]),
+        "valid_to": copy.timestamps_from_ns([0 if v.valid_to_ns is None else v.valid_to_ns for v in versions]),
+        "is_open": [v.valid_to_ns is None for v in versions],
     }
 
 
@@ -183,10 +169,10 @@ def change_values(delta: Delta) -> tuple[Any, ...]:
 
 
 def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Columns:
-    """Table quarantine; the order of the columns determines that of the rows, see `copy_binary.encode`."""
+    """Table quarantine."""
     return {
-        "changeset_id": binary.constant_uuid(changeset_id, len(rejections)),
-        **_attributes(rejections, texts="step reason record detail", jsons="payload"),
+        "changeset_id": [changeset_id] * len(rejections),
+        **_attributes(rejections, "step reason record detail payload"),
     }
 
 
@@ -197,51 +183,46 @@ def feature_columns(srid: int, features: Sequence[MapFeature]) -> Columns:
 
 def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:
     """What tracks, feature versions and statements of imported maps have in common."""
-    integers, doubles = "observation_count", "cone_height_sigma_m existence_probability"
+    names = "cone_height_sigma_m existence_probability observation_count first_seen_ns last_seen_ns"
     return {
         **_located(srid, cones),
-        **_attributes(cones, integers=integers, doubles=doubles, bigints="first_seen_ns last_seen_ns"),
+        **_attributes(cones, names),
         **jacobian_columns([c.shared_jacobian for c in cones]),
     }
 
 
-def _attributes(records: Sequence[Any], **names: str) -> Columns:
-    """Columns that are named as the attributes, at least two; names by their encoder. Each record is read once: half the time."""
-    encoders = {name: getattr(binary, encoder) for encoder, some in names.items() for name in some.split()}
-    return _encoded(encoders, map(attrgetter(*encoders), records))
+def _attributes(records: Sequence[Any], names: str) -> Columns:
+    """Columns that are named as the attributes, at least two. Each record is read once: half the time."""
+    return _named(names.split(), map(attrgetter(*names.split()), records))
 
 
-def _encoded(encoders: Mapping[str, Encoder], rows: Iterable[Sequence[Any]]) -> Columns:
+def _named(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Columns:
     """Columns by name of rows that have a value for each."""
-    columns = list(zip(*rows, strict=True)) or [()] * len(encoders)
-    return {name: encode(column) for (name, encode), column in zip(encoders.items(), columns, strict=True)}
+    return dict(zip(names, list(zip(*rows, strict=True)) or [()] * len(names), strict=True))
 
 
 def _located(srid: int, records: Sequence[Position] | Sequence[Track] | Sequence[MapFeature]) -> Columns:
     """Columns of class, foot, centre and height."""
     return {
-        **_attributes(records, texts="category", doubles="cone_height_m"),
-        "geom": binary.points([one.xyz_m for one in records], srid),
+        **_attributes(records, "category cone_height_m"),
+        "geom": copy.points([one.xyz_m for one in records], srid),
         **_covariance("cov", [one.cov_m2 for one in records]),
-        "centre_geom": binary.points([one.centre_xyz_m for one in records], srid),
+        "centre_geom": copy.points([one.centre_xyz_m for one in records], srid),
     }
 
 
 def _covariance(prefix: str, covariances: Sequence[tuple[float, ...]]) -> Columns:
     values = stacked(covariances, 6)
-    return {f"{prefix}_{name}": binary.doubles(values[:, i]) for i, name in enumerate(_COV_NAMES)}
+    return {f"{prefix}_{name}": values[:, i] for i, name in enumerate(_COV_NAMES)}
 
 
 def jacobian_columns(jacobians: Sequence[SharedErrorJacobian | None]) -> Columns:
     """The columns calibrations (uuid[]) and shared_jacobian_m (real[][][]) of some rows."""
-    if not any(jacobians):
-        return {"calibrations": binary.nulls(len(jacobians)), "shared_jacobian_m": binary.nulls(len(jacobians))}
-    ids = [None if one is None else [key.bytes for key in one.calibrations] for one in jacobians]
+    ids = [one and [str(key) for key in one.calibrations] for one in jacobians]
     moved_m = [
-        None if one is None else np.frombuffer(one.moved_m, ">f4").reshape(len(one.calibrations), 3, -1)
-        for one in jacobians
+        one and np.frombuffer(one.moved_m, ">f4").reshape(len(one.calibrations), 3, -1).tolist() for one in jacobians
     ]
-    return {"calibrations": binary.arrays(ids, "V16"), "shared_jacobian_m": binary.arrays(moved_m, ">f4")}
+    return {"calibrations": copy.arrays(ids), "shared_jacobian_m": copy.arrays(moved_m)}
 
 
 def jacobian_of(row: Row) -> SharedErrorJacobian | None:
@@ -259,14 +240,12 @@ def jacobian_of(row: Row) -> SharedErrorJacobian | None:
 def marking_columns(srid: int, markings: Sequence[Marking | None]) -> Columns:
     """Columns of the shape of lines; NULL in the rows of point objects."""
     if not any(markings):  # millions of versions are not lines: none of them is read a second time
-        return dict.fromkeys(("line", "line_cov", *_PAINT), binary.nulls(len(markings)))
+        return dict.fromkeys(("line", "line_cov", *_PAINT), [None] * len(markings))
     lines = [None if m is None else shapely.set_srid(shapely.LineString(m.vertices_m), srid) for m in markings]
     return {
-        "line": binary.byteas(list(shapely.to_wkb(lines, include_srid=True))),
-        "line_cov": binary.arrays([None if m is None else m.cov_m2 for m in markings], ">f8"),
-        **{
-            name: encode([None if m is None else getattr(m, name) for m in markings]) for name, encode in _PAINT.items()
-        },
+        "line": list(shapely.to_wkb(lines, hex=True, include_srid=True)),
+        "line_cov": copy.arrays([None if m is None else m.cov_m2 for m in markings]),
+        **{name: [getattr(m, name, None) for m in markings] for name in _PAINT},
     }
 
 
