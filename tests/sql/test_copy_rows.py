@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import threading
 from uuid import uuid4
 
 import pytest
@@ -11,8 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from conetl.db import copy_rows
-from conetl.db.connection import copied_csv, copy_columns, database_errors, execute
-from conetl.model.errors import DatabaseError
+from conetl.db.connection import copy_columns, execute
 
 TEXTS = st.none() | st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\x00"), max_size=20)
 JSONS = st.recursive(
@@ -78,26 +76,6 @@ def test_points_arrays_and_times(conn):
         (key, 1.5, -2.25, 1e-9, [1.0, 2.0], 946_684_800),
         (key, 3e8, 0, 7, [0.1, -1e300], pytest.approx(-1e-6, abs=1e-12)),
     ]
-
-
-@pytest.mark.parametrize("most", [0, 10, 10**9])
-def test_csv_may_be_left_early(conn, most):
-    before = threading.active_count()
-    with pytest.raises(KeyboardInterrupt), copied_csv(conn, "select n from generate_series(1, 1000000) n", {}) as rows:
-        rows.read(most)
-        raise KeyboardInterrupt
-    assert threading.active_count() == before
-    conn.rollback()
-    assert execute(conn, "select 1 as one") == [{"one": 1}]
-
-
-def test_csv_that_fails_raises_the_databases_error(conn):
-    with (
-        pytest.raises(DatabaseError, match="division"),
-        database_errors("The rows cannot be read"),
-        copied_csv(conn, "select 1 / (5 - n) from generate_series(1, 9) n", {}) as rows,
-    ):
-        rows.read()
 
 
 def test_no_rows_are_no_rows(table):

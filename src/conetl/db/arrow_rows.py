@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Mapping
+from tempfile import TemporaryFile
 from typing import Any
 
 import pyarrow as pa
 from pyarrow import csv
 
-from conetl.db.connection import Connection, copied_csv, query_columns
+from conetl.db.connection import Connection, copy_out, query_columns
 
 _BLOCK_BYTES = 8 << 20
 #: By the OIDs of PostgreSQL's types bool, int8, int4, text, float8, timestamptz and uuid.
@@ -26,17 +27,15 @@ def schema_of(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> pa.S
 def batches_of(
     conn: Connection, sql: str, parameters: Mapping[str, Any], schema: pa.Schema
 ) -> Generator[pa.RecordBatch]:
-    """The columns of `schema` of all rows of a query (without its final semicolon), read while they are consumed.
-
-    Inside the open transaction; the connection cannot be used otherwise until the last batch, or until the iterator is closed.
-    """
+    """The columns of `schema` of all rows of a query (without its final semicolon), which wait in a temporary file."""
     values = csv.ConvertOptions(
         column_types=schema, null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False,
         true_values=["t"], false_values=["f"],
     )  # fmt: skip
-    with copied_csv(conn, f"select {', '.join(schema.names)} from ({sql}) q", parameters) as rows:
-        if not rows.peek(1):
+    with TemporaryFile() as rows:
+        if not copy_out(conn, f"select {', '.join(schema.names)} from ({sql}) q", parameters, rows, "(format csv)"):
             return
+        rows.seek(0)
         options = csv.ReadOptions(column_names=schema.names, block_size=_BLOCK_BYTES)
         with csv.open_csv(rows, options, convert_options=values) as blocks:
             yield from blocks

@@ -9,14 +9,13 @@ import re
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
-from io import BufferedReader, BytesIO
+from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 from urllib.parse import quote, urlencode
 from weakref import WeakKeyDictionary
 
@@ -25,8 +24,10 @@ import psycopg2.errors
 import psycopg2.extensions
 import psycopg2.extras
 
-from conetl.db.copy_rows import Columns, encode
 from conetl.model.errors import DatabaseError, InputError
+
+if TYPE_CHECKING:
+    from conetl.db.copy_rows import Columns
 
 Connection: TypeAlias = psycopg2.extensions.connection
 
@@ -254,38 +255,11 @@ def latest_or(instant: datetime | None) -> str:
     return "infinity" if instant is None else instant.isoformat()
 
 
-@contextmanager
-def copied_csv(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> Iterator[BufferedReader]:
-    """Rows of a query (without its final semicolon) as CSV without a header, which a thread receives while it is read.
-
-    Inside the open transaction; the connection cannot be used otherwise until the block ends.
-    """
-    readable, writable = os.pipe()
-    with conn.cursor() as cursor, ThreadPoolExecutor(1) as pool, os.fdopen(readable, "rb") as rows:
-        copy = f"copy ({cursor.mogrify(sql, parameters).decode()}) to stdout (format csv)"
-
-        def receive() -> None:
-            with os.fdopen(writable, "wb") as sink:
-                cursor.copy_expert(copy, sink)
-
-        received = pool.submit(receive)
-        try:
-            yield rows
-        finally:
-            if rows.read(1):  # the block ended early; after the end this would cancel the connection's next statement
-                conn.cancel()
-                while rows.read(COPY_CHUNK_BYTES):
-                    pass
-            error = received.exception()
-        if error is not None:
-            raise error
-
-
-def copy_out(conn: Connection, sql: str, parameters: Mapping[str, Any], sink: IO[bytes]) -> int:
-    """Write the rows of a query (without its final semicolon) in COPY's text format; their number."""
+def copy_out(conn: Connection, sql: str, parameters: Mapping[str, Any], sink: IO[bytes], options: str = "") -> int:
+    """Write the rows of a query (without its final semicolon) in COPY's text format, or that of its options; their number."""
     with conn.cursor() as cursor:
         query = cursor.mogrify(sql, parameters).decode()
-        cursor.copy_expert(f"copy ({query}) to stdout", sink, COPY_CHUNK_BYTES)
+        cursor.copy_expert(f"copy ({query}) to stdout {options}", sink, COPY_CHUNK_BYTES)
         return int(cursor.rowcount)
 
 
@@ -321,6 +295,8 @@ def copy_columns(conn: Connection, table: str, columns: Columns) -> None:
 
 def encoded_block(table: str, columns: Columns) -> CopyBlock:
     """Rows of columns encoded for COPY; needs no connection."""
+    from conetl.db.copy_rows import encode  # here: Arrow takes a while to load
+
     return f"copy {table} ({', '.join(columns)}) from stdin (format csv)", encode(columns)
 
 

@@ -64,8 +64,10 @@ def json_text(value: Any) -> str:
     return json.dumps(_json_safe(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
-def _arrow(values: Any) -> pa.Array:
-    match None if isinstance(values, np.ndarray | pa.Array) else next((one for one in values if one is not None), None):
+def _arrow(values: Any) -> pa.Array | pa.ChunkedArray:
+    if isinstance(values, pa.Array | pa.ChunkedArray):
+        return values
+    match None if isinstance(values, np.ndarray) else next((one for one in values if one is not None), None):
         case str():
             texts = {value: None if value is None else clean_text(value) for value in set(values)}
             return pa.array([texts[value] for value in values], pa.string())

@@ -15,18 +15,17 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from io import BytesIO
 from pathlib import Path
 from uuid import UUID
 
 import numpy as np
 import pyarrow as pa
 import shapely
-from pyarrow import csv
 
 from conetl.db import connection as db
 from conetl.db.arrow_rows import batches_of, schema_of
 from conetl.db.connection import Connection
+from conetl.db.copy_rows import encode
 from conetl.db.map.map_store import map_transaction
 from conetl.files.atomic import atomic_files
 from conetl.files.parquet_store import read_table, write_table
@@ -161,11 +160,8 @@ def _restore(conn: Connection, drive_uuid: UUID, path: Path, rows: Mapping[str, 
                 wkb = shapely.to_wkb(shapely.set_srid(points, records["srid"].to_numpy()), hex=True, include_srid=True)
                 records = records.append_column(name, pa.array(wkb))
         columns = [name for name, _ in db.query_columns(conn, f"select * from conetl.{table}", {})]
-        rows_as_csv = BytesIO()
-        csv.write_csv(records.select(columns), rows_as_csv, csv.WriteOptions(include_header=False))
-        rows_as_csv.seek(0)
-        target = f"conetl.{table} ({', '.join(columns)})"
-        db.copy_in(conn, target, rows_as_csv, str(path / table), options="(format csv)")
+        target, values = f"conetl.{table} ({', '.join(columns)})", {name: records[name] for name in columns}
+        db.copy_in(conn, target, encode(values), str(path / table), options="(format csv)")
     db.query(conn, "retention.mark_restored", drive_uuid=drive_uuid)
 
 
