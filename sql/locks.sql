@@ -1,8 +1,8 @@
 -- Session locks, which the server frees when the session ends, however it ends; and locks of parts of a map.
 
 -- name: take_lock
--- Wait for a lock of this session. Parameters: name.
-select pg_advisory_lock(hashtextextended(%(name)s, 0));
+-- Wait for a lock of this session. Parameters: name. Columns: taken.
+select true as taken from pg_advisory_lock(hashtextextended(%(name)s, 0));
 
 -- name: try_lock
 -- Take a lock of this session if no other session holds it. Parameters: name. Columns: taken.

@@ -192,7 +192,8 @@ class _HeldLocks:
         self._url = url
         self._names = names
         self._missing: list[str] = []
-        self._conn: Connection | None = self._take_all()
+        self._conn: Connection | None = None
+        self._take("locks.take_lock")
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="locks", daemon=True)
         self._thread.start()
@@ -206,44 +207,36 @@ class _HeldLocks:
                 for name in self._names:
                     if name not in self._missing:
                         query(self._conn, "locks.free_lock", name=name)
-            self._conn.close()
+            self._close()
 
-    def _take_all(self) -> Connection:
-        conn = connect(self._url)
+    def _take(self, statement: str) -> None:
+        """Take the missing locks, in a new session if there is none. Raises DatabaseError; then there is none again."""
+        if self._conn is None:
+            self._missing = list(self._names)
+            self._conn = connect(self._url)
         try:
             with database_errors("A lock in PostgreSQL could not be taken"):
-                conn.autocommit = True
-                query(conn, "locks.wait_without_limit")
-                for name in self._names:
-                    query(conn, "locks.take_lock", name=name)
+                self._conn.autocommit = True
+                query(self._conn, "locks.wait_without_limit")
+                for name in tuple(self._missing):
+                    if query(self._conn, statement, name=name)[0]["taken"]:
+                        self._missing.remove(name)
         except BaseException:
-            conn.close()
+            self._close()
             raise
-        return conn
 
     def _watch(self) -> None:
         while not self._ending.wait(CHECK_EVERY_S):
             if self._conn is not None and not is_alive(self._conn):
-                self._conn.close()
-                self._conn = None
+                self._close()
             if self._conn is None or self._missing:
-                self._retake()
+                with suppress(DatabaseError):  # retried, but not immediately: the server may be starting
+                    self._take("locks.try_lock")
 
-    def _retake(self) -> None:
-        """Take the missing locks that are free, in a new session if the old one is lost."""
-        try:
-            if self._conn is None:
-                self._missing = list(self._names)
-                self._conn = connect(self._url)
-            with database_errors("A lock in PostgreSQL could not be taken"):
-                self._conn.autocommit = True
-                for name in tuple(self._missing):
-                    if query(self._conn, "locks.try_lock", name=name)[0]["taken"]:
-                        self._missing.remove(name)
-        except DatabaseError:  # retried, but not immediately: the server may be starting
-            if self._conn is not None:
-                self._conn.close()
-            self._conn = None
+    def _close(self) -> None:
+        if self._conn is not None:
+            self._conn.close()
+        self._conn = None
 
 
 def is_alive(conn: Connection) -> bool:
