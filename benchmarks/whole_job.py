@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import closing, contextmanager, suppress
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -106,10 +107,12 @@ def plain_ingest(drive: Path, settings: Settings, params: IngestParams) -> dict[
 
 def prefect_ingest(drive: Path, settings: Settings, params: IngestParams) -> None:
     """Ingest as `conetl ingest` does, with the running Prefect server."""
-    from flows.ingest_drive import ingest_by_command
+    from flows.ingest_drive import ingest_in_run, run_by_command
 
     with MapDatabase(settings) as database, suppress(DriveOnHoldError):
-        ingest_by_command(read_header(drive), settings, params, map_srid=None, database=database)
+        header = read_header(drive)
+        work = partial(ingest_in_run, header, settings, params, map_srid=None, database=database)
+        run_by_command(header, settings, work)
 
 
 def settings_in(home: Path, map_name: str = "default") -> Settings:

@@ -7,7 +7,6 @@ so the child could not resolve names in annotations.
 import time
 from collections.abc import Callable
 from contextvars import ContextVar
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 from uuid import UUID, uuid4
@@ -60,22 +59,13 @@ def _do_work() -> IngestReport:
     return _work.get()()
 
 
-def ingest_by_command(
-    header: DriveHeader,
-    settings: Settings,
-    params: IngestParams,
-    *,
-    map_srid: int | None,
-    database: MapDatabase,
-    progress: Progress | None = None,
-) -> IngestReport:
-    """Ingest one drive in this process as a run of the flow `ingest`: no lock, no receipt. Raises as `pipeline.ingest` does."""
+def run_by_command(header: DriveHeader, settings: Settings, work: Callable[[], IngestReport]) -> IngestReport:
+    """Do the work on one drive in this process as a run of the flow `ingest`: no lock, no receipt. Raises as the work does."""
 
     @flow(name="ingest", flow_run_name=lambda: drive_run_name(header), task_runner=task_runner(settings))
     def ingest_flow(drive: str, map_name: str) -> IngestReport:
         return _do_work()
 
-    work = partial(ingest_in_run, header, settings, params, map_srid=map_srid, database=database, progress=progress)
     mark = _work.set(work)
     try:
         return ingest_flow(header.shown_path, settings.map_name)

@@ -105,7 +105,7 @@ def ingest_drives(
             # Prefect reads its environment when it is imported, which takes two seconds: not at the top of the file.
             from conetl.pipeline.database import MapDatabase
             from conetl.pipeline.ingest import as_known
-            from flows.ingest_drive import ingest_by_command
+            from flows.ingest_drive import ingest_in_run, run_by_command
             from flows.server import prefect_server
 
             _log.info("Prefect server %s", running.enter_context(prefect_server(settings.home)))
@@ -115,14 +115,17 @@ def ingest_drives(
             complaints: list[ConetlError | str] = []
             try:
                 with ui.progress_bar(header.drive_id, "images and motions") as update:
-                    report = ingest_by_command(
+                    show_progress = partial(_show_progress, update, header.drive_id)
+                    work = partial(
+                        ingest_in_run,
                         header,
                         settings,
                         params,
                         map_srid=map_srid,
                         database=database,
-                        progress=partial(_show_progress, update, header.drive_id),
+                        progress=show_progress,
                     )
+                    report = run_by_command(header, settings, work)
             except NeedsAttentionError as error:
                 report, complaints = error.report, [error]
             except Exception as raised:

@@ -6,7 +6,7 @@ One drive is one atomic changeset. The caller holds the locks of its neighbourho
         near = lock_neighbourhood(conn, map_name, drive, key, lambda: place_drive(conn, drive, key, ...), ...)
         if isinstance(near, Neighbourhood):           # else it is already on the map
             ...                                       # compare in Python: in pipeline/replay.py
-            commit_changeset(conn, records, changeset, map_name=map_name, placed=near.drive_uuid)
+            commit_changeset(conn, records, changeset, replay=..., map_name=map_name, placed=near.drive_uuid)
 
 Everything is committed at the end of the block, or nothing.
 """
