@@ -14,8 +14,6 @@ from pathlib import Path
 from typing import NamedTuple
 from uuid import UUID
 
-import numpy as np
-
 from conetl.db import receipt_store as receipts
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import hold_events
@@ -23,7 +21,6 @@ from conetl.db.map.map_store import list_changesets
 from conetl.db.map.results import CommittedChangeset
 from conetl.exports.text_files import export_geojson
 from conetl.files.home import make_home
-from conetl.geometry.rig import map_SE3_left
 from conetl.model.errors import ConetlError
 from conetl.model.ingest_report import IngestReport
 from conetl.pipeline.commit import CommittedDrive, report_of
@@ -31,8 +28,6 @@ from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.maps.decisions import DecisionOutcome
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_page import write_drive_page
-from conetl.reports.figures import NOT_EVALUATED, changes_of, marks_of, save_figure
-from conetl.reports.map_picture import PlanContent, draw_plan
 
 _log = logging.getLogger(__name__)
 #: Hands the report of a changeset and the cones that it removed to whoever wants to know; returns when they have left.
@@ -60,22 +55,14 @@ def publish(
     settings: folders, database and name of the map; CONETL_* of the environment unless given. times: of the steps, for the page.
     """
     settings = settings or read_settings()
-    drive, changeset = committed.drive, committed.changeset
+    changeset, plan_view = committed.changeset, settings.drive_image_path(committed.drive.drive_id)
     with ExitStack() as stack:
         database = database or stack.enter_context(MapDatabase(settings))
         conn = stack.enter_context(database.connection())
         geojson = _write_map(conn, settings)
         receipts.write_run_steps(conn, changeset.changeset_id, times)
-        page = _write_page(conn, changeset, settings)
+        page = _write_page(conn, changeset, settings, plan_view)
         renew_pages(conn, [change.changeset_id for change in committed.report.hold_changes], settings)
-    path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:2, 3] for pair in drive.frame_pairs])
-    shown = committed.deltas, committed.untouched
-    plan = draw_plan(
-        PlanContent(drive.map_srid, marks_of(*shown), changes_of(*shown), [path_m], others=NOT_EVALUATED),
-        title=f"Drive {drive.drive_id}, {drive.captured_from:%Y-%m-%d %H:%M} UTC",
-        footer=f"map {settings.map_name} · grid north · conetl",
-    )
-    plan_view = save_figure(plan, settings.drive_image_path(drive.drive_id))
     return PublishedFiles(geojson, plan_view, page)
 
 
@@ -155,6 +142,8 @@ def _write_map(conn: Connection, settings: Settings) -> Path:
     return path
 
 
-def _write_page(conn: Connection, changeset: CommittedChangeset, settings: Settings) -> Path:
+def _write_page(
+    conn: Connection, changeset: CommittedChangeset, settings: Settings, plan_path: Path | None = None
+) -> Path:
     path = settings.drive_report_path(changeset.drive_id, changeset.changeset_no).resolve()
-    return write_drive_page(conn, changeset, path, map_name=settings.map_name)
+    return write_drive_page(conn, changeset, path, map_name=settings.map_name, plan_path=plan_path)

@@ -15,6 +15,7 @@ from markupsafe import Markup
 
 from conetl.db.connection import Connection, read
 from conetl.db.map.results import CommittedChangeset
+from conetl.files.atomic import atomic_files
 from conetl.mapping.visibility import DriveObservations, observations_of_drive, pairs_in_view
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import StorageError
@@ -50,22 +51,41 @@ class Alert(NamedTuple):
     text: str
 
 
-def write_drive_page(conn: Connection, changeset: CommittedChangeset, path: Path, *, map_name: str) -> Path:
-    """Write the page of one changeset; its path. Raises InputError for an imported map and where it cannot be written."""
-    return write_page(path, drive_page(conn, changeset, map_name=map_name))
+def write_drive_page(
+    conn: Connection, changeset: CommittedChangeset, path: Path, *, map_name: str, plan_path: Path | None = None
+) -> Path:
+    """Write the page of one changeset; its path. Raises InputError for an imported map and where it cannot be written.
+
+    plan_path: also write its plan there, as PNG.
+    """
+    page, plan = _page_and_plan(conn, changeset, map_name=map_name)
+    if plan_path is not None:
+        with atomic_files(plan_path) as (file,):
+            file.write_bytes(plan)
+    return write_page(path, page)
 
 
 def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str) -> str:
     """The page as text."""
+    return _page_and_plan(conn, changeset, map_name=map_name)[0]
+
+
+def _page_and_plan(conn: Connection, changeset: CommittedChangeset, *, map_name: str) -> tuple[str, bytes]:
     facts = read_drive_facts(conn, changeset, map_name=map_name)
     confirmed = [c for c in facts.changes if c["kind"] is DeltaKind.CONFIRMED]
     marks = [figures.PlanMark(one.category, None, one.xyz_m[:2]) for one in facts.others]
     for c in facts.changes:
         old_xy_m = (c["old_easting_m"], c["old_northing_m"]) if c["kind"] is DeltaKind.MOVED else None
         marks.append(figures.PlanMark(c["category"], c["kind"], c["xyz_m"][:2], old_xy_m, str(c["number"])))
-    plan = PlanContent(facts.srid, marks, facts.markings, [facts.path_m], others=figures.NOT_EVALUATED)
+    plan = figures.png(
+        draw_plan(
+            PlanContent(facts.srid, marks, facts.markings, [facts.path_m], others=figures.NOT_EVALUATED),
+            title=f"Drive {changeset.drive_id}, {utc_from_ns(changeset.captured_from_ns):%Y-%m-%d %H:%M} UTC",
+            footer=f"map {map_name} · grid north · conetl",
+        )
+    )
     nearest = [(t.nearest_range_m, t.residual_rms_px) for t in facts.tracks]
-    return render(
+    page = render(
         "drive.html.j2",
         title=f"Drive {changeset.drive_id}",
         made_at=datetime.now(UTC),
@@ -79,7 +99,7 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         max_illustrated=MAX_ILLUSTRATED,
         confirmed=confirmed[:_MAX_CONFIRMED],
         confirmed_left_out=max(len(confirmed) - _MAX_CONFIRMED, 0),
-        plan=figures.png(draw_plan(plan)),
+        plan=plan,
         markings=counted_by_kind(facts.markings),
         residual_figure=figures.residuals(facts.range_m, facts.residual_px, nearest)
         if len(facts.residual_px)
@@ -90,6 +110,7 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         trajectory=_trajectory_rows(facts),
         versions=_version_rows(facts),
     )
+    return page, plan
 
 
 def alerts(facts: DriveFacts) -> list[Alert]:
