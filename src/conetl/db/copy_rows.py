@@ -50,7 +50,7 @@ def points(xyz_m: Sequence[Vec3], srid: int) -> list[str]:
 
 
 def arrays(values: Iterable[Any]) -> list[str | None]:
-    """An array of any dimensions in each row, of numbers or texts; None becomes NULL."""
+    """An array of any dimensions in each row, of numbers or of texts without brackets; None becomes NULL."""
     return [None if value is None else json.dumps(value).translate(_BRACKETS) for value in values]
 
 

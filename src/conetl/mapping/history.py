@@ -79,8 +79,6 @@ class MapUpdate:
     versions: list[FeatureVersion]
     """One per delta that changes a feature, open."""
     misses: list[MissedObservation]
-    untouched: list[MapFeature]
-    """Features within the drive's influence without a delta."""
     hold: HealthCheck | None = None
     """Why the drive contradicts the map and changes nothing until a person accepts it; None where it counts."""
 
@@ -180,7 +178,7 @@ def apply_drive(
             hold = hold or contradiction(drive.tracks, points, deltas, drive.params)
             hold = hold or marking_contradiction(drive.markings, lines, line_deltas, drive.params)
         if hold is not None:
-            return MapUpdate([], [], [], around, hold)
+            return MapUpdate([], [], [], hold)
         if line_deltas:
             deltas = sorted([*deltas, *line_deltas], key=attrgetter("changed_at_ns", "feature_id.int"))
     versions = []
@@ -202,8 +200,7 @@ def apply_drive(
             )
         )
     misses = [_miss(delta, drive.changeset_id) for delta in deltas if delta.kind is DeltaKind.MISSED]
-    compared = {delta.feature_id for delta in deltas}
-    return MapUpdate(deltas, versions, misses, [feature for feature in around if feature.feature_id not in compared])
+    return MapUpdate(deltas, versions, misses)
 
 
 def _classified(drive: DriveEvidence, decided: Sequence[Classification]) -> DriveEvidence:

@@ -32,7 +32,7 @@ from conetl.model.detector_evidence import evidence_sha256
 from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import AGREES, HealthCheck, hold_reason, holding
 from conetl.model.ingest_report import ChangeLine, IngestReport
-from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
+from conetl.model.map_records import Changeset, Delta, DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams, params_sha256
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.perception.model_card import read_model_card
@@ -55,8 +55,6 @@ class CommittedDrive:
     changeset: CommittedChangeset
     drive: Drive
     deltas: tuple[Delta, ...]
-    untouched: tuple[MapFeature, ...]
-    """Features around the path that the drive did not judge."""
     report: IngestReport
 
 
@@ -139,7 +137,7 @@ def commit(
                 hold=holding(health),
             )
     if isinstance(merged, CommittedChangeset):
-        return CommittedDrive(merged, drive, (), (), report_of(merged, settings.map_name))
+        return CommittedDrive(merged, drive, (), report_of(merged, settings.map_name))
     deltas = merged.changeset.deltas
     if not holding(health):  # a recording that contradicts itself is not compared with the map
         health = (*health, merged.extension.hold or AGREES)
@@ -161,7 +159,7 @@ def commit(
             "hold_changes": merged.hold_changes,
         }
     )
-    return CommittedDrive(merged.committed, drive, deltas, tuple(merged.extension.untouched), report)
+    return CommittedDrive(merged.committed, drive, deltas, report)
 
 
 def _cones_elsewhere(
