@@ -75,8 +75,10 @@ def _page_and_plan(conn: Connection, changeset: CommittedChangeset, *, map_name:
     confirmed = [c for c in facts.changes if c["kind"] is DeltaKind.CONFIRMED]
     marks = [figures.PlanMark(one.category, None, one.xyz_m[:2]) for one in facts.others]
     for c in facts.changes:
-        old_xy_m = (c["old_easting_m"], c["old_northing_m"]) if c["kind"] is DeltaKind.MOVED else None
-        marks.append(figures.PlanMark(c["category"], c["kind"], c["xyz_m"][:2], old_xy_m, str(c["number"])))
+        old_xy_m, label = None, str(c["number"])
+        if c["kind"] is DeltaKind.MOVED:
+            old_xy_m, label = (c["old_easting_m"], c["old_northing_m"]), f"{label} ({c['shift_m']:.2f} m)"
+        marks.append(figures.PlanMark(c["category"], c["kind"], c["xyz_m"][:2], old_xy_m, label))
     plan = figures.png(
         draw_plan(
             PlanContent(facts.srid, marks, facts.markings, [facts.path_m], others=figures.NOT_EVALUATED),

@@ -282,8 +282,10 @@ def _scale_bar(axes: Axes, box: Bbox) -> None:
 
 
 def _north(axes: Axes) -> None:
-    axes.annotate(
-        "N", xy=(0.965, 0.965), xytext=(0.965, 0.855), xycoords="axes fraction", ha="center", va="center", fontsize=10,
-        fontweight="bold", color=_INK, zorder=12, bbox={"boxstyle": "circle,pad=0.2", "facecolor": "white", "edgecolor": "none"},
-        arrowprops={"arrowstyle": "-|>", "color": _INK, "linewidth": 1.6, "mutation_scale": 14},
+    """An arrow beside the map, below the legend, where it covers nothing."""
+    arrow = axes.annotate(
+        "N", xy=(1.06, 0.11), xytext=(1.06, 0.02), xycoords="axes fraction", ha="center", va="center", fontsize=10,
+        fontweight="bold", color=_INK, annotation_clip=False, arrowprops={"arrowstyle": "-|>", "color": _INK, "linewidth": 1.6,
+        "mutation_scale": 14},
     )  # fmt: skip
+    arrow.set_in_layout(False)
