@@ -4,7 +4,8 @@ The sample drives, and KITTI where it is in the shared data, are re-encoded; `an
 are those of the positions on sample drives, and of the distances between pairs of cones on KITTI, whose GNSS is accurate to
 0.4 m. The log of a video has a record at each of its frames. Time (processor time, and by the clock) is that of reading and
 analysing with the first log of a container: later ones find the detections of the same frames. Then positions alone at 1 Hz,
-and the clock of images that is wrong by seconds.
+and the clock of images that is wrong by seconds. Run it more than once: libx264 does not write the same file in every run, and
+one far cone of the third sample drive moves by 1 to 2.5 cm between them.
 
     python benchmarks/bench_recordings.py [--only TEXT] [--parts logs sparse clocks] [--folder FOLDER]
 """
