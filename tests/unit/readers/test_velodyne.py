@@ -9,7 +9,7 @@ from conetl.geometry import pose as se3
 from conetl.model.errors import CalibrationError
 from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, read_kitti_rig
-from conetl.simulation.simulate import CAM0_SE3_VELO, RECT_R_CAM0, T_RECT_M
+from conetl.simulation.trajectory import CAM0_SE3_VELO, RECT_R_CAM0, T_RECT_M
 from tests.folders import SAMPLE
 
 

@@ -67,7 +67,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     numbers = sorted(left.keys() | right.keys())
     if not numbers:
         raise DriveFolderError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
-    size = first_size((paths[0] for _, paths in sorted(left.items())))
+    size = first_size((paths[0] for _, paths in sorted(left.items())), content)
     rig = read_rig_for(root, calibration, size, settings, content)
     name = f"{settings.cameras.left}/timestamps.txt"
     stamps = _stamps(root, name, settings, content)
