@@ -141,6 +141,7 @@ def stage_replay(conn: Connection, info: MapInfo, replay: Replay) -> dict[str, A
     db.execute(conn, "analyze version_stage, replayed_delta_stage")
     return {
         "map_id": info.map_id,
+        "map_name": info.map_name,
         "srid": info.srid,
         "closed_versions": [row_id for version, row_id in replay.versions_before.items() if version not in wanted],
         "closed_deltas": [row_id for value, row_id in known.items() if value not in values],
@@ -155,7 +156,7 @@ def merge_replay(conn: Connection, staged: dict[str, Any], replay: Replay, commi
         closed = db.execute_count(conn, db.load_sql(f"replay.close_{rows}"), parameters)
         if closed != len(staged[f"closed_{rows}"]):
             raise MapMismatchError(
-                "The map changed since it was read. Nothing was written; run the same command again."
+                f"The map {staged['map_name']} changed since it was read. Nothing was written; run the same command again."
             )
     written = db.execute_count(conn, db.load_sql("replay.insert_staged_versions"), parameters)
     db.query(conn, "replay.insert_replayed_deltas", **parameters)
