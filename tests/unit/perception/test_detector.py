@@ -438,6 +438,17 @@ def test_a_drawn_cone_is_found_once_where_it_stands(detector: Detector, height_p
     assert h == pytest.approx(height_px, rel=0.15)
 
 
+@pytest.mark.parametrize(("height_px", "contrast"), [(8.0, 0.13), (10.0, 0.13), (14.0, 0.08)])
+def test_a_faint_distant_cone_is_enlarged_in_a_single_image(
+    detector: Detector, height_px: float, contrast: float
+) -> None:
+    empty = street(640, 400, 150)
+    image = cv2.addWeighted(street(640, 400, 150, (320.0, 220.0, height_px)), contrast, empty, 1 - contrast, 0)
+    assert len(detect_image(detector, image, score_threshold=0.3)) == 0
+    assert len(detect_image(detector, image, score_threshold=0.3, single_image=True)) == 1
+    assert len(detect_image(detector, empty, score_threshold=0.05, single_image=True)) == 0
+
+
 @needs_kitti
 @pytest.mark.parametrize("frame", [75, 80, 85])
 def test_real_cones_are_found(detector: Detector, frame: int) -> None:
