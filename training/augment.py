@@ -107,9 +107,8 @@ def warp_into(
     # Boxes live on pixel edges, warpAffine on pixel centres: pixel u of a level has its centre at (u + 0.5) * shrink.
     local = np.column_stack((linear * shrink, offset + linear @ np.full(2, 0.5 * shrink) - 0.5 - (left, top)))
     size = (right - left, bottom - top)
-    drawn = cv2.warpAffine(levels[level], local, size, flags=cv2.INTER_LINEAR)
-    cover = cv2.warpAffine(np.full(levels[level].shape[:2], 255, np.uint8), local, size, flags=cv2.INTER_NEAREST)
-    canvas[top:bottom, left:right] = cv2.copyTo(drawn, cover, canvas[top:bottom, left:right].copy())
+    transparent = cv2.BORDER_TRANSPARENT  # what the picture does not reach stays
+    cv2.warpAffine(levels[level], local, size, canvas[top:bottom, left:right], cv2.INTER_LINEAR, transparent)
 
     def follow(boxes: np.ndarray, cones: np.ndarray) -> np.ndarray:
         x0, y0, x1, y1 = boxes[:, :4].T
@@ -234,18 +233,7 @@ def paste_cutout(
     if (hidden > 0.5).any():
         return np.zeros((0, 9))
     if stands and rng.random() < 0.6:
-        shadow = canvas.copy()
-        cv2.ellipse(
-            shadow,
-            (x + width // 2 + int(rng.normal(0, width / 3)), y + height - 1),
-            (max(int(width * 0.7), 2), max(int(width * 0.16), 1)),
-            0,
-            0,
-            360,
-            (25, 25, 28),
-            -1,
-        )
-        cv2.addWeighted(shadow, 0.5, canvas, 0.5, 0, canvas)
+        cast_shadow(canvas, x + width // 2, y + height - 1, width, rng)
     inside = slice(max(-y, 0), rows - y), slice(max(-x, 0), columns - x)
     alpha, colour = patch[..., 3:][inside].astype(np.float32) / 255, colour[inside]
     region = canvas[max(y, 0) : y + height, max(x, 0) : x + width]
@@ -256,6 +244,18 @@ def paste_cutout(
             return np.zeros((0, 9))
         seen[0, :4] = np.array((across[0], down[0], across[-1] + 1, down[-1] + 1)) + np.tile((max(x, 0), max(y, 0)), 2)
     return seen
+
+
+def cast_shadow(canvas: np.ndarray, x: int, foot: int, width: int, rng: np.random.Generator) -> None:
+    """Darken an ellipse of the ground at the foot of a thing `width` px wide."""
+    axes = max(int(width * 0.7), 2), max(int(width * 0.16), 1)
+    x += int(rng.normal(0, width / 3))
+    left, top = max(x - axes[0] - 2, 0), max(foot - axes[1] - 2, 0)
+    ground = canvas[top : max(foot + axes[1] + 3, 0), left : max(x + axes[0] + 3, 0)]
+    if ground.size:
+        shadow = ground.copy()
+        cv2.ellipse(shadow, (x - left, foot - top), axes, 0, 0, 360, (25, 25, 28), -1)
+        ground[:] = cv2.addWeighted(shadow, 0.5, ground, 0.5, 0)
 
 
 def draw_post(canvas: np.ndarray, x: float, foot: float, height: float, rng: np.random.Generator) -> None:
@@ -451,9 +451,9 @@ def relight(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         length = int(rng.integers(3, 8))
         image = cv2.blur(image, (length, 1))
     if rng.random() < 0.4:
-        noise = rng.integers(-127, 128, (image.shape[0] // 2, image.shape[1], 3), dtype=np.int8)
-        noise = np.concatenate((noise, noise[::-1]))[: image.shape[0]].astype(np.float32) * rng.uniform(0.01, 0.14)
-        image = np.clip(image[: noise.shape[0]] + noise, 0, 255).astype(np.uint8)
+        noise = rng.integers(0, 255, (image.shape[0] // 2, image.shape[1], 3), dtype=np.uint8)
+        noise, amount = np.concatenate((noise, noise[::-1]))[: image.shape[0]], rng.uniform(0.01, 0.14)
+        image = cv2.addWeighted(image[: len(noise)], 1.0, noise, amount, -127 * amount)
     if rng.random() < 0.4:
         image = cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 95))])[1], 1)
     return image

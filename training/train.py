@@ -63,7 +63,8 @@ class Batches(IterableDataset):
 
     def __init__(self, args: argparse.Namespace) -> None:
         self.args = args
-        pictures = read_cones(Path(args.cones), "train")
+        left_out = frozenset(args.leave_out.split(","))
+        pictures = [p for p in read_cones(Path(args.cones), "train") if p.source not in left_out]
         false = {}
         if args.unlabelled:
             found = json.loads(Path(args.unlabelled).read_text())
@@ -71,7 +72,6 @@ class Batches(IterableDataset):
             for picture in pictures:
                 fade = np.array(found["unlabelled"][picture.name]).reshape(-1, 4)
                 picture.fade = fade if picture.source == "fs_onboard" else np.concatenate((picture.fade, fade))
-        left_out = frozenset(args.leave_out.split(","))
         if args.more_cones:
             pictures += [p for p in read_more_cones(Path(args.more_cones), left_out) if p.source != "roadwork_clips_us"]
         if args.clips:
@@ -92,6 +92,7 @@ class Batches(IterableDataset):
             f"{len(pictures)} pictures, {sum(map(len, self.cutouts.values()))} cut-outs, {len(self.backgrounds)} backgrounds",
             flush=True,
         )
+        self.look_for_renders()
 
     def look_for_renders(self) -> None:
         if self.args.renders:
@@ -123,11 +124,11 @@ class Batches(IterableDataset):
 
 
 def collate(batch: list[Sample]) -> tuple[Tensor, ...]:
-    """Images (B, 3, size, size) uint8 RGB, objects (B, G, 9), trusts (B, G), fades (B, M, 5), padded (`loss.detection_loss`)."""
-    images = np.stack([sample[0][..., ::-1].transpose(2, 0, 1) for sample in batch])
+    """Images (B, size, size, 3) uint8 BGR, objects (B, G, 9), trusts (B, G), fades (B, M, 5), padded (`loss.detection_loss`)."""
+    images = np.stack([sample[0] for sample in batch])
     objects, trusts, fades = ([torch.from_numpy(sample[k]).float() for sample in batch] for k in (1, 2, 3))
     return (
-        torch.from_numpy(np.ascontiguousarray(images)),
+        torch.from_numpy(images),
         pad_sequence(objects, batch_first=True, padding_value=-1.0),
         pad_sequence(trusts, batch_first=True),
         pad_sequence(fades, batch_first=True),
@@ -296,7 +297,7 @@ def main() -> None:
         warm = min(1.0, (step - args.start_step + 1) / (50 if args.resume else 300))
         rate = args.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
         images, *truth = (part.to(device, non_blocking=True) for part in next(loader))
-        images = images.contiguous(memory_format=torch.channels_last).float() / 255
+        images = images.permute(0, 3, 1, 2).flip(1).float() / 255  # RGB, channels last in memory
         losses = {}
         for name, learner in learners.items():
             learner.network.train()
