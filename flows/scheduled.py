@@ -141,7 +141,7 @@ def ingest_drop_folder(
 
 
 def split_by_completeness(inbox: Path, quiet_s: float) -> tuple[list[Path], list[tuple[Path, float]]]:
-    """Complete drives; and those that still arrive, with the seconds since their last change. Raises DriveFolderError."""
+    """Complete drives; and those that still arrive, with the seconds since their last change. Raises InputError."""
     complete: list[Path] = []
     arriving: list[tuple[Path, float]] = []
     for folder in find_drives(inbox):

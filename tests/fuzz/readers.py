@@ -26,7 +26,7 @@ import yaml
 from conetl.cli.map.work_zones import Rules
 from conetl.exports.wzdx import read_feed_info
 from conetl.files.documents import read_yaml_model
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.params import ImportParams, IngestParams
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Camera, Rig
@@ -134,7 +134,7 @@ def read_any_trajectory(name: str, path: Path, _: Path) -> object:
     """Found by its content, and read in the format that it was written in, whatever its content is now."""
     sample = trajectory_files.SAMPLES[name]
     find_trajectories(path.parent)
-    with suppress(DriveFolderError):
+    with suppress(InputError):
         read_trajectory(path, sample.settings)
     return read_trajectory(path, sample.settings.model_copy(update={"format": sample.format}))
 

@@ -18,7 +18,7 @@ from typer.testing import CliRunner, Result
 from conetl.cli.app import app
 from conetl.cli.tools.calibrate import calibrate
 from conetl.evaluation.markings import TRUTH_FILE
-from conetl.model.errors import CalibrationError, InputError
+from conetl.model.errors import InputError
 from conetl.readers.rigs import read_rig
 from tests.integration.conftest import command_line
 from tests.integration.small_drives import SAMPLES, cut_drive
@@ -258,7 +258,7 @@ def test_real_chessboards_give_a_rig_with_its_covariance(tmp_path: Path) -> None
 @real
 def test_swapped_cameras_are_told(tmp_path: Path) -> None:
     folder = _board_folder(tmp_path, [5, 10, 15, 20, 25], swapped=True)
-    with pytest.raises(CalibrationError, match="swapped"):
+    with pytest.raises(InputError, match="swapped"):
         _calibrate(
             folder, "--board", BOARD, "--lens", "radial", "--board-shape", "flat", "--out", tmp_path / "rig.yaml"
         )

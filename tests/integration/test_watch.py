@@ -23,7 +23,7 @@ from conetl.db.live_store import WatchedDrive, drop_watched_recording, read_prov
 from conetl.db.map.map_store import find_map, map_transaction
 from conetl.db.receipt_store import held_if_free
 from conetl.db.schema import run_audits
-from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
 from conetl.pipeline.settings import Settings
 from conetl.pipeline.watch import WatchReport, pause_s, watch_drive
@@ -150,7 +150,7 @@ def test_old_pairs_are_left_out_only_while_newer_ones_wait(settings: Settings, t
 def test_a_watch_ends_when_nothing_comes(settings: Settings, tmp_path: Path) -> None:
     (tmp_path / "drive").mkdir()
     assert watch(tmp_path / "drive", settings, idle_s=0.3).ended_by == "nothing came for 0.3 s"
-    with pytest.raises(DriveFolderError, match="no such folder"):
+    with pytest.raises(InputError, match="no such folder"):
         watch(tmp_path / "typo", settings)
 
 
@@ -161,7 +161,7 @@ def test_a_folder_that_never_becomes_a_drive_is_an_error(
     monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))
     (tmp_path / "drive").mkdir()
     result = CliRunner().invoke(app, ["watch", str(tmp_path / "drive"), "--idle-seconds", "0.3"])
-    assert isinstance(result.exception, DriveFolderError)
+    assert isinstance(result.exception, InputError)
     assert "no drive was recorded here" in str(result.exception)
 
 

@@ -22,7 +22,7 @@ from conetl.cli.ingest import print_report
 from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets
 from conetl.db.receipt_store import is_published, pending_changesets
-from conetl.model.errors import CalibrationError, StorageError
+from conetl.model.errors import DriveFolderError, StorageError
 from conetl.model.health import CALIBRATION, HealthCheck, HoldChange, Verdict
 from conetl.model.ingest_report import DriveOnHoldError, IngestReport, TooManyRejectionsError
 from conetl.model.map_records import DeltaKind
@@ -158,7 +158,7 @@ def raising(error: Exception) -> Callable[..., Any]:
     [
         (httpx.ConnectError("All connection attempts failed"), True, "Prefect"),
         (StorageError("results cannot be written (No space left on device)"), True, "No space left"),
-        (CalibrationError("calib_cam_to_cam.txt: P_rect_03 is missing"), False, "P_rect_03"),
+        (DriveFolderError("calib_cam_to_cam.txt: P_rect_03 is missing"), False, "P_rect_03"),
     ],
     ids=["Prefect restarts", "disk full", "calibration"],
 )

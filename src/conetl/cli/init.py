@@ -15,7 +15,7 @@ import typer
 from conetl.cli.console import JsonOption, answer, at_a_question, complain, note, say, spinner
 from conetl.files.atomic import atomic_files
 from conetl.files.documents import validated
-from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, DriveFolderError, InputError
+from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, InputError
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.stereo_check import TRIGGER, check_stereo
 from conetl.perception.video import video_facts
@@ -122,7 +122,7 @@ def init(
     """
     root = folder.resolve()
     if not root.is_dir():
-        raise DriveFolderError(f"{folder}: there is no such folder")
+        raise InputError(f"{folder}: there is no such folder")
     kind = find_format(root)
     # Folders called left and right may be a plain drive, or images with a log of any format.
     lacks_poses = kind is plain and not (root / plain.TRAJECTORY).is_file()

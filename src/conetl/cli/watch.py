@@ -15,7 +15,7 @@ from conetl.cli.ingest import read_params
 from conetl.db.live_store import read_provisional
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.mapping.reasons import probability_text
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.pipeline.database import open_maps
 from conetl.pipeline.settings import Settings, read_settings
 
@@ -67,7 +67,7 @@ def watch(
     finally:
         signal.signal(signal.SIGINT, before)
     if not report.drive_id and not stop.is_set():
-        raise DriveFolderError(
+        raise InputError(
             f"{drive}: no drive was recorded here ({report.ended_by}): expected image_02/data and image_03/data of KITTI, or "
             "left, right and trajectory.csv of a plain folder; `conetl inspect` shows what is missing"
         )

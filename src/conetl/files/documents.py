@@ -117,14 +117,14 @@ class XmlFile(FileIO):
 
 
 @contextmanager
-def named(source: object, kind: type[InputError] = InputError) -> Iterator[None]:
-    """OSErrors and ValueErrors of the block as errors of this kind, which name the file or folder that was read."""
+def named(source: object) -> Iterator[None]:
+    """OSErrors and ValueErrors of the block as InputErrors, which name the file or folder that was read."""
     try:
         yield
     except OSError as error:
-        raise kind(f"{source}: cannot be read ({error.strerror})") from error
+        raise InputError(f"{source}: cannot be read ({error.strerror})") from error
     except ValueError as error:
-        raise kind(f"{source}: {first_message(error)}") from error
+        raise InputError(f"{source}: {first_message(error)}") from error
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 
 #: Characters that have a meaning within a line of Markdown, GitHub's included.
 _MARKDOWN = re.compile(r"([\\`*_~<>\[\]()!|&:@]|(?<=www)\.)")
@@ -27,10 +27,10 @@ def as_markdown(text: str | Path) -> str:
 
 
 def require_utf8(folder: Path) -> None:
-    """Raise DriveFolderError where the path of a drive, or of a link's target, is not UTF-8: the map stores it as text."""
+    """Raise InputError where the path of a drive, or of a link's target, is not UTF-8: the map stores it as text."""
     for path in (folder.absolute(), folder.resolve()):
         if printable(path) != str(path):
-            raise DriveFolderError(
+            raise InputError(
                 f"{printable(path)}: the name is not UTF-8, and neither the database nor Parquet files can store it; rename the "
                 "folder (convmv does it for whole trees)"
             )

@@ -30,11 +30,7 @@ class ConflictError(InputError):
 
 
 class DriveFolderError(InputError):
-    """A drive folder is missing, empty, or lacks a required file."""
-
-
-class CalibrationError(InputError):
-    """A calibration file is missing, incomplete or contradicts itself."""
+    """A drive as a whole cannot be used: of all that its reader found wrong, and of images that contradict the calibration."""
 
 
 class ModelFileError(InputError):
@@ -86,7 +82,7 @@ def may_pass(error: BaseException) -> bool:
 
     Callers limit the number of tries.
     """
-    if isinstance(error, DriveFolderError | CalibrationError | MapMismatchError):
+    if isinstance(error, DriveFolderError | MapMismatchError):
         return is_of_storage(error.__cause__)
     return True
 

@@ -24,7 +24,7 @@ from conetl.db.live_store import clear_watches, end_watch, watch_lock
 from conetl.db.map.map_store import find_map
 from conetl.db.receipt_store import held_if_free
 from conetl.model.drive import MAX_SPEED_M_S, FramePair, Track
-from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import Rig
@@ -145,7 +145,7 @@ def watch_drive(
     """
     if not folder.is_dir():
         what = "this is a file, not a drive folder" if folder.exists() else "there is no such folder"
-        raise DriveFolderError(f"{folder}: {what}; make the folder before the recording begins")
+        raise InputError(f"{folder}: {what}; make the folder before the recording begins")
     report = WatchReport(map_name=settings.map_name)
     with ExitStack() as stack:
         conn = stack.enter_context(open_maps(settings))

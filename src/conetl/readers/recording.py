@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from conetl.model.drive import FramePair, Pose
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import Rig
 from conetl.perception.images import IMAGE_SUFFIXES
@@ -41,11 +41,11 @@ class ArrivingPair(NamedTuple):
 
 
 def open_arriving(folder: Path) -> ArrivingDrive | None:
-    """The drive that arrives in a folder; None until its format is known. Raises DriveFolderError."""
+    """The drive that arrives in a folder; None until its format is known. Raises InputError."""
     root = folder.resolve()
     found = drive_format(root)
     if found not in (None, "kitti", "plain"):
-        raise DriveFolderError(
+        raise InputError(
             f"{folder}: a drive of the format '{found}' cannot be watched, but KITTI raw and plain folders can: "
             "ingest it when it is complete"
         )
@@ -139,7 +139,7 @@ class ArrivingPlain(_Arriving):
     """Lines that are in `rows`."""
 
     def new_pairs(self, changed: Iterable[Path] | None) -> list[ArrivingPair]:
-        """Raises DriveFolderError where trajectory.csv has wrong columns."""
+        """Raises InputError where trajectory.csv has wrong columns."""
         if lines := self.file.lines(self._line_count):
             self._line_count += len(lines)
             self.rows.add(b"".join(line + b"\n" for line in lines).decode("utf-8-sig", errors="replace"))

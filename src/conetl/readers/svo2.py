@@ -28,7 +28,7 @@ from mcap.reader import McapReader, make_reader
 from mcap.records import Message
 
 from conetl.files.atomic import atomic_files
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.perception.video import MAX_FRAMES, VIDEO_SUFFIXES
 from conetl.readers.drives.bag_messages import library_errors
 from conetl.readers.drives.formats import names_in
@@ -54,23 +54,23 @@ class Svo2(NamedTuple):
 
 
 def svo2_of(root: Path) -> Path | None:
-    """The recording in a folder without other videos; None if there is none. Raises DriveFolderError if there are several."""
+    """The recording in a folder without other videos; None if there is none. Raises InputError if there are several."""
     found = [root / name for name in names_in(root, SUFFIXES)]
     if not found or any(Path(name).stem != found[0].stem for name in names_in(root, VIDEO_SUFFIXES)):
         return None
     if len(found) > 1:
         names = ", ".join(path.name for path in found)
-        raise DriveFolderError(f"{root}: there are several recordings ({names}): give each a folder of its own")
+        raise InputError(f"{root}: there are several recordings ({names}): give each a folder of its own")
     return found[0]
 
 
 def read_svo2(path: Path) -> Svo2:
-    """Camera, frames and beginning of a recording. Raises DriveFolderError."""
+    """Camera, frames and beginning of a recording. Raises InputError."""
     with _opened(path) as reader:
         topic, frames = _topic(reader, path)
         first = next(reader.iter_messages([topic]), None)
         if first is None:
-            raise DriveFolderError(f"{path}: the recording has no images")
+            raise InputError(f"{path}: the recording has no images")
         start_ns = first[2].log_time
         header = next(reader.iter_messages([_HEADER]), None)
         serial = None if header is None else _serial(header[2].data)
@@ -78,7 +78,7 @@ def read_svo2(path: Path) -> Svo2:
 
 
 def copy_video(path: Path, target: Path) -> None:
-    """Write the video of a recording as an MP4 file; times count from the first frame. Raises DriveFolderError."""
+    """Write the video of a recording as an MP4 file; times count from the first frame. Raises InputError."""
     with _opened(path) as reader, atomic_files(target) as (unfinished,):
         topic, _ = _topic(reader, path)
         with av.open(str(unfinished), "w", format="mp4") as output:
@@ -87,13 +87,13 @@ def copy_video(path: Path, target: Path) -> None:
             for number, (_, _, message) in enumerate(reader.iter_messages([topic])):
                 data = _stream(message, path)
                 if number >= MAX_FRAMES:
-                    raise DriveFolderError(f"{path}: more than {MAX_FRAMES:,} frames: split the recording into several")
+                    raise InputError(f"{path}: more than {MAX_FRAMES:,} frames: split the recording into several")
                 if stream is None:
                     try:
                         with av.open(BytesIO(data), options={"format_whitelist": "h264,hevc"}) as probed:
                             codec, stream = probed.format.name, output.add_stream_from_template(probed.streams.video[0])
                     except av.FFmpegError as error:
-                        raise DriveFolderError(
+                        raise InputError(
                             f"{path}: its first frame has no parameters of H.264 or H.265: {_export(path)}"
                         ) from error
                     stream.time_base = Fraction(1, _UNITS)
@@ -109,7 +109,7 @@ def copy_video(path: Path, target: Path) -> None:
 @contextmanager
 def _opened(path: Path) -> Iterator[McapReader]:
     if path.suffix.lower() != ".svo2":
-        raise DriveFolderError(f"{path}: recordings of this format are not documented: {_export(path)}")
+        raise InputError(f"{path}: recordings of this format are not documented: {_export(path)}")
     with library_errors(path), path.open("rb") as file:
         yield make_reader(file, validate_crcs=True)
 
@@ -123,7 +123,7 @@ def _topic(reader: McapReader, path: Path) -> tuple[str, int]:
     summary = reader.get_summary()
     channels = [] if summary is None else [c for c in summary.channels.values() if c.topic.endswith(_IMAGES)]
     if summary is None or len(channels) != 1:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: expected one topic Camera_SN.../side_by_side, found {len(channels)}: {_export(path)}"
         )
     counts = summary.statistics.channel_message_counts if summary.statistics else {}
@@ -144,7 +144,7 @@ def _stream(message: Message, path: Path) -> bytes:
     size = _SIZES.unpack_from(data)[1] if len(data) > _SIZES.size else 0
     found = data[_SIZES.size : _SIZES.size + size]
     if len(found) != size or not found.startswith(_START_CODE):
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: its frames are not H.264 or H.265 in the layout that conetl knows (the ZED SDK also records JPEG and PNG): "
             f"{_export(path)}"
         )

@@ -12,7 +12,7 @@ import yaml
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from conetl.model.errors import CalibrationError, InputError
+from conetl.model.errors import InputError
 from conetl.readers.rigs import read_rig
 
 RIG = """
@@ -68,7 +68,7 @@ def test_size_and_unit_of_a_file_that_has_none(tmp_path: Path) -> None:
     values = {"K1": k, "D1": [0.0] * 5, "K2": k, "D2": [0.0] * 5, "R": np.eye(3).tolist(), "T": [-270.0, 0, 0]}
     (tmp_path / "stereo.yaml").write_text(yaml.safe_dump(values))
     words = ("convert", tmp_path / "stereo.yaml", tmp_path / "rig.yaml", "--to", "rig", "--image-size", "1280x720")
-    with pytest.raises(CalibrationError, match="another unit"):
+    with pytest.raises(InputError, match="another unit"):
         run(*words)
     assert json.loads(run(*words, "--unit", "mm", "--json"))["read_as"] == "opencv"
     assert read_rig(tmp_path / "rig.yaml").baseline_m == pytest.approx(0.27)
@@ -109,7 +109,7 @@ def test_a_pair_of_a_scaled_chain(tmp_path: Path) -> None:
     }  # fmt: skip
     chain = {f"cam{n}": camera | ({"T_cn_cnm1": pose.tolist()} if n else {}) for n in range(3)}
     (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(chain))
-    with pytest.raises(CalibrationError, match="choose the stereo pair: conetl rig convert with --pair LEFT,RIGHT"):
+    with pytest.raises(InputError, match="choose the stereo pair: conetl rig convert with --pair LEFT,RIGHT"):
         run("show", tmp_path / "camchain.yaml")
     words = ("--pair", "cam0,cam2", "--scale-to", "640x360")
     run("convert", tmp_path / "camchain.yaml", tmp_path / "rig.yaml", *words)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
 from conetl.model.drive import Drive
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rig import Side
 from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.unguided_odometry import measure_motions
@@ -57,9 +57,7 @@ def test_images_that_show_nothing_give_no_motions_and_no_offset(drive: Drive) ->
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in drive.frame_pairs])
     stamps = [pair.captured_at_ns for pair in drive.frame_pairs]
     track = Samples("gnss.csv", stamps, poses, np.full((len(stamps), 6), 0.1), {})
-    with pytest.raises(
-        DriveFolderError, match=r"gnss\.csv: .* cannot be determined .* drive\.yaml: 'clock: \{offset_s"
-    ):
+    with pytest.raises(InputError, match=r"gnss\.csv: .* cannot be determined .* drive\.yaml: 'clock: \{offset_s"):
         image_clock(Clock(), track, times_ns, drive.rig, dark, from_course=False)
     reads.clear()
     assert image_clock(None, track, times_ns, drive.rig, dark, from_course=False) == ImageClock(0.0, 0.0)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import find_drives, quiet_since, read_header
 from tests.folders import SAMPLE
@@ -97,7 +97,7 @@ def test_drives_are_found_in_folders_by_day(drive: Path, tmp_path: Path) -> None
     found = [path.name for path in find_drives(tmp_path / "archive")]
     assert sorted(found) == ["another", "drive"]
     assert list(find_drives(drive)) == [drive]
-    with pytest.raises(DriveFolderError, match="no such folder"):
+    with pytest.raises(InputError, match="no such folder"):
         list(find_drives(tmp_path / "nowhere"))
 
 
@@ -202,14 +202,14 @@ def test_a_name_that_is_not_utf8_is_rejected_with_a_printable_message(drive: Pat
     assert header.shown_path == f"{drive.parent}/M\\xfcnchen"
     assert "not UTF-8" in (header.problem or "")
     (header.drive_id + header.shown_path + (header.problem or "")).encode()
-    with pytest.raises(DriveFolderError, match="rename the folder"):
+    with pytest.raises(InputError, match="rename the folder"):
         read_drive(odd)
     again = Path(shutil.copytree(odd, drive.parent / "other day" / odd.name))
     assert read_header(again).header_sha256 != header.header_sha256, "each is reported"
     link = drive.parent / "linked"
     link.symlink_to(odd)
     assert "not UTF-8" in (read_header(link).problem or "")
-    with pytest.raises(DriveFolderError, match="not UTF-8"):
+    with pytest.raises(InputError, match="not UTF-8"):
         list(find_drives(odd))
 
 

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import geodesy
 from conetl.model.drive import Drive, Pose
-from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives import oxts, read_drive
 from conetl.readers.drives.drive_yaml import Sigmas
@@ -284,37 +284,32 @@ def settings(drive: Path, text: str) -> None:
     (drive / "drive.yaml").write_text(text)
 
 
-FAILURES: dict[str, tuple[Callable[[Path], object], type[Exception], str]] = {
-    "no calibration": (lambda d: remove(d.parent, *CALIBRATION), CalibrationError, "neither in the drive folder"),
-    "no chain to the IMU": (lambda d: remove(d.parent, "calib_imu_to_velo.txt"), CalibrationError, "imu_to_velo.txt missing"),
-    "no OXTS": (lambda d: remove(d, "oxts"), DriveFolderError, "no poses in oxts/data"),
-    "no right camera": (lambda d: remove(d, "image_03"), DriveFolderError, "image_03/data is missing"),
-    "no images": (
-        lambda d: [p.unlink() for c in ("image_02", "image_03") for p in (d / c / "data").iterdir()],
-        DriveFolderError, "no images",
-    ),
-    "no time stamps": (lambda d: remove(d, "image_02/timestamps.txt"), DriveFolderError, "image_02/timestamps.txt is missing"),
-    "all poses bad": (lambda d: [change_oxts(i, 0, "nan")(d) for i in range(FRAMES)], DriveFolderError, "lat_deg: "),
-    "all images bad": (
-        lambda d: [cut(p) for p in (d / "image_02/data").iterdir()], DriveFolderError, "none of 6 frame pairs can be used",
-    ),
-    "drive.yaml with an unknown key": (settings("drive: x"), DriveFolderError, "drive: unknown key"),
-    "drive.yaml that is no mapping": (settings("- x"), DriveFolderError, "expected keys"),
-    "unknown time zone": (settings("timestamps_timezone: Mars/Olympus"), DriveFolderError, "not a time zone"),
-    "map CRS of too many digits": (settings("map_srid: 25832000"), DriveFolderError, "map_srid: expected less than 1000000"),
-    "map CRS in degrees": (settings("map_srid: 4326"), DriveFolderError, "not a projected CRS"),
-    "Web Mercator": (settings("map_srid: 3857"), DriveFolderError, "stretches lengths"),
-    "negative sigma": (settings("sigmas: {yaw_deg: -1}"), DriveFolderError, "sigmas.yaw_deg: "),
-    "calibration outside by ..": (settings("calibration: ../calib_cam_to_cam.txt"), DriveFolderError, "is outside"),
-    "camera folder by ..": (settings("cameras: {left: ../x/image_02, right: image_03}"), DriveFolderError, "cameras.left"),
+FAILURES: dict[str, tuple[Callable[[Path], object], str]] = {
+    "no calibration": (lambda d: remove(d.parent, *CALIBRATION), "neither in the drive folder"),
+    "no chain to the IMU": (lambda d: remove(d.parent, "calib_imu_to_velo.txt"), "imu_to_velo.txt missing"),
+    "no OXTS": (lambda d: remove(d, "oxts"), "no poses in oxts/data"),
+    "no right camera": (lambda d: remove(d, "image_03"), "image_03/data is missing"),
+    "no images": (lambda d: [p.unlink() for c in ("image_02", "image_03") for p in (d / c / "data").iterdir()], "no images"),
+    "no time stamps": (lambda d: remove(d, "image_02/timestamps.txt"), "image_02/timestamps.txt is missing"),
+    "all poses bad": (lambda d: [change_oxts(i, 0, "nan")(d) for i in range(FRAMES)], "lat_deg: "),
+    "all images bad": (lambda d: [cut(p) for p in (d / "image_02/data").iterdir()], "none of 6 frame pairs can be used"),
+    "drive.yaml with an unknown key": (settings("drive: x"), "drive: unknown key"),
+    "drive.yaml that is no mapping": (settings("- x"), "expected keys"),
+    "unknown time zone": (settings("timestamps_timezone: Mars/Olympus"), "not a time zone"),
+    "map CRS of too many digits": (settings("map_srid: 25832000"), "map_srid: expected less than 1000000"),
+    "map CRS in degrees": (settings("map_srid: 4326"), "not a projected CRS"),
+    "Web Mercator": (settings("map_srid: 3857"), "stretches lengths"),
+    "negative sigma": (settings("sigmas: {yaw_deg: -1}"), "sigmas.yaw_deg: "),
+    "calibration outside by ..": (settings("calibration: ../calib_cam_to_cam.txt"), "is outside"),
+    "camera folder by ..": (settings("cameras: {left: ../x/image_02, right: image_03}"), "cameras.left"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", FAILURES)
 def test_an_unusable_drive_raises_one_message(drive: Path, name: str) -> None:
-    damage, error, words = FAILURES[name]
+    damage, words = FAILURES[name]
     damage(drive)
-    with pytest.raises(error) as raised:
+    with pytest.raises(DriveFolderError) as raised:
         read_drive(drive)
     assert words in str(raised.value)
     assert "drive_0001" in str(raised.value) or "day" in str(raised.value), "the message names the path"

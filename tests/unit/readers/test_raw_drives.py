@@ -13,7 +13,7 @@ from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectified_from_raw, rectify
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import DriveFolderError, InputError
 from conetl.readers.drives import read_drive
 from conetl.readers.rigs import read_kitti_rig, read_rig_for_images
 from tests.folders import SAMPLE
@@ -103,7 +103,7 @@ def test_kitti_images_of_a_third_size_are_rejected(kitti: Path) -> None:
 
 
 def test_a_swapped_raw_pair_is_rejected(kitti: Path) -> None:
-    with pytest.raises(CalibrationError, match=r"T_03, T_02: .*swapped"):
+    with pytest.raises(InputError, match=r"T_03, T_02: .*swapped"):
         read_kitti_rig(kitti / "calib_cam_to_cam.txt", left=3, right=2, body_required=True, images="raw")
 
 
@@ -137,5 +137,5 @@ def test_a_plain_drive_with_a_turned_camera_is_rectified(tmp_path: Path) -> None
 def test_a_plain_drive_whose_cameras_share_no_image_is_refused(tmp_path: Path) -> None:
     turn = se3.rotation_from_rpy(0.0, 2.6, 0.0).tolist()
     text = f"{BOTH}left_SE3_right: {{R: {turn}, t_m: [0.3, 0, 0]}}\n{BODY}\n"
-    with pytest.raises(CalibrationError, match=r"rig\.yaml: the cameras look"):
+    with pytest.raises(DriveFolderError, match=r"rig\.yaml: the cameras look"):
         read_drive(plain(tmp_path / "d", text))

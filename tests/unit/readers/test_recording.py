@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.pairs import PairError
@@ -28,7 +28,7 @@ def test_the_format_is_not_known_yet(tmp_path: Path) -> None:
 def test_a_format_that_cannot_be_watched_is_named(tmp_path: Path) -> None:
     for name in ("cam0", "cam1"):
         (tmp_path / "mav0" / name / "data").mkdir(parents=True)
-    with pytest.raises(DriveFolderError, match="ingest it when it is complete"):
+    with pytest.raises(InputError, match="ingest it when it is complete"):
         open_arriving(tmp_path)
 
 
@@ -47,7 +47,7 @@ def test_rows_count_once_they_end(tmp_path: Path) -> None:
     assert "in two rows" in str(drive.rows.by_stem["000010"])
     assert "lat_deg" in str(drive.rows.by_stem["000011"])
     (folder / "trajectory.csv").write_text("stem,when\n")
-    with pytest.raises(DriveFolderError, match="wrong columns"):
+    with pytest.raises(InputError, match="wrong columns"):
         open_arriving(folder).new_pairs(None)
 
 

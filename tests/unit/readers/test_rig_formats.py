@@ -20,7 +20,7 @@ from conetl.files.documents import MAX_JSON_BYTES
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.model.errors import CalibrationError, InputError
+from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Lens, Rig
 from conetl.readers.rigs import WRITERS, read_rig, read_rig_and_format
 from conetl.readers.rigs.common import rig_of
@@ -106,9 +106,9 @@ def test_opencv_stereo_file(tmp_path: Path, suffix: str) -> None:
 def test_opencv_sample_with_two_files_without_size_in_millimetres(tmp_path: Path) -> None:
     opencv_text(tmp_path / "intrinsics.yml", {"M1": K1, "D1": D1, "M2": K2, "D2": D2})
     opencv_text(tmp_path / "extrinsics.yml", {"R": R, "T": 1000 * T[:, None], "Q": np.eye(4)})
-    with pytest.raises(CalibrationError, match=r"image_width, image_height.*--image-size"):
+    with pytest.raises(InputError, match=r"image_width, image_height.*--image-size"):
         read_rig(tmp_path)
-    with pytest.raises(CalibrationError, match=r"baseline is 274 m.*--unit mm"):
+    with pytest.raises(InputError, match=r"baseline is 274 m.*--unit mm"):
         read_rig(tmp_path, image_size=SIZE)
     for path in (tmp_path, tmp_path / "intrinsics.yml", tmp_path / "extrinsics.yml"):
         agrees_with_opencv(read_rig(path, image_size=SIZE, length_unit="mm"))
@@ -119,7 +119,7 @@ def test_opencv_single_camera_files(tmp_path: Path) -> None:
         opencv_text(tmp_path / f"{name}.yml", {
             "image_width": 1280, "image_height": 720, "camera_matrix": k, "distortion_coefficients": d[:, None],
         })  # fmt: skip
-    with pytest.raises(CalibrationError, match=r"'R' \(R\) is missing"):
+    with pytest.raises(InputError, match=r"'R' \(R\) is missing"):
         read_rig(tmp_path)
     opencv_text(tmp_path / "extrinsics.yml", {"R": cv2.Rodrigues(R)[0], "T": T})
     agrees_with_opencv(read_rig(tmp_path))
@@ -190,7 +190,7 @@ def test_ros_cameras_calibrated_one_by_one_need_extrinsics(tmp_path: Path) -> No
         content["rectification_matrix"]["data"] = np.eye(3).reshape(-1).tolist()
         content["projection_matrix"]["data"][3] = 0.0
         (tmp_path / f"{side}.yaml").write_text(yaml.safe_dump(content))
-    with pytest.raises(CalibrationError, match="calibrated one by one"):
+    with pytest.raises(InputError, match="calibrated one by one"):
         read_rig(tmp_path)
     relative = {"R": R.T.tolist(), "t_m": (-R.T @ T).tolist()}
     (tmp_path / "extrinsics.yaml").write_text(yaml.safe_dump({"left_SE3_right": relative}))
@@ -246,7 +246,7 @@ def test_round_trips(tmp_path: Path, kind: str, lens: str) -> None:
     parallel = make_rig(Lens(), (0.0, 0.0, 0.0), (0.5, 0.0, 0.0))
     rig, path = parallel if lens == "parallel" else make_rig(LENSES[lens]), target(tmp_path, kind)
     if (kind, lens) in NOT_THERE:
-        with pytest.raises(CalibrationError, match="export to OpenCV or ROS"):
+        with pytest.raises(InputError, match="export to OpenCV or ROS"):
             WRITERS[kind](rig, path)
         assert not list(tmp_path.iterdir()), "half a calibration was left behind"
         return
@@ -417,17 +417,17 @@ def test_a_folder_with_two_calibrations_is_not_guessed_at(tmp_path: Path) -> Non
 def test_size_and_unit_are_only_for_files_without_them(tmp_path: Path) -> None:
     path = tmp_path / "camchain.yaml"
     path.write_text(yaml.safe_dump(kalibr_content()))
-    with pytest.raises(CalibrationError, match="leave them out"):
+    with pytest.raises(InputError, match="leave them out"):
         read_rig(path, length_unit="mm")
 
 
 def test_opencv_writes_no_rig_that_it_cannot_hold(tmp_path: Path) -> None:
     rig = make_rig(Lens())
     small = rig.model_copy(update={"right": rig.right.model_copy(update={"width_px": 640})})
-    with pytest.raises(CalibrationError, match="one image size"):
+    with pytest.raises(InputError, match="one image size"):
         WRITERS["opencv"](small, tmp_path / "a.yml")
     mixed = rig.model_copy(update={"right": rig.right.model_copy(update={"lens": LENSES["fisheye"]})})
-    with pytest.raises(CalibrationError, match="two fisheye lenses or none"):
+    with pytest.raises(InputError, match="two fisheye lenses or none"):
         WRITERS["opencv"](mixed, tmp_path / "a.yml")
-    with pytest.raises(CalibrationError, match=r"end in \.yml"):
+    with pytest.raises(InputError, match=r"end in \.yml"):
         WRITERS["opencv"](rig, tmp_path / "a.txt")

@@ -10,7 +10,7 @@ import pytest
 
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.model.errors import CalibrationError, InputError
+from conetl.model.errors import InputError
 from conetl.readers.rigs import read_kitti_rig, read_rig, write_rig_yaml
 
 #: Numbers of the size of KITTI's own: camera 2 sits 6 cm left of camera 0, camera 3 47 cm right of it.
@@ -59,13 +59,13 @@ def test_without_the_imu_the_body_is_the_left_camera(folder: Path) -> None:
     (folder / "calib_imu_to_velo.txt").unlink()
     rig = read_rig(folder / "calib_cam_to_cam.txt")
     assert rigs.body_is_left_camera(rig)
-    with pytest.raises(CalibrationError, match=r"calib_velo_to_cam\.txt and calib_imu_to_velo\.txt missing"):
+    with pytest.raises(InputError, match=r"calib_velo_to_cam\.txt and calib_imu_to_velo\.txt missing"):
         read_kitti_rig(folder / "calib_cam_to_cam.txt", body_required=True)
 
 
 def test_half_a_chain_is_refused(folder: Path) -> None:
     (folder / "calib_imu_to_velo.txt").unlink()
-    with pytest.raises(CalibrationError, match=r"calib_imu_to_velo\.txt missing"):
+    with pytest.raises(InputError, match=r"calib_imu_to_velo\.txt missing"):
         read_rig(folder)
 
 
@@ -101,7 +101,7 @@ def test_the_rig_id_follows_the_numbers(folder: Path) -> None:
 def test_a_broken_kitti_file_raises_one_message(folder: Path, old: str, new: str, message: str) -> None:
     (path,) = (path for path in folder.iterdir() if old in path.read_text())
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(CalibrationError, match=message) as raised:
+    with pytest.raises(InputError, match=message) as raised:
         read_rig(folder)
     assert str(folder) in str(raised.value)
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import to_geodetic
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.pairs import PairError
 from conetl.readers.drives.poses import Samples, at, to_pose
@@ -71,9 +71,9 @@ def test_a_lost_or_bad_record_costs_itself_and_a_long_gap_the_pairs_in_it() -> N
 def test_a_vehicle_that_never_moves_is_refused_with_the_reason() -> None:
     still = track(1.0)
     still.map_SE3_body[:, :3, 3] = 0.0
-    with pytest.raises(DriveFolderError, match=r"gnss\.csv: it has no attitudes, and .* never show the vehicle moving"):
+    with pytest.raises(InputError, match=r"gnss\.csv: it has no attitudes, and .* never show the vehicle moving"):
         pose_reader(still, [START_NS + SECOND], from_course=True)
-    with pytest.raises(DriveFolderError, match="at least three"):
+    with pytest.raises(InputError, match="at least three"):
         pose_reader(track(1.0, seconds=2.0), [START_NS], from_course=True)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conetl.geometry import pose as se3
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import InputError
 from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, read_kitti_rig
 from conetl.simulation.trajectory import CAM0_SE3_VELO, RECT_R_CAM0, T_RECT_M
@@ -72,5 +72,5 @@ def test_the_chain_from_the_scanner_to_the_left_camera_is_kittis() -> None:
 def test_a_broken_calibration_is_refused_by_name(tmp_path: Path) -> None:
     rig = read_kitti_rig(SAMPLE / CAM_TO_CAM, body_required=True)
     (tmp_path / IMU_TO_VELO).write_text("R: 1 0 0\nT: 0 0 0\n")
-    with pytest.raises(CalibrationError, match=IMU_TO_VELO):
+    with pytest.raises(InputError, match=IMU_TO_VELO):
         left_SE3_velo(rig, tmp_path)

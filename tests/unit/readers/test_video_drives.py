@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 from conetl.cli.app import app
 from conetl.geometry import rig as rigs
 from conetl.model.drive import Drive
-from conetl.model.errors import CalibrationError, ConetlError, DriveFolderError, InputError
+from conetl.model.errors import ConetlError, DriveFolderError, InputError
 from conetl.model.rig import Rig
 from conetl.perception.rectified_image import read_pair_image
 from conetl.perception.video import index_video, video_facts
@@ -267,11 +267,11 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
     ):
         copy = copied(folder, tmp_path / str(number), settings=text)
         (copy / "stills").mkdir()
-        with pytest.raises((DriveFolderError, CalibrationError), match=message):
+        with pytest.raises(InputError, match=message):
             read_drive(copy)
     for name, message in (("drive.csv", "which file is the trajectory"), ("rig.yaml", r"rig\.yaml is missing")):
         copy = copied(folder, tmp_path / f"without {name}", name, settings=start + "}")
-        with pytest.raises((DriveFolderError, CalibrationError), match=message):
+        with pytest.raises(InputError, match=message):
             read_drive(copy)
     still = copied(folder, tmp_path / "still", "right.mp4", settings="images: {start: '2026-03-02 09:41:07'}")
     image, times = np.full((320, 960, 3), 90, np.uint8), [pair.captured_at_ns for pair in sample.frame_pairs]
@@ -287,7 +287,7 @@ def test_a_mount_takes_the_place_of_the_pose_in_the_rig(folder: Path, tmp_path: 
     )
     copy = copied(folder, tmp_path, "rig.yaml", settings=(folder / "drive.yaml").read_text())
     write_rig_yaml(Rig.model_validate(free), copy / "rig.yaml")
-    with pytest.raises(CalibrationError, match="where the cameras are on the vehicle is unknown"):
+    with pytest.raises(InputError, match="where the cameras are on the vehicle is unknown"):
         read_drive(copy)
     with (copy / "drive.yaml").open("a") as file:
         file.write("mount: {forward_m: 1.5, left_m: 0.2, up_m: 0.4, pitch_deg: 10, yaw_deg: 5}\n")
@@ -316,7 +316,7 @@ def test_one_recording_is_a_drive_for_each_stereo_pair(folder: Path, tmp_path: P
         copy = copied(folder, tmp_path / name, "rig.yaml", settings=f"{text}drive_id: {name}\n{chosen}")
         (copy / "rig.yaml").write_text(yaml.safe_dump({"rig_id": "van", "cameras": cameras}))
         if not chosen:
-            with pytest.raises(CalibrationError, match=r"4 cameras.*'pair: \[LEFT, RIGHT\]' in drive\.yaml"):
+            with pytest.raises(InputError, match=r"4 cameras.*'pair: \[LEFT, RIGHT\]' in drive\.yaml"):
                 read_drive(copy)
         else:
             found[name] = read_drive(copy)[0]

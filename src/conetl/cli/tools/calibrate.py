@@ -12,7 +12,7 @@ import typer
 from conetl.cli.console import JsonOption, err, parse_size, print_json, print_table, progress_bar, say
 from conetl.geometry.calibration.stereo_calibration import MODELS, BoardShape, calibrate_stereo, rig_of
 from conetl.geometry.rectification import check_stereo_baseline
-from conetl.model.errors import EXIT_NEEDS_ATTENTION, CalibrationError, InputError
+from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import SIDES
 from conetl.perception.boards import images as board_images
@@ -111,7 +111,7 @@ def calibrate(
         )  # fmt: skip
         check_stereo_baseline(result.bundle.left_SE3_right)
     except ValueError as error:
-        raise CalibrationError(f"{folder}: {error}") from error
+        raise InputError(f"{folder}: {error}") from error
     name = rig_id or f"rig-{hashlib.sha256(repr(result.bundle).encode()).hexdigest()[:8]}"
     rig = rig_of(result, name, scale_sigma_relative=1e-3 * square_sigma_mm / drawn.size_m)
     misfits = [
@@ -154,7 +154,7 @@ def _pairs_of_videos(videos: list[Path], layout: Layout | None, offset_s: float 
         try:
             pairs, found_s = pairs_in_videos(opened, offset_s, on_frame=update)
         except ImageFileError as error:
-            raise CalibrationError(str(error)) from error
+            raise InputError(str(error)) from error
     err.print(f"{len(pairs)} frame pairs; time offset of the right video {found_s:+.2f} s", markup=False)
     return pairs
 
@@ -176,14 +176,12 @@ def _pairs(folder: Path, pairing: Pairing, left: str | None, right: str | None) 
 
 
 def _check_found(images: board_images.BoardImages, board: Board) -> None:
-    """Raise CalibrationError if no image shows the board, with the most frequent reason."""
+    """Raise InputError if no image shows the board, with the most frequent reason."""
     if images.views:
         return
     details = Counter(r.detail for r in images.rejections).most_common(1)
     most = f"; most often: {details[0][0]} ({details[0][1]} images)" if details else ""
-    raise CalibrationError(
-        f"the {board.kind} of {board.cols} x {board.rows} was not found in any image{most}. Check --board"
-    )
+    raise InputError(f"the {board.kind} of {board.cols} x {board.rows} was not found in any image{most}. Check --board")
 
 
 def _print(content: dict[str, Any]) -> None:

@@ -18,7 +18,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.calibration.stereo_bundle import BoardView
 from conetl.geometry.calibration.stereo_calibration import MIN_PAIRS, Start
 from conetl.model.arrays import Floats
-from conetl.model.errors import CalibrationError, InputError
+from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import SIDES, Camera, Lens, Side
 from conetl.perception.boards.boards import Board, Found, NotFound, find_board, matched_orientation
@@ -178,14 +178,14 @@ def _joined(folder: Path, left: dict[str, Path], right: dict[str, Path]) -> list
 def start_values(points_m: Floats, views: Sequence[BoardView], sizes: Mapping[Side, tuple[int, int]]) -> Start:
     """Cameras with radial distortion and the board's pose in each view. points_m: (n, 3) board; sizes: width, height by side.
 
-    Raises CalibrationError where a camera has too few views or OpenCV finds no solution.
+    Raises InputError where a camera has too few views or OpenCV finds no solution.
     """
     cameras: dict[Side, Camera] = {}
     poses: dict[Side, dict[int, Floats]] = {}
     for side in SIDES:
         own = [view for view in views if view.side == side]
         if len(own) < MIN_PAIRS:
-            raise CalibrationError(
+            raise InputError(
                 f"the board was found in {len(own)} {side} images, at least {MIN_PAIRS} are needed (20 to 40 are good)"
             )
         cameras[side], poses[side] = _one_camera(points_m, own, sizes[side], side)
@@ -210,7 +210,7 @@ def _one_camera(
         matrix, coefficients = (np.asarray(a, dtype=np.float64) for a in (k, lens))
         poses = {v.pair_index: _pose(points_m, v, matrix, coefficients) for v in views}
     except cv2.error as error:
-        raise CalibrationError(
+        raise InputError(
             f"OpenCV finds no calibration of the {side} camera: {str(error).strip()}. Are the images all alike? Tilt the "
             "board, and bring it near and far"
         ) from error

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from conetl.model.arrays import Floats, Image
-from conetl.model.errors import CalibrationError, InputError
+from conetl.model.errors import InputError
 from conetl.model.rig import SIDES, Side
 from conetl.perception.boards.images import ImagePair
 from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, FrameRef, Layout, VideoIndex, index_video, region_of
@@ -83,7 +83,7 @@ def pairs_in_videos(
 ) -> VideoPairs:
     """Up to `MAX_PAIRS` pairs of frames; offset_s as in `VideoPairs`, None: found from when both images move.
 
-    on_frame: called with frames done and in total. Raises CalibrationError where the images never stand still or the offset
+    on_frame: called with frames done and in total. Raises InputError where the images never stand still or the offset
     cannot be found, ImageFileError where a video cannot be decoded.
     """
     files = [videos.left] if videos.layout else [videos.left, videos.right]
@@ -102,7 +102,7 @@ def pairs_in_videos(
         motion = np.maximum(motions[0], _at(motions[1], np.arange(float(len(motions[0]))) - offset_s / _STEP_S))
     picked = _still_and_distinct(smalls[0], motion)
     if not picked:
-        raise CalibrationError(
+        raise InputError(
             f"{videos.left.path}: the images never stand still for {_STEP_S:g} s; hold the board still for a second in each "
             "position"
         )
@@ -159,7 +159,7 @@ def _at(motion: Floats, positions: Floats) -> Floats:
 
 
 def _offset_s(videos: Videos, left: Floats, right: Floats) -> float:
-    """The shift at which both videos move and rest together. Raises CalibrationError."""
+    """The shift at which both videos move and rest together. Raises InputError."""
     ours, theirs = (np.log(np.maximum(motion[1:-1], _STILL)) for motion in (left, right))
     most = round(SEARCH_S / _STEP_S)
     found = np.zeros(2 * most + 1)
@@ -171,7 +171,7 @@ def _offset_s(videos: Videos, left: Floats, right: Floats) -> float:
             found[k] = a @ b / max(float(np.sqrt((a @ a) * (b @ b))), 1e-9)
     peak = correlation_peak(found)
     if peak is None:
-        raise CalibrationError(
+        raise InputError(
             f"{videos.right.path}: by how much it is shifted against {videos.left.path.name} cannot be seen in the images; give "
             "--offset-s: what to add to its times (0 if both began together)"
         )

@@ -13,7 +13,7 @@ from statistics import median
 from conetl.files.names import require_utf8
 from conetl.files.storage import as_path, forget_listing, is_remote, reached
 from conetl.model.drive import Drive, SurveyedPoint
-from conetl.model.errors import CalibrationError, DriveFolderError, InputError
+from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
@@ -51,13 +51,13 @@ def read_drive(
     images_folder: where the images of a bag are unpacked to, by the hash of their bytes; no other format needs it.
     headers_only: check images by their first and last bytes only. This is quick, but does not find damage in between, and
     content_sha256 covers only the small files: for inspecting a drive, not for ingesting it.
-    Raises DriveFolderError or CalibrationError where the folder as a whole cannot be used.
+    Raises DriveFolderError where the folder as a whole cannot be used.
     """
     path = as_path(path)
     forget_listing(path)
     with reached(path), _of_the_drive():
         if not path.exists():
-            raise DriveFolderError(f"{path}: there is no such folder; give the folder of one drive")
+            raise InputError(f"{path}: there is no such folder; give the folder of one drive")
         if not is_remote(path):
             require_utf8(path)
         found = find_format(path)
@@ -69,7 +69,7 @@ def read_drive(
         points = _control_file(source)
         drive, rejections = found.read(source)
         drive = drive.model_copy(update={"control_points": _control_points(source, points, drive.map_srid)})
-    _require_plausible_sigmas(drive)
+        _require_plausible_sigmas(drive)
     drive, frozen = without_frozen(drive)
     return drive, [*rejections, *frozen]
 
@@ -80,16 +80,14 @@ def _of_the_drive() -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        if isinstance(error, DriveFolderError | CalibrationError):
-            raise
         raise DriveFolderError(str(error)) from error.__cause__
 
 
 def _require_plausible_sigmas(drive: Drive) -> None:
-    """Raise DriveFolderError where the positions of a vehicle are said to be better than any survey is."""
+    """Raise InputError where the positions of a vehicle are said to be better than any survey is."""
     stated_m = median(max(pair.pose.sigma_enu_m[:2]) for pair in drive.frame_pairs)
     if stated_m < _LEAST_SIGMA_M:
-        raise DriveFolderError(
+        raise InputError(
             f"{drive.source_path}: the sigma of the positions is {stated_m:.2g} m (median), but no GNSS/INS knows a vehicle "
             f"to {_LEAST_SIGMA_M:g} m: is it a variance (m²), or in another unit? State the sigma in drive.yaml, for example "
             f"'sigmas: {{horizontal_m: {stated_m**0.5 or 0.02:.2g}}}'"
@@ -97,13 +95,13 @@ def _require_plausible_sigmas(drive: Drive) -> None:
 
 
 def _control_file(source: Source) -> Path | None:
-    """The file of control points, which becomes part of the drive's hash. Raises DriveFolderError."""
+    """The file of control points, which becomes part of the drive's hash. Raises InputError."""
     if source.settings.control_points is None:
         return None
     folder = source.root.parent if source.root.is_file() else source.root
     path = inside(folder, source.settings.control_points.file, DRIVE_YAML)
     if not path.is_file():
-        raise DriveFolderError(f"{path}: the control points are missing")
+        raise InputError(f"{path}: the control points are missing")
     source.content.add(source.settings.control_points.file, path.read_bytes())
     return path
 
@@ -115,32 +113,30 @@ def _control_points(source: Source, path: Path | None, srid: int) -> tuple[Surve
     return tuple(read_surveyed_points(path, srid, crs=given.crs, heights=given.heights, sigma_m=given.sigma_m))
 
 
-def _not_a_drive(path: Path) -> DriveFolderError:
+def _not_a_drive(path: Path) -> InputError:
     if path.suffix.lower() == ".svo2":
         return _of_zed(path, path.parent)
     if not path.is_dir():
-        return DriveFolderError(f"{path}: this is a file; give the folder of one drive, or a .mcap or .bag file")
+        return InputError(f"{path}: this is a file; give the folder of one drive, or a .mcap or .bag file")
     children = sorted(child for child in path.iterdir() if not child.name.startswith("."))
     if not children:
-        return DriveFolderError(
-            f"{path}: the folder is empty; a drive holds image_02, image_03, oxts and the calibration"
-        )
+        return InputError(f"{path}: the folder is empty; a drive holds image_02, image_03, oxts and the calibration")
     if recordings := [child for child in children if child.suffix.lower() in (".svo2", ".svo")]:
         return _of_zed(recordings[0], path)
     drives = [child.name for child in children if drive_format(child)]
     if len(drives) == 1:
-        return DriveFolderError(f"{path}: this folder holds one drive ({drives[0]}): conetl ingest {path / drives[0]}")
+        return InputError(f"{path}: this folder holds one drive ({drives[0]}): conetl ingest {path / drives[0]}")
     if drives:
-        return DriveFolderError(
+        return InputError(
             f"{path}: this folder holds {len(drives)} drives ({', '.join(drives[:3])}{', ...' if len(drives) > 3 else ''}); "
             f"name one of them, or all: conetl ingest {path}/*"
         )
     if sum(child.is_dir() and bool(image_files(child)) for child in children) > 1:
-        return DriveFolderError(
+        return InputError(
             f"{path}: folders of images become a drive with 'conetl init {path}', which asks for what is missing and writes "
             "drive.yaml"
         )
-    return DriveFolderError(
+    return InputError(
         f"{path}: this is not a drive in KITTI's raw layout (image_02/data, image_03/data, oxts/data, calib_*.txt), a "
         f"plain one (left, right, trajectory.csv, rig.yaml), a EuRoC one (mav0/cam0, cam1) or a "
         f"bag (metadata.yaml, *.mcap, *.bag); found {', '.join(child.name for child in children[:5])}. 'conetl init {path}' "
@@ -148,8 +144,8 @@ def _not_a_drive(path: Path) -> DriveFolderError:
     )
 
 
-def _of_zed(recording: Path, folder: Path) -> DriveFolderError:
-    return DriveFolderError(
+def _of_zed(recording: Path, folder: Path) -> InputError:
+    return InputError(
         f"{recording}: a recording of a ZED camera becomes a drive with 'conetl init {folder}', which copies its video into an "
         "MP4 file and writes drive.yaml"
     )

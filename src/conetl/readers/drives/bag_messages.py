@@ -33,7 +33,7 @@ from rosbags.typesys.store import Typestore
 
 from conetl.files.atomic import aside
 from conetl.files.documents import MAX_SHOWN, read_yaml
-from conetl.model.errors import ConetlError, DriveFolderError
+from conetl.model.errors import ConetlError, InputError
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, check_image_bytes
 from conetl.readers.drives.bag_rig import CAMERA_INFO, TRANSFORMS, USED_TYPES
@@ -126,7 +126,7 @@ def bag_files(path: Path) -> Path | None:
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[Bag]:
-    """The bag of `bag_files`. Raises DriveFolderError where it is truncated or damaged."""
+    """The bag of `bag_files`. Raises InputError where it is truncated or damaged."""
     with ExitStack() as opened:
         with library_errors(path):
             if path.is_dir() or path.suffix == ROS1_SUFFIX:
@@ -141,11 +141,11 @@ def open_bag(path: Path) -> Iterator[Bag]:
 
 @contextmanager
 def library_errors(path: Path) -> Iterator[None]:
-    """All errors of the bag libraries in a damaged file, which are of many types, as DriveFolderError."""
+    """All errors of the bag libraries in a damaged file, which are of many types, as InputError."""
     try:
         yield
     except ConetlError as error:
-        raise DriveFolderError(str(error)) from error
+        raise InputError(str(error)) from error
     except Exception as error:
         text = str(error)[:MAX_SHOWN] or type(error).__name__
         repair = (
@@ -153,7 +153,7 @@ def library_errors(path: Path) -> Iterator[None]:
             if path.suffix == ROS1_SUFFIX
             else "'mcap recover' (MCAP) or 'ros2 bag reindex'"
         )
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: the bag cannot be read: {text}. A recording that was cut off is repaired by {repair}"
         ) from error
 
@@ -181,7 +181,7 @@ def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:
 def _bag_of_file(reader: McapReader, path: Path) -> Bag:
     summary = reader.get_summary()
     if summary is None or not summary.channels:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: the MCAP file has no summary: the recording was cut off, or the recorder writes none; "
             "'mcap recover' adds it"
         )
@@ -286,7 +286,7 @@ def check_image(data: bytes, name: str, size: tuple[int, int]) -> str:
 
 
 def unpack(data: bytes, suffix: str, folder: Path) -> Path:
-    """Path of the image in the folder, written unless it exists. Raises DriveFolderError where it cannot be written."""
+    """Path of the image in the folder, written unless it exists. Raises InputError where it cannot be written."""
     digest = hashlib.sha256(data).hexdigest()
     path = (folder / digest[:2] / f"{digest}{suffix}").absolute()
     try:
@@ -298,7 +298,7 @@ def unpack(data: bytes, suffix: str, folder: Path) -> Path:
         unfinished.write_bytes(data)
         unfinished.replace(path)
     except OSError as error:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: an image of the bag cannot be unpacked there: {error.strerror or error}; free space or set CONETL_HOME to "
             "a folder with more"
         ) from error

@@ -12,7 +12,7 @@ import numpy as np
 from conetl.files.documents import MAX_SHOWN
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
-from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rig import Rig
 from conetl.readers.drives.drive_yaml import Streams
 from conetl.readers.drives.poses import rotation_of
@@ -43,11 +43,11 @@ class Topics(NamedTuple):
 def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> Topics:
     """Topics as named in drive.yaml (streams), else by type, else by name.
 
-    Raises DriveFolderError where topics are missing or ambiguous.
+    Raises InputError where topics are missing or ambiguous.
     """
     for key, topic in streams.model_dump(exclude_none=True).items():
         if topic not in types:
-            raise DriveFolderError(
+            raise InputError(
                 f"{source}: drive.yaml: streams.{key}: the bag has no topic {topic[:MAX_SHOWN]}; {_listing(types)}"
             )
     left, right = _cameras(types, streams, source)
@@ -56,17 +56,15 @@ def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> T
         streams.trajectory or _only(types, FIX, "trajectory", source) or _only(types, ODOMETRY, "trajectory", source)
     )
     if trajectory is None:
-        raise DriveFolderError(
-            f"{source}: the bag has no trajectory ({FIX} with {IMU}, or {ODOMETRY}); {_listing(types)}"
-        )
+        raise InputError(f"{source}: the bag has no trajectory ({FIX} with {IMU}, or {ODOMETRY}); {_listing(types)}")
     kind = types[trajectory]
     if kind not in (FIX, ODOMETRY):
-        raise DriveFolderError(
+        raise InputError(
             f"{source}: drive.yaml: streams.trajectory: {trajectory} is a {kind}, expected {FIX} or {ODOMETRY}"
         )
     imu = (streams.imu or _only(types, IMU, "imu", source)) if kind == FIX else None
     if kind == FIX and imu is None:
-        raise DriveFolderError(
+        raise InputError(
             f"{source}: {trajectory} has positions but no attitude, and the bag has no {IMU}; with an {ODOMETRY} topic name it "
             "in drive.yaml (streams.trajectory) and add a georeference"
         )
@@ -83,7 +81,7 @@ def _cameras(types: Mapping[str, str], streams: Streams, source: Path) -> tuple[
                  for side, other in (("left", "right"), ("right", "left"))]  # fmt: skip
         if len(sides[0]) == 1 and len(sides[1]) == 1:
             return streams.left or sides[0][0], streams.right or sides[1][0]
-    raise DriveFolderError(
+    raise InputError(
         f"{source}: the topics of the left and the right camera are unknown: expected one {COMPRESSED} or {RAW} topic each "
         f"with left and right in its name; name them in drive.yaml (streams.left, streams.right); {_listing(types)}"
     )
@@ -92,7 +90,7 @@ def _cameras(types: Mapping[str, str], streams: Streams, source: Path) -> tuple[
 def _only(types: Mapping[str, str], kind: str, key: str, source: Path) -> str | None:
     found = sorted(t for t, k in types.items() if k == kind)
     if len(found) > 1:
-        raise DriveFolderError(
+        raise InputError(
             f"{source}: {len(found)} topics are {kind}: {', '.join(found)[:_MAX_LISTED]}; name one in drive.yaml (streams.{key})"
         )
     return found[0] if found else None
@@ -109,14 +107,14 @@ def _listing(types: Mapping[str, str]) -> str:
 
 
 def rig_of_infos(topics: Topics, infos: Mapping[str, Any], source: Path) -> Rig:
-    """The rig as the images are stored; its body is the left camera. Raises CalibrationError.
+    """The rig as the images are stored; its body is the left camera. Raises InputError.
 
     Topics called image_rect... have rectified images: P is their camera, and neither D nor R applies.
     """
     found = []
     for side, image, info in (("left", topics.left, topics.left_info), ("right", topics.right, topics.right_info)):
         if info is None or info not in infos:
-            raise CalibrationError(
+            raise InputError(
                 f"{source}: there is no CameraInfo for the {side} camera {image}; name it in drive.yaml (streams.{side}_info) "
                 "or put a rig.yaml beside the bag"
             )

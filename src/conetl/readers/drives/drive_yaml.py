@@ -10,7 +10,7 @@ from pydantic import Field, field_validator, model_validator
 from conetl.files.documents import read_yaml_mapping, shown, validated
 from conetl.files.names import printable
 from conetl.model.base import GeodeticPosition, Positive, Record
-from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.errors import InputError
 from conetl.model.rig import MAX_LEVER_ARM_M
 from conetl.perception.video import Layout
 from conetl.readers.trajectories.settings import TrajectoryFile, known_zone
@@ -213,7 +213,7 @@ def names_images(source: Path) -> bool:
 def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
     """Path of something named in a file, which must be in the drive folder after symbolic links are resolved.
 
-    beside: folder in the drive's that `name` is relative to. Raises DriveFolderError naming `source` where `..`, an absolute path
+    beside: folder in the drive's that `name` is relative to. Raises InputError naming `source` where `..`, an absolute path
     or a link leads outside.
     """
     root = folder.resolve()
@@ -221,7 +221,7 @@ def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
         path = (root / beside / name).resolve()
         path.exists()
     except (OSError, ValueError) as error:  # longer than a file system allows, or with a zero byte
-        raise DriveFolderError(f"{source}: {shown(name)} cannot be the name of a file") from error
+        raise InputError(f"{source}: {shown(name)} cannot be the name of a file") from error
     if not path.is_relative_to(root):
-        raise DriveFolderError(f"{source}: {shown(name)} is outside the drive folder {folder}; name a path inside it")
+        raise InputError(f"{source}: {shown(name)} is outside the drive folder {folder}; name a path inside it")
     return path

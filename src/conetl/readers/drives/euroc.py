@@ -24,7 +24,7 @@ from conetl.files.documents import read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Camera, Rig, Side
 from conetl.readers.drives import pairs
@@ -61,7 +61,7 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     srid, track = _trajectory(source, sensor_R_body)
     couples = pairs.pair_by_stamp(left, right, settings.pair_tolerance_ns)
     if not couples:
-        raise DriveFolderError(f"{path}: there are no images in {names['left']}/data.csv")
+        raise InputError(f"{path}: there are no images in {names['left']}/data.csv")
 
     def images_of(left: pairs.Image, right: pairs.Image) -> tuple[pairs.ImageFile, pairs.ImageFile]:
         files = [[image.path] if image.path.is_file() else [] for image in (left, right)]
@@ -99,7 +99,7 @@ def _camera_names(settings: DriveYaml) -> dict[Side, str]:
 
 
 def _stream_folder(root: Path, name: str) -> Path:
-    """Folder of a camera or a trajectory, beside the others. Raises DriveFolderError where it is not in the drive folder."""
+    """Folder of a camera or a trajectory, beside the others. Raises InputError where it is not in the drive folder."""
     return inside(root, name, DRIVE_YAML, "mav0" if (root / "mav0").is_dir() else ".")
 
 
@@ -119,9 +119,9 @@ def _images(root: Path, name: str, content: pairs.ContentHash) -> list[pairs.Ima
 
 
 def _rows(path: Path, root: Path, content: pairs.ContentHash) -> Iterator[tuple[int, list[str]]]:
-    """Line numbers and rows of a csv file, without empty ones and comments. Raises DriveFolderError."""
+    """Line numbers and rows of a csv file, without empty ones and comments. Raises InputError."""
     if not path.is_file():
-        raise DriveFolderError(f"{root}: {path.relative_to(root).as_posix()} is missing")
+        raise InputError(f"{root}: {path.relative_to(root).as_posix()} is missing")
     data = path.read_bytes()
     content.add(path.relative_to(root).as_posix(), data)
     reader = csv.reader(io.StringIO(data.decode("utf-8-sig", errors="replace"), newline=""))
@@ -130,7 +130,7 @@ def _rows(path: Path, root: Path, content: pairs.ContentHash) -> Iterator[tuple[
             if words and words[0].strip() and not words[0].lstrip().startswith("#"):
                 yield reader.line_num, words
     except csv.Error as error:
-        raise DriveFolderError(f"{path}: not a CSV file: {error}") from error
+        raise InputError(f"{path}: not a CSV file: {error}") from error
 
 
 def _stamp(text: str, where: str) -> int | str:
@@ -164,11 +164,11 @@ def _trajectory_names(settings: DriveYaml) -> Sequence[str]:
 
 
 def _trajectory_path(root: Path, settings: DriveYaml) -> Path:
-    """The file of the trajectory. Raises DriveFolderError where there is none."""
+    """The file of the trajectory. Raises InputError where there is none."""
     wanted = _trajectory_names(settings)
     path = next((p for name in wanted if (p := _stream_folder(root, name) / "data.csv").is_file()), None)
     if path is None:
-        raise DriveFolderError(
+        raise InputError(
             f"{root}: there is no trajectory: none of {', '.join(f'{name}/data.csv' for name in wanted)} exists; name its "
             "folder in drive.yaml (streams.trajectory)"
         )
@@ -176,7 +176,7 @@ def _trajectory_path(root: Path, settings: DriveYaml) -> Path:
 
 
 def _trajectory(source: pairs.Source, sensor_R_body: Floats) -> tuple[int, Samples]:
-    """EPSG code of the map and the poses of the body in it. Raises DriveFolderError or CalibrationError."""
+    """EPSG code of the map and the poses of the body in it. Raises InputError."""
     root, settings, content = source[1:4]
     path = _trajectory_path(root, settings)
     sensor_path = path.parent / SENSOR_YAML

@@ -18,7 +18,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import sensor_R_body
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive
-from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig
 from conetl.perception.images import IMAGE_SUFFIXES
@@ -48,7 +48,7 @@ class DriveFormat(Protocol):
         """Whether a folder (or a file) looks like a drive of this format, complete or not."""
 
     def read(self, source: Source) -> tuple[Drive, list[Rejection]]:
-        """The drive and its rejections. Raises DriveFolderError or CalibrationError where there is no usable pair."""
+        """The drive and its rejections. Raises InputError where there is no usable pair."""
 
     def read_header(self, path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
         """Fill in the header without opening images. Raises the error that makes the drive unusable, after what is known."""
@@ -73,12 +73,12 @@ class HeaderFacts:
             self.content.add(name, (folder / name).read_bytes())
 
     def add_images(self, folder: Path, sides: Mapping[str, Path]) -> None:
-        """Names of all images and sizes of some, given the image folder of each side by its name. Raises DriveFolderError."""
+        """Names of all images and sizes of some, given the image folder of each side by its name. Raises InputError."""
         self.streams = [*sides]
         stems: set[str] = set()
         for side, data in sides.items():
             if not data.is_dir():
-                raise DriveFolderError(f"{folder}: the folder {side} is missing")
+                raise InputError(f"{folder}: the folder {side} is missing")
             names = names_in(data, IMAGE_SUFFIXES)
             sizes = [f"{name} {(data / name).stat().st_size}" for name in every_nth(names, SAMPLED_IMAGES)]
             self.content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
@@ -99,12 +99,12 @@ class HeaderFacts:
         self.content.add(name, b"".join(pieces))
 
     def set_times(self, stamps_ns: Sequence[int | str], path: Path) -> None:
-        """First and last time that the reader accepts; texts are stamps that cannot be read. Raises DriveFolderError."""
+        """First and last time that the reader accepts; texts are stamps that cannot be read. Raises InputError."""
         stamps = [stamp for stamp in stamps_ns if isinstance(stamp, int)]
         wrong = misplaced(dict(enumerate(stamps)))
         good = [stamp for number, stamp in enumerate(stamps) if number not in wrong]
         if not good:
-            raise DriveFolderError(f"{path}: there is no readable time stamp between 2000 and today")
+            raise InputError(f"{path}: there is no readable time stamp between 2000 and today")
         self.first_ns, self.last_ns = good[0], good[-1]
 
 
@@ -129,13 +129,13 @@ def rig_on_body(rig: Rig, sensor_SE3_left: Floats, settings: DriveYaml, source: 
     """The rectified rig, and sensor_R_body (3, 3): the body is the sensor with its axes renamed to forward, left, up.
 
     rig: only its cameras and their relative pose are used. sensor_SE3_left (4, 4): from points of the left camera to points of
-    the sensor whose trajectory was recorded. Raises CalibrationError.
+    the sensor whose trajectory was recorded. Raises InputError.
     """
     turn = sensor_R_body(sensor_SE3_left[:3, :3])
     body_SE3_left = se3.compose(se3.se3(turn.T, np.zeros(3)), sensor_SE3_left)
     body_SE3_right = se3.compose(body_SE3_left, rigs.left_SE3_right(rig))
     poses = {"body_SE3_left": se3.to_matrix4(body_SE3_left), "body_SE3_right": se3.to_matrix4(body_SE3_right)}
-    with named(source, CalibrationError):
+    with named(source):
         on_body = Rig.model_validate(dict(rig) | poses | overrides(settings))
     return rectified_rig(on_body, source), turn
 
@@ -157,16 +157,16 @@ def own_rig(path: Path, pair: Pair | None) -> tuple[Rig, Floats] | None:
         return None
     rig = read_rig_yaml(path, pair=pair)
     if rigs.body_is_left_camera(rig):
-        raise CalibrationError(
+        raise InputError(
             f"{path}: 'body_SE3_left' is missing: R and t_m, from points of the left camera to points of the body whose "
             "trajectory was recorded"
         )
     return rig, rigs.body_SE3_camera(rig, "left")
 
 
-def no_rig(folder: Path) -> CalibrationError:
+def no_rig(folder: Path) -> InputError:
     """The error of a drive whose format has no calibration but a rig.yaml."""
-    return CalibrationError(
+    return InputError(
         f"{folder}: {RIG_YAML} is missing: 'conetl init {folder}' makes it from the calibration of another program, "
         "'conetl calibrate' from images of a board"
     )

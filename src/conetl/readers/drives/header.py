@@ -14,7 +14,7 @@ from pathlib import Path
 from conetl.files.names import printable, require_utf8
 from conetl.files.storage import is_remote
 from conetl.model.base import utc_from_ns
-from conetl.model.errors import ConetlError, DriveFolderError, ServiceError, is_of_storage
+from conetl.model.errors import ConetlError, InputError, ServiceError, is_of_storage
 from conetl.readers.drives import find_format, kitti
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings
@@ -54,14 +54,14 @@ class DriveHeader:
 def find_drives(root: Path) -> Iterator[Path]:
     """Drive folders in `root` and below it, `root` itself included, by path; without hidden folders.
 
-    Links are followed and stay in the paths: the calibration may be beside the link. Raises DriveFolderError.
+    Links are followed and stay in the paths: the calibration may be beside the link. Raises InputError.
     """
     try:
         exists = root.is_dir()
     except OSError as error:
-        raise DriveFolderError(f"{root}: cannot be read: {error.strerror}") from error
+        raise InputError(f"{root}: cannot be read: {error.strerror}") from error
     if not exists:
-        raise DriveFolderError(f"{printable(root)}: there is no such folder; give a folder that holds drives")
+        raise InputError(f"{printable(root)}: there is no such folder; give a folder that holds drives")
     require_utf8(root)
     yield from _find(root.absolute(), MAX_DEPTH)
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from conetl.files.documents import named
 from conetl.files.storage import fetch, is_remote, object_bytes
 from conetl.model.drive import MAX_FRAME_INDEX, Drive
-from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
 from conetl.readers.drives import oxts
@@ -66,7 +66,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     right = _numbered_images(camera_folder(root, settings.cameras.right, settings), path, rejections)
     numbers = sorted(left.keys() | right.keys())
     if not numbers:
-        raise DriveFolderError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
+        raise InputError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
     size = first_size((paths[0] for _, paths in sorted(left.items())), content)
     rig = read_rig_for(root, calibration, size, settings, content)
     name = f"{settings.cameras.left}/timestamps.txt"
@@ -105,7 +105,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
     root = path.resolve()
     cameras = (settings.cameras.left, settings.cameras.right)
     header.add_images(path, {f"{name}/data": camera_folder(root, name, settings) for name in cameras})
-    with suppress(CalibrationError):  # raised below; a drive without it has another header than with it
+    with suppress(InputError):  # raised below; a drive without it has another header than with it
         calibration = calibration_path(path, settings)
         for name in (calibration.name, VELO_TO_CAM, IMU_TO_VELO):
             header.add_file(calibration.parent, name)
@@ -124,18 +124,18 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
 
 
 def calibration_path(folder: Path, settings: DriveYaml) -> Path:
-    """Path of calib_cam_to_cam.txt of a drive folder, given as the user named it. Raises CalibrationError."""
+    """Path of calib_cam_to_cam.txt of a drive folder, given as the user named it. Raises InputError."""
     root = folder.resolve()
     if settings.calibration is not None:
         path = inside(root, settings.calibration, DRIVE_YAML)
         if path.is_file():
             return path
-        raise CalibrationError(f"{root / DRIVE_YAML}: 'calibration' names {settings.calibration}, which does not exist")
+        raise InputError(f"{root / DRIVE_YAML}: 'calibration' names {settings.calibration}, which does not exist")
     # Before the parent of the resolved folder that of the given path: the drive folder may be a symbolic link.
     for parent in (root, folder.absolute().parent, root.parent):
         if (parent / CAM_TO_CAM).is_file():
             return parent / CAM_TO_CAM
-    raise CalibrationError(
+    raise InputError(
         f"{root}: {CAM_TO_CAM} is neither in the drive folder nor in its parent; KITTI delivers it with {VELO_TO_CAM} and "
         f"{IMU_TO_VELO} as the calibration of the recording day"
     )
@@ -158,14 +158,14 @@ def read_rig_for(
 
 
 def camera_folder(root: Path, name: str, settings: DriveYaml) -> Path:
-    """Folder of one camera's images. Raises DriveFolderError where drive.yaml names one outside the drive folder."""
+    """Folder of one camera's images. Raises InputError where drive.yaml names one outside the drive folder."""
     return (inside(root, name, DRIVE_YAML) if "cameras" in settings.model_fields_set else root / name) / "data"
 
 
 def _numbered_images(data: Path, folder: Path, rejections: list[Rejection]) -> dict[int, list[Path]]:
     """Images by the number that is their name; images without a number are rejected, hidden files do not count."""
     if not data.is_dir():
-        raise DriveFolderError(
+        raise InputError(
             f"{folder}: the folder {data.parent.name}/data is missing; expected KITTI's layout with left images in "
             "image_02/data and right images in image_03/data"
         )
@@ -194,9 +194,9 @@ def _numbered(paths: Iterable[Path]) -> dict[int, list[Path]]:
 
 
 def _stamps(root: Path, name: str, settings: DriveYaml, content: ContentHash) -> dict[int, int | str]:
-    """Times of a timestamps.txt, see `parse_timestamps`. Raises DriveFolderError."""
+    """Times of a timestamps.txt, see `parse_timestamps`. Raises InputError."""
     if not (root / name).is_file():
-        raise DriveFolderError(f"{root}: {name} is missing; it holds one line with a time stamp for each frame number")
+        raise InputError(f"{root}: {name} is missing; it holds one line with a time stamp for each frame number")
     data = (root / name).read_bytes()
     content.add(name, data)
     return parse_timestamps(data.decode("utf-8", errors="replace"), settings.timestamps_timezone)
@@ -245,11 +245,11 @@ def _trajectory(source: Source, stamps: Mapping[int, int | str]) -> tuple[int, o
     records, bad = _read_oxts(source)
     if not records:
         shown = "".join(f", for example {number:010d}.txt: {text}" for number, text in [*bad.items()][:1])
-        raise DriveFolderError(f"{folder}: no usable pose in oxts/data{shown}")
+        raise InputError(f"{folder}: no usable pose in oxts/data{shown}")
     start = records[min(records)]
     srid = checked_srid(source.map_srid, start.lat_deg, start.lon_deg, folder)
     times = {number: stamp for number, stamp in stamps.items() if isinstance(stamp, int)}
-    with named(folder, DriveFolderError):
+    with named(folder):
         track = oxts.trajectory(records, times, srid, settings.sigmas)
         if wild := oxts.wild_records(track):
             kept = {number: record for number, record in records.items() if number not in wild}
@@ -279,8 +279,8 @@ def _read_oxts(source: Source) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
     return records, bad
 
 
-def _no_poses(folder: Path) -> DriveFolderError:
-    return DriveFolderError(
+def _no_poses(folder: Path) -> InputError:
+    return InputError(
         f"{folder}: there are no poses in oxts/data (one file of 30 numbers per frame); without a trajectory use "
         "'conetl locate' on single pairs"
     )

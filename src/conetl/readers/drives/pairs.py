@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 from conetl.files.storage import fetch, remember
 from conetl.geometry.rectification import stored_camera
 from conetl.model.drive import Drive, FramePair, Pose
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, inspect_image, read_bytes
@@ -165,10 +165,10 @@ UsablePair = tuple[ImageFile, ImageFile, int, Pose]
 def drive_of_pairs(
     usable: Mapping[int, UsablePair], rejections: list[Rejection], expected: int, source: Source, rig: Rig, srid: int
 ) -> tuple[Drive, list[Rejection]]:
-    """The drive of the usable pairs by frame_index, with its rejections. Raises DriveFolderError where no pair is left."""
+    """The drive of the usable pairs by frame_index, with its rejections. Raises InputError where no pair is left."""
     if not usable:
         first = f"; the first: {rejections[0].record}: {rejections[0].detail}" if rejections else ""
-        raise DriveFolderError(f"{source.root}: none of {expected} frame pairs can be used{first}")
+        raise InputError(f"{source.root}: none of {expected} frame pairs can be used{first}")
     pairs = tuple(
         FramePair(
             frame_index=number, left_path=str(left.path), right_path=str(right.path), captured_at_ns=captured, pose=pose,
@@ -290,7 +290,7 @@ def drive_of_couples(
     """The drive and the rejections of its pairs. frame_index is the number of the couple, from 0.
 
     names: of the two image streams. images_of: checked paths of a couple's images; pose_at: pose of the body at a time (UTC ns);
-    both raise PairError. Raises DriveFolderError where no pair is left.
+    both raise PairError. Raises InputError where no pair is left.
     """
     stamps = {n: t for n, couple in enumerate(couples) if (t := time_of(couple)) is not None}
     wrong_times = misplaced(stamps)

@@ -26,7 +26,7 @@ from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.base import Height, Latitude, Longitude, Record
 from conetl.model.drive import Drive, Pose
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, names_images
@@ -83,7 +83,7 @@ class Rows:
     _count: int = 0
 
     def add(self, text: str) -> None:
-        """Append whole lines of the file, the header first. Raises DriveFolderError where its columns are not those of `Row`."""
+        """Append whole lines of the file, the header first. Raises InputError where its columns are not those of `Row`."""
         reader = csv.DictReader(io.StringIO(text, newline=""), fieldnames=self._columns)
         try:
             if self._columns is None:
@@ -92,7 +92,7 @@ class Rows:
             for values in reader:
                 self._add(values)
         except csv.Error as error:
-            raise DriveFolderError(f"{self.path}: not a CSV file: {error}") from error
+            raise InputError(f"{self.path}: not a CSV file: {error}") from error
 
     def _add(self, values: Mapping[str, Any]) -> None:
         where = f"{TRAJECTORY}, row {self._count}"
@@ -112,7 +112,7 @@ class Rows:
         wrong = [f"missing {', '.join(sorted(wanted - found))}"] if wanted - found else []
         wrong += [f"unknown {', '.join(sorted(found - wanted))[:MAX_SHOWN]}"] if found - wanted else []
         if wrong:
-            raise DriveFolderError(f"{self.path}: wrong columns: {'; '.join(wrong)}")
+            raise InputError(f"{self.path}: wrong columns: {'; '.join(wrong)}")
 
 
 def matches(path: Path) -> bool:
@@ -128,16 +128,16 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     left, right = _images(root / "left", path), _images(root / "right", path)
     stems = sorted(left.keys() | right.keys())
     if not stems:
-        raise DriveFolderError(f"{path}: there are no images (*.jpg, *.png) in left and right")
+        raise InputError(f"{path}: there are no images (*.jpg, *.png) in left and right")
     found = Rows(path / TRAJECTORY)
     found.add(_trajectory_file(path, content).decode("utf-8-sig", errors="replace"))
     rows, numbers = found.by_stem, found.numbers
     good = [row for row in rows.values() if isinstance(row, Row)]
     if not good:
         first = next((str(row) for row in rows.values()), "the file has no rows")
-        raise DriveFolderError(f"{path / TRAJECTORY}: no usable pose: {first}")
+        raise InputError(f"{path / TRAJECTORY}: no usable pose: {first}")
     srid = checked_srid(source.map_srid, good[0].lat_deg, good[0].lon_deg, path)
-    with named(path, DriveFolderError):
+    with named(path):
         poses = {row.stem: pose_of_row(row, srid, settings.sigmas) for row in good}
     times = {row.stem: time_of_row(row, settings.timestamps_timezone) for row in good}
     rows |= _wild_rows(poses, times)
@@ -200,9 +200,7 @@ def _wild_rows(poses: Mapping[str, Pose], times: Mapping[str, int | str]) -> dic
 
 def _images(data: Path, folder: Path) -> dict[str, list[Path]]:
     if not data.is_dir():
-        raise DriveFolderError(
-            f"{folder}: the folder {data.name} is missing; expected left/ and right/ with the same stems"
-        )
+        raise InputError(f"{folder}: the folder {data.name} is missing; expected left/ and right/ with the same stems")
     found: dict[str, list[Path]] = {}
     for path in image_files(data):
         found.setdefault(path.stem, []).append(path)
@@ -212,9 +210,7 @@ def _images(data: Path, folder: Path) -> dict[str, list[Path]]:
 def _trajectory_file(folder: Path, content: ContentHash) -> bytes:
     path = folder / TRAJECTORY
     if not path.is_file():
-        raise DriveFolderError(
-            f"{folder}: {TRAJECTORY} is missing; for a log of another format run 'conetl init {folder}'"
-        )
+        raise InputError(f"{folder}: {TRAJECTORY} is missing; for a log of another format run 'conetl init {folder}'")
     data = path.read_bytes()
     content.add(TRAJECTORY, data)
     return data

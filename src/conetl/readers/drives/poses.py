@@ -18,7 +18,7 @@ from conetl.geometry.geodesy import enu_to_grid, local_to_map
 from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
 from conetl.model.drive import MAX_SPEED_M_S, Pose
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
 from conetl.readers.drives.pairs import PairError, Source
@@ -181,17 +181,17 @@ def rotation_of(w: float, x: float, y: float, z: float) -> Floats:
 def georeferenced(source: Source, stream: str, local: Floats) -> tuple[int, Floats]:
     """EPSG code of the map and map_SE3_sensor (N, 4, 4) of poses in a local frame (N, 4, 4).
 
-    Raises DriveFolderError where drive.yaml has no georeference of that frame.
+    Raises InputError where drive.yaml has no georeference of that frame.
     """
     origin = source.settings.georeference
     if origin is None:
-        raise DriveFolderError(
+        raise InputError(
             f"{source.root}: {stream} is in a local frame whose position on the earth is unknown. Put into drive.yaml: "
             "'georeference: {lon_deg: ..., lat_deg: ..., height_m: ..., heading_deg: ...}', the position of its origin "
             "(ellipsoidal height) and the direction of its x axis, clockwise from true north"
         )
     srid = checked_srid(source.map_srid, origin.lat_deg, origin.lon_deg, source.root)
-    with named(source.root, DriveFolderError):
+    with named(source.root):
         return srid, local_to_map(srid, origin.lat_deg, origin.lon_deg, origin.height_m, origin.heading_deg, local)
 
 
@@ -199,23 +199,23 @@ def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Floats) 
     """EPSG code of the map and the poses of the body in it, without wild fixes.
 
     sensor_R_body (3, 3): from the body's axes to those that the attitudes are of. Positions are those of the antenna where
-    drive.yaml has antenna_t_m. Raises DriveFolderError where the file has no attitudes, or no sigmas and drive.yaml neither.
+    drive.yaml has antenna_t_m. Raises InputError where the file has no attitudes, or no sigmas and drive.yaml neither.
     """
     if recorded.rotations is None:
-        raise DriveFolderError(f"{source.root}: {recorded.name} has positions without attitudes (roll, pitch, heading)")
+        raise InputError(f"{source.root}: {recorded.name} has positions without attitudes (roll, pitch, heading)")
     positions, rotations = recorded.positions, recorded.rotations
     if recorded.is_local:
         srid, poses = georeferenced(source, recorded.name, se3.se3(rotations, positions))
     else:
         lat, lon, height = positions.T
         srid = checked_srid(source.map_srid, float(lat[0]), float(lon[0]), source.root)
-        with named(source.root, DriveFolderError):
+        with named(source.root):
             poses = se3.se3(enu_to_grid(srid, lat, lon, rotations), geodesy.to_map(srid, lat, lon, height))
     sigma = _sigmas(recorded, source.settings)
     known = np.isfinite(sigma).all(axis=1)
     bad = recorded.bad | dict.fromkeys(recorded.times_ns[~known].tolist(), NO_SIGMAS)
     if not known.any():
-        raise DriveFolderError(
+        raise InputError(
             f"{source.root}: {recorded.name} has no sigmas of its positions; give sigmas.horizontal_m in drive.yaml"
         )
     antenna_m = np.array(source.settings.antenna_t_m or (0.0, 0.0, 0.0))
@@ -239,8 +239,8 @@ def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Floats:
 
 
 def checked_srid(srid: int | None, lat_deg: float, lon_deg: float, source: Path) -> int:
-    """EPSG code of the map: the given one, or the UTM zone of the position. Raises DriveFolderError if it is unusable there."""
-    with named(source, DriveFolderError):
+    """EPSG code of the map: the given one, or the UTM zone of the position. Raises InputError if it is unusable there."""
+    with named(source):
         srid = srid or geodesy.utm_srid(lat_deg, lon_deg)
         geodesy.check_map_srid(srid)
         geodesy.check_scale(srid, lat_deg, lon_deg)

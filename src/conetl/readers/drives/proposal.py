@@ -14,7 +14,7 @@ import numpy as np
 from conetl.files.documents import named, shown, validated
 from conetl.geometry import rig as rigs
 from conetl.model.base import utc_from_ns
-from conetl.model.errors import DriveFolderError, InputError
+from conetl.model.errors import InputError
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, video_facts
 from conetl.readers.drives import drive_format
@@ -88,7 +88,7 @@ def propose(root: Path, answers: Mapping[str, str], *, asks: bool = False) -> Pr
 
     asks: also questions that nobody has to answer.
 
-    Raises DriveFolderError where there is nothing to make a drive of, InputError for an answer that does not fit.
+    Raises InputError where there is nothing to make a drive of, InputError for an answer that does not fit.
     """
     proposal = Proposal([], [], {}, None)
     size = _add_images(root, answers, proposal)
@@ -152,7 +152,7 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     if not sources:
         inside = [child for child in sorted(root.iterdir()) if drive_format(child)]
         hint = f"; {inside[0].name} is a drive already: conetl ingest {inside[0]}" if inside else ""
-        raise DriveFolderError(
+        raise InputError(
             f"{root}: there are no videos ({', '.join(sorted(VIDEO_SUFFIXES))}) and no folders of images here{hint}"
         )
     alike: dict[str, list[str]] = {}
@@ -262,7 +262,7 @@ def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal, 
     path = root / settings["file"]
     try:
         recorded = _recorded(path, json.dumps(settings))
-    except DriveFolderError as error:
+    except InputError as error:
         asked = next((key for key in _UNSTATED if key not in answers and f"{{{key}: " in str(error)), None)
         if asked is None and _may_be_columns(path, answers, str(error)):
             asked = "columns"

@@ -27,7 +27,7 @@ from conetl.geometry.geodesy import enu_to_grid
 from conetl.geometry.rectification import stored_camera
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive, Pose
-from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import MAX_LEVER_ARM_M, Rig, Side
 from conetl.readers.drives import bag_messages, pairs, poses
@@ -79,11 +79,9 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     path, root, settings, content = source[:4]
     file = bag_messages.bag_files(root)
     if file is None:
-        raise DriveFolderError(
-            f"{path}: this is not a bag: neither a .mcap or .bag file nor a folder with metadata.yaml"
-        )
+        raise InputError(f"{path}: this is not a bag: neither a .mcap or .bag file nor a folder with metadata.yaml")
     if source.images_folder is None:
-        raise DriveFolderError(f"{path}: a bag's images must be unpacked, but no folder was given for them")
+        raise InputError(f"{path}: a bag's images must be unpacked, but no folder was given for them")
     add_settings(content, root)
     with bag_messages.open_bag(file) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
@@ -93,7 +91,7 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
         images = _read_images(bag, topics, rig, content, source.images_folder, root)
     couples = pairs.pair_by_stamp(images[topics.left], images[topics.right], settings.pair_tolerance_ns)
     if not couples:
-        raise DriveFolderError(f"{path}: there are no images on {topics.left} and {topics.right}")
+        raise InputError(f"{path}: there are no images on {topics.left} and {topics.right}")
 
     def images_of(left: pairs.Image, right: pairs.Image) -> tuple[pairs.ImageFile, pairs.ImageFile]:
         # An unpacked image is named by its hash.
@@ -109,7 +107,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
     """The bag's index, its number of left images, first and last message by the recorder's clock; rig.yaml, no messages."""
     file = bag_messages.bag_files(path.resolve())  # a linked file by its own name, which is the drive's id
     if file is None:
-        raise DriveFolderError(f"{path}: this is not a bag")
+        raise InputError(f"{path}: this is not a bag")
     header.streams = ("the left", "the right camera's topic")
     header.add_file(path, bag_messages.METADATA)
     add_settings(header.content, path, (RIG_YAML,))
@@ -137,7 +135,7 @@ def _stamp_ns(message: bag_messages.Message) -> int | str:
 def _read_small(
     bag: bag_messages.Bag, topics: Topics, settings: DriveYaml, content: pairs.ContentHash, source: Path
 ) -> _Recorded:
-    """All messages of the drive except its images. Raises DriveFolderError."""
+    """All messages of the drive except its images. Raises InputError."""
     readers = {topics.trajectory: _odometry} if topics.imu is None else {topics.trajectory: _fix, topics.imu: _attitude}
     infos = {topic for topic in (topics.left_info, topics.right_info) if topic}
     transforms = {TF_STATIC} if bag.types.get(TF_STATIC) == TRANSFORMS else set()
@@ -168,7 +166,7 @@ def _read_small(
 def _samples(
     topic: str, rows: Sequence[_Row], settings: DriveYaml, content: pairs.ContentHash, source: Path
 ) -> poses.Samples:
-    """The records of a topic, given in the order of their recording. Raises DriveFolderError where none can be used."""
+    """The records of a topic, given in the order of their recording. Raises InputError where none can be used."""
     variances = np.array([record[1] for _, record in rows if not isinstance(record, str)]).reshape(-1, 6)
     stated = poses.stated_sigmas(np.sqrt(variances), settings.sigmas)
     sigmas = iter(np.where(np.isnan(variances), 0.0, stated))
@@ -185,7 +183,7 @@ def _samples(
             hashed += record[0].tobytes() + sigma.tobytes()
     content.add(f"trajectory{topic}", bytes(hashed))
     if not records:
-        raise DriveFolderError(f"{source}: {topic}: no usable pose: {next(iter(bad.values()), 'there are none')}")
+        raise InputError(f"{source}: {topic}: no usable pose: {next(iter(bad.values()), 'there are none')}")
     times = sorted(records)
     return poses.Samples(
         topic, times, np.array([records[t][0] for t in times]), np.array([records[t][1] for t in times]), bad
@@ -240,7 +238,7 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
     camera = found.frame_ids[left_info]
     sensor_SE3_left = found.connect(sensor, camera)
     if sensor_SE3_left is None:
-        raise CalibrationError(
+        raise InputError(
             f"{source}: {TF_STATIC} does not connect the left camera's frame '{camera}' with '{sensor}', the frame of the "
             f"trajectory; put a {rig_path.name} with body_SE3_left beside the bag"
         )
@@ -253,7 +251,7 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
 def _trajectory(
     topics: Topics, found: _Recorded, source: pairs.Source, sensor_R_body: Floats
 ) -> tuple[int, Callable[[int], Pose]]:
-    """EPSG code of the map, and the body's pose at a time. Raises DriveFolderError."""
+    """EPSG code of the map, and the body's pose at a time. Raises InputError."""
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
     sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
     raw = found.samples[topics.trajectory]
@@ -265,7 +263,7 @@ def _trajectory(
     attitude = found.samples[topics.imu]
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
     srid = poses.checked_srid(source.map_srid, float(lat[0]), float(lon[0]), path)
-    with named(path, DriveFolderError):
+    with named(path):
         antenna = se3.se3(np.broadcast_to(np.eye(3), (len(lat), 3, 3)), geodesy.to_map(srid, lat, lon, height))
     track = poses.without_wild_fixes(raw._replace(map_SE3_body=antenna))
 
@@ -281,19 +279,19 @@ def _trajectory(
 
 
 def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> Floats:
-    """(3,) the antenna in the IMU's frame. Raises DriveFolderError."""
+    """(3,) the antenna in the IMU's frame. Raises InputError."""
     imu, antenna = found.frame_ids.get(topics.imu or "", ""), found.frame_ids.get(topics.trajectory, "")
     if settings.antenna_t_m is not None:
         antenna_m = np.array(settings.antenna_t_m)
     elif (pose := found.connect(imu, antenna)) is not None:
         antenna_m = pose[:3, 3]
     else:
-        raise DriveFolderError(
+        raise InputError(
             f"{source}: {TF_STATIC} does not connect the antenna '{antenna}' with '{imu}'; put antenna_t_m: [x, y, z] into "
             "drive.yaml ([0, 0, 0] where the receiver's driver reduces its positions to the IMU)"
         )
     if not np.all(np.abs(antenna_m) <= MAX_LEVER_ARM_M):  # NaN fails too
-        raise DriveFolderError(
+        raise InputError(
             f"{source}: the antenna is at {antenna_m} m in the IMU's frame, expected at most {MAX_LEVER_ARM_M:g} m; put "
             "antenna_t_m: [x, y, z] into drive.yaml"
         )

@@ -24,7 +24,7 @@ from conetl.geometry.motion.position_spline import (
 from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
 from conetl.model.drive import Interpolated, Pose
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.params import TrajectoryParams
 from conetl.readers.drives.drive_yaml import MAX_POSE_GAP_S
 from conetl.readers.drives.poses import Samples, around, at, to_pose
@@ -46,7 +46,7 @@ def pose_reader(
 
     from_course: the attitudes are not recorded (`with_course`). max_gap_s: `max_pose_gap_s` of drive.yaml; without it records
     are interpolated over gaps of 0.5 s, and sparse ones over 2.5 times their median distance, at most 5 s; never over more than
-    60 s. A dense trajectory with attitudes is interpolated in straight lines (`poses.at`). Raises DriveFolderError where
+    60 s. A dense trajectory with attitudes is interpolated in straight lines (`poses.at`). Raises InputError where
     positions alone do not show a heading.
     """
     step_s = float(np.median(np.diff(track.times_ns))) * 1e-9 if len(track.times_ns) > 1 else 0.0
@@ -87,7 +87,7 @@ def pose_reader(
 def with_course(recorded: RecordedTrajectory) -> RecordedTrajectory:
     """The same trajectory with attitudes from its course, and their sigmas, where it has none.
 
-    Yaw is the course, pitch the grade, roll zero; see `course_attitude`. Raises DriveFolderError where the vehicle never moves.
+    Yaw is the course, pitch the grade, roll zero; see `course_attitude`. Raises InputError where the vehicle never moves.
     """
     if recorded.rotations is not None:
         return recorded
@@ -110,7 +110,7 @@ def with_course(recorded: RecordedTrajectory) -> RecordedTrajectory:
 
 def _spline(name: str, times_ns: Sequence[int], positions_m: Floats, sigma_m: Floats) -> PositionSpline:
     defaults = TrajectoryParams()
-    with named(f"{name}: positions cannot be interpolated", DriveFolderError):
+    with named(f"{name}: positions cannot be interpolated"):
         return position_spline(
             _seconds(times_ns, times_ns[0]), positions_m, sigma_m, white_share=defaults.gnss_white_share,
             correlation_s=defaults.gnss_correlation_s,
@@ -121,7 +121,7 @@ def _course(name: str, spline: PositionSpline, times_s: Floats) -> tuple[Floats,
     try:
         return course_attitude(spline, times_s)
     except ValueError as error:
-        raise DriveFolderError(f"{name}: it has no attitudes, and {error}; record a drive or the attitudes") from error
+        raise InputError(f"{name}: it has no attitudes, and {error}; record a drive or the attitudes") from error
 
 
 def _seconds(times_ns: Sequence[int], first_ns: int) -> Floats:

@@ -17,7 +17,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
-from conetl.model.errors import CalibrationError, ConetlError
+from conetl.model.errors import ConetlError, InputError
 from conetl.model.rig import Rig
 from conetl.readers.rigs.kitti import IMU_TO_VELO, motion_of, read_numbers
 from conetl.readers.trajectories.times import parse_timestamps
@@ -76,12 +76,12 @@ def scan_period_s(drive_folder: Path) -> float:
 def left_SE3_velo(rig: Rig, drive_folder: Path) -> Floats:
     """(4, 4) velodyne points -> left camera points, for a rig read from KITTI's files in a drive's folder or its parent.
 
-    The rig has body -> left camera; `calib_imu_to_velo.txt` has body (the IMU) -> velodyne. Raises CalibrationError.
+    The rig has body -> left camera; `calib_imu_to_velo.txt` has body (the IMU) -> velodyne. Raises InputError.
     """
     paths = [folder / IMU_TO_VELO for folder in (drive_folder, drive_folder.resolve().parent)]
     path = next((path for path in paths if path.is_file()), None)
     if path is None:
-        raise CalibrationError(f"{drive_folder}: {IMU_TO_VELO} is neither in the drive folder nor in its parent")
+        raise InputError(f"{drive_folder}: {IMU_TO_VELO} is neither in the drive folder nor in its parent")
     velo_SE3_body = motion_of(path, read_numbers(path, {"R": 9, "T": 3}))
     return se3.compose(se3.invert(np.array(rig.body_SE3_left)), se3.invert(velo_SE3_body))
 

@@ -23,7 +23,7 @@ from conetl.geometry.geodesy import CAMERA_R_BODY
 from conetl.geometry.rectification import stored_camera
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive
-from conetl.model.errors import CalibrationError, DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, frame_of, index_video, region_of, video_facts
@@ -70,7 +70,7 @@ def preview(root: Path, settings: DriveYaml, rig: Rig | None = None) -> Preview:
 
 
 def _read(source: Source, rig: Rig | None = None) -> Preview:
-    """The drive. rig: instead of rig.yaml's. Raises DriveFolderError or CalibrationError."""
+    """The drive. rig: instead of rig.yaml's. Raises InputError."""
     root, settings, content = source[1:4]
     rig, sensor_R_body = _rig(root, settings, content, rig)
     cameras = _cameras(root, settings.images, rig, content)
@@ -83,7 +83,7 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     exposures_ns = [stamp for couple in timing.couples if (stamp := time_of(couple)) is not None]
     if exposures_ns and not any(track.times_ns[0] <= stamp <= track.times_ns[-1] for stamp in exposures_ns):
         records = of_images((min(exposures_ns), max(exposures_ns)), track.times_ns)
-        raise DriveFolderError(f"{trajectory}: there are no records{records}")
+        raise InputError(f"{trajectory}: there are no records{records}")
     hashes = {p: c.video.sha256(n, c.region) for c in cameras if c.video is not None for n, p in enumerate(c.paths)}
 
     def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
@@ -136,7 +136,7 @@ def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None 
     if settings.mount is not None:
         return rig_on_body(rig, _body_SE3_left(settings.mount), settings, path)
     if rigs.body_is_left_camera(rig):
-        raise CalibrationError(
+        raise InputError(
             f"{path}: where the cameras are on the vehicle is unknown. Put into {DRIVE_YAML}, as seen from the IMU or antenna "
             "whose trajectory was recorded: 'mount: {forward_m: 1.2, left_m: 0.3, up_m: -0.2, pitch_deg: 3}'"
         )
@@ -150,11 +150,11 @@ def _body_SE3_left(mount: Mount) -> Floats:
 
 
 def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> list[CameraImages]:
-    """Left and right camera. Raises DriveFolderError or CalibrationError."""
+    """Left and right camera. Raises InputError."""
     sources = _sources(root, settings)
     if any(source.is_dir() for source in sources):
         if files := [source for source in sources if not source.is_dir()]:
-            raise DriveFolderError(
+            raise InputError(
                 f"{files[0]}: this is a file, the images of the other camera are a folder; name two files or two folders in "
                 f"{DRIVE_YAML}"
             )
@@ -169,7 +169,7 @@ def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> li
         region = region_of(video, settings.layout, side)
         found = region[2:] if region else (video.width_px, video.height_px)
         if found != (stored.width_px, stored.height_px):
-            raise CalibrationError(
+            raise InputError(
                 f"{source}: the {side} image has {found[0]} x {found[1]} pixels, but the calibration is for {stored.width_px} x "
                 f"{stored.height_px}; use the calibration of these images; where one file holds both, name "
                 f"'images.layout' in {DRIVE_YAML}"
@@ -180,7 +180,7 @@ def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> li
 
 
 def _sources(root: Path, settings: Images) -> list[Path]:
-    """File or folder of the left and of the right camera, one file twice where it holds both. Raises DriveFolderError."""
+    """File or folder of the left and of the right camera, one file twice where it holds both. Raises InputError."""
     videos = [root / name for name in names_in(root, VIDEO_SUFFIXES)]
     whole = settings.layout is not None and len(videos) == 1
     found: list[Path] = []
@@ -193,7 +193,7 @@ def _sources(root: Path, settings: Images) -> list[Path]:
         elif len(candidates) == 1:
             source = inside(root, candidates[0].name, str(root))
         if source is None or not (source.is_dir() or source.is_file()):
-            raise DriveFolderError(
+            raise InputError(
                 f"{root}: the {side} camera's images are not clear (videos: {', '.join(v.name for v in videos) or 'none'}). "
                 f"Name them in {DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, "
                 "layout: left-right}' for one file with both"
@@ -205,7 +205,7 @@ def _sources(root: Path, settings: Images) -> list[Path]:
 def _folder_camera(root: Path, source: Path) -> CameraImages:
     paths = image_files(source)
     if not paths:
-        raise DriveFolderError(f"{source}: there are no images (*.jpg, *.png)")
+        raise InputError(f"{source}: there are no images (*.jpg, *.png)")
     return CameraImages(source.relative_to(root).as_posix(), paths, np.empty(0), None, None)
 
 
@@ -218,17 +218,17 @@ def _add_files(path: Path, root: Path, content: ContentHash) -> None:
 
 
 def _trajectory_file(root: Path, settings: DriveYaml) -> Path:
-    """The trajectory. Raises DriveFolderError where drive.yaml names none and there is not just one."""
+    """The trajectory. Raises InputError where drive.yaml names none and there is not just one."""
     named = settings.trajectory.file
     if named is not None:
         path = inside(root, named, DRIVE_YAML)
         if not (path.is_file() or path.is_dir()):
-            raise DriveFolderError(f"{path}: the trajectory is missing")
+            raise InputError(f"{path}: the trajectory is missing")
         return path
     found = find_trajectories(root)
     if len(found) != 1:
         names = ", ".join(path.name for path in found) or "none"
-        raise DriveFolderError(
+        raise InputError(
             f"{root}: which file is the trajectory? Found: {names}. Name it in {DRIVE_YAML}: 'trajectory: {{file: rover.pos}}'"
         )
     return found[0]

@@ -20,7 +20,7 @@ from conetl.files.documents import read_bytes
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig, Side
 from conetl.perception.images import ImageFileError
@@ -79,7 +79,7 @@ class Timing(NamedTuple):
     """What was added to the times as stated, and its sigma."""
 
 
-class UnknownTimeError(DriveFolderError):
+class UnknownTimeError(InputError):
     """The images do not show when they were taken. key: name of the option of `conetl init` that states it; remedy: what to
     write into drive.yaml by hand."""
 
@@ -89,7 +89,7 @@ class UnknownTimeError(DriveFolderError):
 
 
 def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Source, *, from_course: bool) -> Timing:
-    """The couples of images with their times. Raises DriveFolderError."""
+    """The couples of images with their times. Raises InputError."""
     root, settings = source.root, source.settings
     images, (left, right), start_ns, shift_s, clock = settings.images, cameras, None, 0.0, settings.clock
     search_s = None
@@ -115,7 +115,7 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         ours, theirs = _at(left, start_ns), _at(right, start_ns + round(shift_s * 1e9))
     couples = _chosen(pair_by_stamp(ours, theirs, settings.pair_tolerance_ns), images)
     if not couples:
-        raise DriveFolderError(
+        raise InputError(
             f"{root}: no left image has a right one within {settings.pair_tolerance_ms:g} ms (pair_tolerance_ms in {DRIVE_YAML})"
         )
     pairs = [(a.stamp, {"left": a.path, "right": b.path}) for a, b in couples if a and b and isinstance(a.stamp, int)]
@@ -125,7 +125,7 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
 
     try:
         found = image_clock(clock, track, [t for t, _ in pairs], rig, read_image, from_course=from_course)
-    except DriveFolderError as error:
+    except InputError as error:
         if search_s is None:
             raise
         raise _unknown_start(
@@ -166,21 +166,21 @@ def _at(camera: CameraImages, start_ns: int) -> list[Image]:
 def _listed(camera: CameraImages, name: str | None, source: Source, track: Samples, hint: str = "") -> list[Image]:
     """Images with the times of a file, one line per image, or else with those that their names are.
 
-    Raises DriveFolderError, UnknownTimeError where no name is a time.
+    Raises InputError, UnknownTimeError where no name is a time.
 
     The file may be the trajectory itself, with one record per image. hint: the end of the message where the file has more or
     fewer lines.
     """
     if name is not None and name == source.settings.trajectory.file:
         if len(track.times_ns) != len(camera.paths) or track.bad:
-            raise DriveFolderError(
+            raise InputError(
                 f"{source.root / name}: {len(track.times_ns)} valid and {len(track.bad)} bad records, but {len(camera.paths)} "
                 f"images of {camera.name}: the trajectory states the times of images only if it has one record per image"
             )
         return [Image(stamp_ns, path) for stamp_ns, path in zip(track.times_ns, camera.paths, strict=True)]
     texts = _texts(camera.paths, name, source.root, source.content)
     if len(texts) != len(camera.paths):
-        raise DriveFolderError(
+        raise InputError(
             f"{source.root / str(name)}: {len(texts)} time stamps for the {len(camera.paths)} images of {camera.name}, expected "
             f"one line per image{hint}"
         )
@@ -204,7 +204,7 @@ def _texts(paths: Sequence[Path], name: str | None, root: Path, content: Content
         return [path.stem for path in paths]
     file = inside(root, name, DRIVE_YAML)
     if not file.is_file():
-        raise DriveFolderError(f"{file}: the time stamps of the images, which {DRIVE_YAML} names, are missing")
+        raise InputError(f"{file}: the time stamps of the images, which {DRIVE_YAML} names, are missing")
     data = read_bytes(file, _MOST_TIME_BYTES)
     content.add(name, data)
     return [line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"]
@@ -231,12 +231,12 @@ def _stamp(text: str, settings: DriveYaml) -> int | str:
 
 
 def stated_start(settings: DriveYaml, root: Path) -> int | None:
-    """Time of the first left frame (UTC ns) by drive.yaml; None where it has none. Raises DriveFolderError."""
+    """Time of the first left frame (UTC ns) by drive.yaml; None where it has none. Raises InputError."""
     if settings.images.start is None:
         return None
     stamp = _stamp(settings.images.start, settings)
     if isinstance(stamp, str):
-        raise DriveFolderError(f"{root / DRIVE_YAML}: images.start: {stamp}")
+        raise InputError(f"{root / DRIVE_YAML}: images.start: {stamp}")
     return stamp
 
 
@@ -257,7 +257,7 @@ def _start_ns(left: CameraImages, track: Samples, settings: DriveYaml, root: Pat
     if (stated_ns := stated_start(settings, root)) is not None:
         return stated_ns, None
     if settings.clock is not None and settings.clock.offset_s != "estimate":
-        raise DriveFolderError(f"{root / DRIVE_YAML}: clock.offset_s counts from images.start, which is missing")
+        raise InputError(f"{root / DRIVE_YAML}: clock.offset_s counts from images.start, which is missing")
     search_s = Clock().search_s if settings.clock is None else settings.clock.search_s
     first_ns, last_ns, length_ns = track.times_ns[0], track.times_ns[-1], round(float(left.times_s[-1]) * 1e9)
     created = left.video.created_at if left.video is not None else None
@@ -272,14 +272,14 @@ def _start_ns(left: CameraImages, track: Samples, settings: DriveYaml, root: Pat
 
 
 def _right_offset_s(left: CameraImages, right: CameraImages, settings: Images) -> float:
-    """What to add to the right file's times, as drive.yaml states it or as the images show it. Raises DriveFolderError."""
+    """What to add to the right file's times, as drive.yaml states it or as the images show it. Raises InputError."""
     if settings.right_offset_s is not None:
         return settings.right_offset_s
     assert left.video is not None and right.video is not None
     try:
         lag = _video_lag(left.video, right.video)
     except ImageFileError as error:
-        raise DriveFolderError(str(error)) from error
+        raise InputError(str(error)) from error
     if lag is None:
         raise UnknownTimeError(
             "right-offset",
@@ -290,14 +290,14 @@ def _right_offset_s(left: CameraImages, right: CameraImages, settings: Images) -
         )
     if not lag.is_constant:
         found = "; ".join(f"{offset_s:+.2f} s at {at_s:.0f} s" for at_s, offset_s in lag.windows)
-        raise DriveFolderError(
+        raise InputError(
             f"{right.video.path}: its frames are shifted against {left.name} by a changing time ({found}): one of the files lost "
             "frames that its time stamps do not show. Name the true times of all frames (images.timestamps, "
             "images.right_timestamps)"
         )
     frames = lag.offset_s / lag.period_s
     if abs(frames - round(frames)) > _WHOLE:
-        raise DriveFolderError(
+        raise InputError(
             f"{right.video.path}: its frames were taken {frames:+.2f} frame periods from those of {left.name}: the cameras were "
             "not triggered together, and what moves cannot be located. Record with a common trigger, or state "
             "images.right_offset_s"
@@ -334,7 +334,7 @@ def image_clock(
 
     times_ns: of the frame pairs, rising; rig: rectified; read: the rectified image of a frame pair, by its number in `times_ns`.
     Only an offset that is to be estimated reads images: 2.5 minutes of them, the following where those show nothing, 10 minutes
-    at most. from_course: the trajectory has no attitudes of its own. Raises DriveFolderError where the offset cannot be
+    at most. from_course: the trajectory has no attitudes of its own. Raises InputError where the offset cannot be
     determined.
     """
     if settings is None:
@@ -354,7 +354,7 @@ def image_clock(
         if found is not None:
             return found if from_course else refined_clock(found, motions, track, times_ns, rig)
         first = motions[-1].second_frame_index
-    raise DriveFolderError(
+    raise InputError(
         f"{track.name}: the offset between the clocks of images and trajectory cannot be determined within "
         f"+-{settings.search_s:g} s: the drive shows too few turns and changes of speed, or images and trajectory are not of the "
         "same time. State it in drive.yaml: 'clock: {offset_s: ..., sigma_s: ...}', the seconds to add to the times of the images"

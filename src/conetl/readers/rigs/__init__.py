@@ -2,7 +2,7 @@
 
 The result is the rig of the stored images: raw, with its lenses, unless the file describes a rectified pair
 (`geometry/rectification.py` makes the other from it). Every error is an InputError that names the file, the key, what was
-expected and what to do; a CalibrationError where the file can be read, but not used.
+expected and what to do.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from conetl.files.documents import read_json, read_limited, read_yaml
-from conetl.model.errors import CalibrationError, InputError
+from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Rig
 from conetl.readers.rigs.common import Pair, Size, read_xml, rectified_rig
 from conetl.readers.rigs.devices import read_oak_rig, read_zed_rig
@@ -76,7 +76,7 @@ def read_rig_and_format(
     given = {name: value for name, value in options.items() if value is not None}
     foreign = [_CALLED[name] for name in given if name not in signature(_READERS[found]).parameters]
     if foreign:
-        raise CalibrationError(f"{path}: a {FORMAT_NAMES[found]} has its own {' and '.join(foreign)}; leave them out")
+        raise InputError(f"{path}: a {FORMAT_NAMES[found]} has its own {' and '.join(foreign)}; leave them out")
     return _READERS[found](path, **given), found
 
 
@@ -96,10 +96,10 @@ def _recognise(path: Path, pair: Pair | None = None) -> tuple[Path, Format]:
     if path.is_dir():
         return _in_folder(path, pair)
     if not path.is_file():
-        raise CalibrationError(f"{path}: there is no such file. Known: {_KNOWN}, or a folder that holds one of them")
+        raise InputError(f"{path}: there is no such file. Known: {_KNOWN}, or a folder that holds one of them")
     kind = _OF_SUFFIX.get(path.suffix.lower())
     if kind is None:
-        raise CalibrationError(f"{path}: a calibration is not a '{path.suffix.lower()}' file. Known: {_KNOWN}")
+        raise InputError(f"{path}: a calibration is not a '{path.suffix.lower()}' file. Known: {_KNOWN}")
     return path, kind(path) if callable(kind) else kind
 
 
@@ -111,7 +111,7 @@ def _of_json(path: Path) -> Format:
         return "oak"
     if looks_like_opencv(content):
         return "opencv"
-    raise CalibrationError(
+    raise InputError(
         f"{path}: neither MATLAB's stereoParameters (CameraParameters1) nor an OAK's cameraData nor OpenCV's (M1, D1); "
         f"known: {_KNOWN}"
     )
@@ -152,7 +152,7 @@ def _in_folder(folder: Path, pair: Pair | None) -> tuple[Path, Format]:
             found.append((folder, "ros" if first.suffix != ".xml" and _of_yaml(first) == "ros" else "opencv"))
     if len(found) != 1:
         names = " and ".join(path.name if path != folder else FORMAT_NAMES[kind] for path, kind in found)
-        raise CalibrationError(
+        raise InputError(
             f"{folder}: expected one of {RIG_YAML} and {CAM_TO_CAM} (or another calibration) in the folder, found "
             f"{names or 'none of them'}; name the file itself. Known: {_KNOWN}"
         )

@@ -17,7 +17,7 @@ from conetl.files.documents import named, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.arrays import Floats
-from conetl.model.errors import CalibrationError, InputError
+from conetl.model.errors import InputError
 from conetl.model.rig import MAX_IMAGE_PIXELS, Camera, Lens, Rig
 
 Size = tuple[int, int]
@@ -49,16 +49,16 @@ def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
 
 
 class Node(NamedTuple):
-    """A value of a calibration file with its key. Methods raise CalibrationErrors that name both."""
+    """A value of a calibration file with its key. Methods raise InputErrors that name both."""
 
     path: Path
     value: Any
     key: str = ""
     """Its key, with the keys above it."""
 
-    def bad(self, text: str) -> CalibrationError:
+    def bad(self, text: str) -> InputError:
         """The error for this value."""
-        return CalibrationError(f"{self.path}: {shown(self.key)} {text}")
+        return InputError(f"{self.path}: {shown(self.key)} {text}")
 
     def get(self, key: str) -> Node:
         """The value of a key, None where there is none."""
@@ -138,26 +138,26 @@ class Node(NamedTuple):
 
 
 def choose_pair(path: Path, names: Sequence[str], pair: Sequence[str] | None) -> Pair:
-    """The left and the right of a file's cameras: `pair`, else the only two in their order. Raises CalibrationError."""
+    """The left and the right of a file's cameras: `pair`, else the only two in their order. Raises InputError."""
     if pair is None and len(names) == 2:
         return names[0], names[1]
     listed = shown(list(names)[:20])
     if pair is None:
-        raise CalibrationError(
+        raise InputError(
             f"{path}: the file has {len(names)} cameras, {listed}; choose the stereo pair: conetl rig convert with "
             "--pair LEFT,RIGHT, or for a drive's rig.yaml 'pair: [LEFT, RIGHT]' in drive.yaml"
         )
     left, right = pair
     for name in (left, right):
         if list(names).count(name) != 1:
-            raise CalibrationError(f"{path}: there is no camera {shown(name)}; found {listed}")
+            raise InputError(f"{path}: there is no camera {shown(name)}; found {listed}")
     if left == right:
-        raise CalibrationError(f"{path}: {shown(left)} cannot be both the left and the right camera; found {listed}")
+        raise InputError(f"{path}: {shown(left)} cannot be both the left and the right camera; found {listed}")
     return left, right
 
 
 def camera_from_matrix(node: Node, k: Floats, size: Size, lens: Lens) -> Camera:
-    """Camera of a (3, 3) matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, which `node` has. Raises CalibrationError."""
+    """Camera of a (3, 3) matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, which `node` has. Raises InputError."""
     fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
     if not (fx > 0 and fy > 0):
         raise node.bad(f"must have positive focal lengths, found {fx:g} and {fy:g}")
@@ -166,7 +166,7 @@ def camera_from_matrix(node: Node, k: Floats, size: Size, lens: Lens) -> Camera:
     if not np.allclose([k[1, 0], *k[2]], [0.0, 0.0, 0.0, 1.0], atol=1e-9 * fx):
         raise node.bad("must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     width, height = size
-    with named(f"{node.path}: '{node.key}' cannot be used", CalibrationError):
+    with named(f"{node.path}: '{node.key}' cannot be used"):
         return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
 
 
@@ -174,7 +174,7 @@ def pinhole_camera(node: Node, coefficients: str, lenses: Mapping[str | None, st
     """Camera of a mapping in the style of Kalibr and EuRoC: camera_model, intrinsics, resolution, distortion_model.
 
     coefficients: key of the lens' coefficients; lenses: "opencv", "fisheye" or None (no distortion) by known distortion_model,
-    which is optional if None is known. Raises CalibrationError.
+    which is optional if None is known. Raises InputError.
     """
     model = node.at("camera_model")
     if model.value != "pinhole":
@@ -199,7 +199,7 @@ def opencv_lens(node: Node, coefficients: Sequence[float] | Floats | None = None
     """The smallest lens model that holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tx, ty]]]].
 
     coefficients: those of `node` unless given. fisheye: they are k1, k2, k3, k4 of the equidistant model. Raises
-    CalibrationError.
+    InputError.
     """
     if fisheye:
         given = node if coefficients is None else node._replace(value=coefficients)
@@ -227,9 +227,9 @@ def opencv_coefficients(lens: Lens) -> list[float]:
 def stereo_rig(node: Node, tool: str, left: Camera, right: Camera, right_SE3_left: Floats) -> Rig:
     """Rig of the usual stereo calibration `p_right = R p_left + t`, as (4, 4); the body is the left camera.
 
-    node: the relative pose in the file; tool: the format's name, the rig's id starts with it. Raises CalibrationError.
+    node: the relative pose in the file; tool: the format's name, the rig's id starts with it. Raises InputError.
     """
-    with named(f"{node.path}: '{node.key}' cannot be used", CalibrationError):
+    with named(f"{node.path}: '{node.key}' cannot be used"):
         turn = se3.nearest_rotation(right_SE3_left[:3, :3])
         left_SE3_right = se3.invert(se3.se3(turn, right_SE3_left[:3, 3]))
         check_stereo_baseline(left_SE3_right)
@@ -257,6 +257,6 @@ def rig_of(
 
 
 def rectified_rig(rig: Rig, path: Path) -> Rig:
-    """The rig of the rectified images (`rectify`). Raises CalibrationError where it cannot be rectified."""
-    with named(path, CalibrationError):
+    """The rig of the rectified images (`rectify`). Raises InputError where it cannot be rectified."""
+    with named(path):
         return rectify(rig)

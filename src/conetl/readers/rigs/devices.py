@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 from conetl.files.documents import MAX_SHOWN, read_json, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import InputError
 from conetl.model.rig import MIN_BASELINE_M, Camera, Lens, Rig
 from conetl.readers.rigs.common import (
     LENGTH_UNITS,
@@ -79,14 +79,14 @@ def _sections(path: Path) -> Sections:
     try:
         parser.read_string(read_limited(path), source=path.name[:MAX_SHOWN])
     except Error as error:
-        raise CalibrationError(f"{path}: not an INI file: {' '.join(str(error).split())[:MAX_SHOWN]}") from error
+        raise InputError(f"{path}: not an INI file: {' '.join(str(error).split())[:MAX_SHOWN]}") from error
     return {name.upper(): dict(parser.items(name)) for name in parser.sections()}
 
 
 def _resolution(path: Path, sections: Sections, image_size: Size | None) -> str:
     known = [name for name in RESOLUTIONS if f"LEFT_CAM_{name}" in sections and f"RIGHT_CAM_{name}" in sections]
     if not known:
-        raise CalibrationError(
+        raise InputError(
             f"{path}: expected the sections LEFT_CAM_HD and RIGHT_CAM_HD (or {', '.join(RESOLUTIONS)}) of a ZED camera, found "
             f"{shown([*sections])}"
         )
@@ -95,7 +95,7 @@ def _resolution(path: Path, sections: Sections, image_size: Size | None) -> str:
         return fitting[0]
     sizes = ", ".join(f"{RESOLUTIONS[name][0]}x{RESOLUTIONS[name][1]} ({name})" for name in known)
     given = "" if image_size is None else f", none is {image_size[0]}x{image_size[1]}"
-    raise CalibrationError(
+    raise InputError(
         f"{path}: the file has calibrations for images of {sizes}{given}; name that of your images: conetl rig convert with "
         "--image-size (one camera's image, half of a side-by-side one)"
     )
@@ -199,10 +199,10 @@ def _pose(camera: Node) -> tuple[str, Floats] | None:
 
 
 def _check(rectification: Node, right_SE3_left: Floats) -> None:
-    """Raise CalibrationError where the rectification in the file is that of another pose."""
+    """Raise InputError where the rectification in the file is that of another pose."""
     try:
         left_R, right_R = (rectification.at(f"rectifiedRotation{side}").numbers((3, 3)) for side in ("Left", "Right"))
-    except CalibrationError:
+    except InputError:
         return  # files of some devices have none
     if not (se3.is_rotation(left_R) and se3.is_rotation(right_R)):
         return

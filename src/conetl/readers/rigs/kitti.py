@@ -18,7 +18,7 @@ from conetl.files.documents import named, read_limited
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Lens, Rig
 from conetl.readers.rigs.common import Node, Size, camera_from_matrix, rectified_rig
 
@@ -62,7 +62,7 @@ def read_kitti_rig(
     chain = [cam_to_cam.parent / name for name in (VELO_TO_CAM, IMU_TO_VELO)]
     absent = [path.name for path in chain if not path.is_file()]
     if absent and (body_required or len(absent) == 1):
-        raise CalibrationError(
+        raise InputError(
             f"{cam_to_cam.parent}: {' and '.join(absent)} missing. Poses are those of the IMU, so the chain IMU -> velodyne -> "
             "camera is needed; KITTI delivers all three calib_*.txt files together, put them side by side"
         )
@@ -79,7 +79,7 @@ def read_kitti_rig(
         read_camera(cam_to_cam, cameras, number) for number in (left, right)
     )
     x, y, z = (left_SE3_right := se3.compose(se3.invert(base_SE3_left), base_SE3_right))[:3, 3]
-    with named(f"{cam_to_cam}: T_{left:02d}, T_{right:02d}" if raw else cam_to_cam, CalibrationError):
+    with named(f"{cam_to_cam}: T_{left:02d}, T_{right:02d}" if raw else cam_to_cam):
         check_stereo_baseline(left_SE3_right)
         if not raw and np.hypot(y, z) > _MAX_BASELINE_SLOPE * x:
             raise ValueError(
@@ -91,7 +91,7 @@ def read_kitti_rig(
         cam0_SE3_velo, velo_SE3_body = (motion_of(path, link) for path, link in zip(chain, links, strict=True))
         cam0_SE3_body = se3.compose(cam0_SE3_velo, velo_SE3_body)
         body_SE3_base = se3.invert(se3.compose(se3.se3(base_R_cam0, np.zeros(3)), cam0_SE3_body))
-    with named(cam_to_cam, CalibrationError):
+    with named(cam_to_cam):
         return Rig(
             rig_id=rig_id, left=left_camera, right=right_camera, sigma_px=sigma_px,
             body_SE3_left=se3.to_matrix4(se3.compose(body_SE3_base, base_SE3_left)),
@@ -117,12 +117,12 @@ def _raw_camera(path: Path, cameras: dict[str, Floats], number: int) -> tuple[Ca
 
 
 def motion_of(path: Path, link: dict[str, Floats]) -> Floats:
-    """The motion (4, 4) of R (9) and T (3) of a file. Raises CalibrationError."""
+    """The motion (4, 4) of R (9) and T (3) of a file. Raises InputError."""
     return se3.se3(Node(path, link["R"], "R").rotation(), link["T"])
 
 
 def _raw_size(cam_to_cam: Path, number: int) -> Size | None:
-    """Width and height of the raw images of a camera; None where the file has none. Raises CalibrationError."""
+    """Width and height of the raw images of a camera; None where the file has none. Raises InputError."""
     key = f"S_{number:02d}"
     if key not in _lines(cam_to_cam):
         return None
@@ -135,7 +135,7 @@ def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Floats]:
     lines = _lines(path)
     for key, count in wanted.items():
         if key not in lines:
-            raise CalibrationError(
+            raise InputError(
                 f"{path}: the key '{key}' is missing; expected a line '{key}: ' with {count} numbers, "
                 "as in KITTI's own file. Restore the file from the recording"
             )

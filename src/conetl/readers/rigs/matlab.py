@@ -24,7 +24,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
 from conetl.model.arrays import Floats
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Rig
 from conetl.readers.rigs.common import Node, Size, camera_from_matrix, opencv_coefficients, opencv_lens, stereo_rig
 
@@ -112,17 +112,17 @@ def _read_mat(path: Path) -> Mapping[str, Any]:
     """Variables of a .mat file, structures as dictionaries."""
     data = read_bytes(path)
     if data[124:128] in (b"\0\2IM", b"\2\0MI"):
-        raise CalibrationError(f"{path}: this is a version 7.3 file (HDF5), which is not read. {_HOW}")
+        raise InputError(f"{path}: this is a version 7.3 file (HDF5), which is not read. {_HOW}")
     try:
         variables = _variables(data)
     except (ValueError, KeyError, struct.error, zlib.error) as error:
         text = str(error)[:MAX_SHOWN]
-        raise CalibrationError(
+        raise InputError(
             f"{path}: this is not a .mat file (version 5 to 7), or it is damaged ({text}). {_HOW}"
         ) from error
     if structure(variables) is None:
         names = shown([*variables]) if variables else "only objects"
-        raise CalibrationError(
+        raise InputError(
             f"{path}: no structure of a stereoParameters object, found {names}; only MATLAB "
             f"can read a saved object itself. {_HOW}"
         )
@@ -192,15 +192,15 @@ def _matrix(data: bytes, order: str, depth: int = 0) -> tuple[str, Any]:
 def write_matlab_rig(rig: Rig, path: Path) -> None:
     """Write the JSON that MATLAB reads back by `stereoParameters(jsondecode(fileread(path)))`, millimetres.
 
-    MATLAB's lens has k1, k2, k3, p1, p2: raises CalibrationError for a rational or a fisheye lens.
+    MATLAB's lens has k1, k2, k3, p1, p2: raises InputError for a rational or a fisheye lens.
     """
     if path.suffix.lower() != ".json":
-        raise CalibrationError(f"{path}: the structure is written as .json")
+        raise InputError(f"{path}: the structure is written as .json")
     right_SE3_left = se3.invert(rigs.left_SE3_right(rig))
     content: dict[str, Any] = {}
     for number, camera in ((1, rig.left), (2, rig.right)):
         if camera.lens.model in ("rational", "fisheye"):
-            raise CalibrationError(
+            raise InputError(
                 f"{path}: MATLAB's stereoParameters have no {camera.lens.model} lens; export to OpenCV or ROS instead"
             )
         k1, k2, p1, p2, k3 = opencv_coefficients(camera.lens)

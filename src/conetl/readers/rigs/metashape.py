@@ -15,7 +15,7 @@ import numpy as np
 
 from conetl.files.documents import shown
 from conetl.geometry import pose as se3
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Lens, Rig
 from conetl.readers.rigs.common import Node, Pair, camera_from_matrix, choose_pair, opencv_lens, read_xml, stereo_rig
 
@@ -34,7 +34,7 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
     root = read_xml(path)
     chunks = root.findall("chunk")
     if len(chunks) != 1:
-        raise CalibrationError(f"{path}: expected the export of one chunk, found {len(chunks)}")
+        raise InputError(f"{path}: expected the export of one chunk, found {len(chunks)}")
     sensors = {sensor.get("id", ""): sensor for sensor in chunks[0].findall("sensors/sensor")}
     labels = [sensor.get("label", "") for sensor in sensors.values()]
     names = {
@@ -54,7 +54,7 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
     numbers_of = {name: number for number, name in names.items()}
     right_SE3_left = se3.connect(poses, numbers_of[right], numbers_of[left])
     if right_SE3_left is None:
-        raise CalibrationError(
+        raise InputError(
             f"{path}: the sensors {shown(left)} and {shown(right)} are not in one multi-camera system: neither is the master "
             "(master_id) of the other, nor do they have the same one"
         )

@@ -23,7 +23,7 @@ from conetl.files.documents import MAX_DEPTH, parse_yaml, read_json, read_limite
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import InputError
 from conetl.model.rig import SIDES, Camera, Rig, Side
 from conetl.readers.rigs.common import (
     Node,
@@ -72,14 +72,14 @@ def read_storage(path: Path) -> dict[str, Any]:
     else:
         content = parse_yaml(path, _MATRIX_TAG.sub("", _YAML_HEADER.sub("", read_limited(path), count=1)))
     if not isinstance(content, dict):
-        raise CalibrationError(f"{path}: expected keys and values such as M1, D1, M2, D2, R, T")
+        raise InputError(f"{path}: expected keys and values such as M1, D1, M2, D2, R, T")
     return {str(key): _plain(value) for key, value in content.items()}
 
 
 def _of_element(path: Path, element: Element, depth: int) -> Any:
     """Elements as dictionaries by name, those named `_` as lists, their texts as they are."""
     if depth > MAX_DEPTH:
-        raise CalibrationError(f"{path}: nested too deeply")
+        raise InputError(f"{path}: nested too deeply")
     if len(element) == 0:
         return (element.text or "").strip().strip('"')
     if element[0].tag == "_":
@@ -150,7 +150,7 @@ def _files(path: Path) -> dict[str, Path]:
 
 
 def _named(file: Node, what: str, names: tuple[str, ...]) -> Node:
-    """The first existing one of several names. Raises CalibrationError."""
+    """The first existing one of several names. Raises InputError."""
     found = _first(file, names)
     if found is not None:
         return found
@@ -211,19 +211,17 @@ def _size(file: Node, side: Side) -> Size:
 def write_opencv_rig(rig: Rig, path: Path) -> None:
     """Write M1, D1, M2, D2, R, T (metres) and the image size for `cv2.FileStorage`; the suffix gives YAML, XML or JSON.
 
-    The file has one image size and one kind of lens: raises CalibrationError for a rig that mixes them, or for another suffix,
+    The file has one image size and one kind of lens: raises InputError for a rig that mixes them, or for another suffix,
     InputError where the file cannot be written. The body's pose and the covariance are not written.
     """
     if path.suffix.lower() not in SUFFIXES:
-        raise CalibrationError(f"{path}: OpenCV's files end in {', '.join(SUFFIXES)}")
+        raise InputError(f"{path}: OpenCV's files end in {', '.join(SUFFIXES)}")
     left, right = rig.left, rig.right
     if (left.width_px, left.height_px) != (right.width_px, right.height_px):
-        raise CalibrationError(
-            f"{path}: OpenCV's stereo files hold one image size, but the two cameras differ in theirs"
-        )
+        raise InputError(f"{path}: OpenCV's stereo files hold one image size, but the two cameras differ in theirs")
     fisheyes = [camera.lens.model == "fisheye" for camera in (left, right)]
     if fisheyes[0] != fisheyes[1]:
-        raise CalibrationError(f"{path}: OpenCV's stereo files hold two fisheye lenses or none")
+        raise InputError(f"{path}: OpenCV's stereo files hold two fisheye lenses or none")
     right_SE3_left = se3.invert(rigs.left_SE3_right(rig))
     storage = cv2.FileStorage(path.suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_width", left.width_px)

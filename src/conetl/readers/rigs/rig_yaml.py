@@ -19,7 +19,7 @@ from conetl.geometry.calibration.stereo_bundle import parameter_names
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
 from conetl.model.base import Matrix3, NonNegative, Positive, Record, Vec3
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import InputError
 from conetl.model.rig import CalibrationCovariance, Camera, Lens, Rig
 from conetl.readers.rigs.common import Pair, choose_pair, rig_of, write_yaml
 
@@ -201,8 +201,8 @@ def read_rig_yaml(path: Path, *, pair: Pair | None = None) -> Rig:
     """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras; pair: of its `cameras`. Raises InputError."""
     content: Any = read_yaml(path)
     if not isinstance(content, dict):
-        raise CalibrationError(f"{path}: expected a YAML mapping with the keys left, right and baseline_m")
-    with named(path, CalibrationError):
+        raise InputError(f"{path}: expected a YAML mapping with the keys left, right and baseline_m")
+    with named(path):
         if "cameras" in content:
             return _pair_of_many(path, _RigOfMany.model_validate(content), pair)
         if pair is not None:

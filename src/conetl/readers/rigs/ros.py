@@ -25,7 +25,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.camera import intrinsics, matrix_k
 from conetl.geometry.rectification import common_rotation, rectify
 from conetl.model.arrays import Floats
-from conetl.model.errors import CalibrationError
+from conetl.model.errors import InputError
 from conetl.model.rig import SIDES, Camera, Rig
 from conetl.readers.rigs.common import (
     Node,
@@ -47,7 +47,7 @@ _KALIBR_LENSES: dict[str | None, str | None] = {"radtan": "opencv", "equidistant
 def pair_of(path: Path, pair: Pair | None = None) -> tuple[Path, Path]:
     """Both files of a pair, given one of them (with left or right in its name) or their folder.
 
-    pair: names without suffix, of two of a folder's files. Raises CalibrationError.
+    pair: names without suffix, of two of a folder's files. Raises InputError.
     """
     if pair is not None:
         folder = path if path.is_dir() else path.parent
@@ -62,9 +62,9 @@ def pair_of(path: Path, pair: Pair | None = None) -> tuple[Path, Path]:
         if name.count(ours) == 1:
             other = path.with_name(name.replace(ours, theirs))
             if not other.is_file():
-                raise CalibrationError(f"{path}: this is one camera of two; {other.name} is missing beside it")
+                raise InputError(f"{path}: this is one camera of two; {other.name} is missing beside it")
             return (path, other) if ours == "left" else (other, path)
-    raise CalibrationError(f"{path}: this is one camera of two; name the files left.yaml and right.yaml, in one folder")
+    raise InputError(f"{path}: this is one camera of two; name the files left.yaml and right.yaml, in one folder")
 
 
 def read_ros_rig(path: Path, *, pair: Pair | None = None) -> Rig:
@@ -80,7 +80,7 @@ def read_ros_rig(path: Path, *, pair: Pair | None = None) -> Rig:
 
 
 def rig_of_camera_infos(left_info: Node, right_info: Node) -> Rig:
-    """Raw rig of two camera_info mappings (keys of the YAML files). Raises CalibrationError."""
+    """Raw rig of two camera_info mappings (keys of the YAML files). Raises InputError."""
     left, left_R, left_p = _camera(left_info)
     right, right_R, right_p = _camera(right_info)
     projection = right_info.at("projection_matrix")
@@ -103,7 +103,7 @@ def rig_of_camera_infos(left_info: Node, right_info: Node) -> Rig:
 def _camera(info: Node) -> tuple[Camera, Floats, Floats]:
     """Camera, its rectification matrix (3, 3) and its projection matrix (3, 4)."""
     if not isinstance(info.value, Mapping):
-        raise CalibrationError(f"{info.path}: expected the YAML mapping of a ROS camera_info")
+        raise InputError(f"{info.path}: expected the YAML mapping of a ROS camera_info")
     size = info.both("image_width", "image_height").size()
     model = info.at("distortion_model")
     if model.value not in _MODELS:
@@ -119,9 +119,9 @@ def _camera(info: Node) -> tuple[Camera, Floats, Floats]:
 def write_ros_rig(rig: Rig, folder: Path) -> None:
     """Write `left.yaml` and `right.yaml` into a folder; rectification and projection are conetl's own (`rectify`).
 
-    Raises CalibrationError for a rig that cannot be rectified.
+    Raises InputError for a rig that cannot be rectified.
     """
-    with named(f"{folder}: this rig cannot be rectified, as ROS requires", CalibrationError):
+    with named(f"{folder}: this rig cannot be rectified, as ROS requires"):
         flat = rectify(rig)
     raw_R_rect = [rigs.stored_R_camera(flat, side) for side in SIDES]
     if flat is rig:
@@ -153,12 +153,10 @@ def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
     """Raw rig of cam0 (left) and cam1 (right), or of another pair of a chain of more cameras. Raises InputError."""
     content = read_yaml(path)
     if not isinstance(content, Mapping):
-        raise CalibrationError(f"{path}: expected a YAML mapping with the keys cam0 and cam1")
+        raise InputError(f"{path}: expected a YAML mapping with the keys cam0 and cam1")
     names = [name for number in range(1000) if (name := f"cam{number}") in content]
     if len(names) < 2 or names[-1] != f"cam{len(names) - 1}":
-        raise CalibrationError(
-            f"{path}: expected the cameras cam0 (left), cam1 (right) and so on, found {shown(names)}"
-        )
+        raise InputError(f"{path}: expected the cameras cam0 (left), cam1 (right) and so on, found {shown(names)}")
     left, right = choose_pair(path, names, pair)
     chain = Node(path, content)
     left_camera, right_camera = (
@@ -174,13 +172,13 @@ def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
 
 
 def write_kalibr_rig(rig: Rig, path: Path) -> None:
-    """Write a camchain. Kalibr's radtan has k1, k2, p1, p2 only: raises CalibrationError for a lens with more."""
+    """Write a camchain. Kalibr's radtan has k1, k2, p1, p2 only: raises InputError for a lens with more."""
     content: dict[str, Any] = {}
     for name, camera in (("cam0", rig.left), ("cam1", rig.right)):
         coefficients = opencv_coefficients(camera.lens)
         if camera.lens.model != "fisheye":
             if any(coefficients[4:]):
-                raise CalibrationError(
+                raise InputError(
                     f"{path}: Kalibr's radtan lens has no k3 to k6, but the {camera.lens.model} lens of {name} has; "
                     "export to OpenCV or ROS, or calibrate with the radial or the fisheye model"
                 )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories import delimited, gpx, inertial_explorer, nmea, oxts, rtklib, sbet, tables
 from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M, in_wgs84
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory, assembled
@@ -35,29 +35,29 @@ def read_trajectory(
     """The trajectory of a file, or of a folder with OXTS records.
 
     between_ns: first and last UTC time that are needed; other records are not kept. So a file of a whole day is read for the time
-    of one drive. Raises DriveFolderError where the format is not recognised or nothing in the file can be used.
+    of one drive. Raises InputError where the format is not recognised or nothing in the file can be used.
     """
     settings = settings or TrajectoryFile()
     if not path.exists():
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: there is no such file; name the trajectory in drive.yaml (trajectory: {{file: ...}})"
         )
     name = settings.format or ("table" if settings.columns else trajectory_format(path))
     if name is None and path.suffix.lower() in _TABLE_SUFFIXES:
         name = "table"  # whose reader says which columns it found
     if name is None:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: this is not a trajectory in a known format ({', '.join(READERS)}); name its columns in drive.yaml "
             "(trajectory: columns) or export it as CSV with time, lat, lon, height"
         )
     if path.is_dir() != (name == "oxts"):
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: {'a folder' if path.is_dir() else 'a file'} cannot be a trajectory in the format {name}"
         )
     reading = READERS[name](path, settings)
     is_local = reading.axes == "local"
     if is_local and (settings.crs or settings.heights):
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: x, y, z of the format {name} are local: leave out trajectory.crs and heights in drive.yaml"
         )
     pieces = reading.pieces if is_local else in_wgs84(reading, settings, path)
@@ -82,7 +82,7 @@ def unknown_heights(path: Path, settings: TrajectoryFile) -> str | None:
 
 
 def trajectory_format(path: Path) -> FormatName | None:
-    """Name of the format of a file or folder by its content, None for anything else. Raises DriveFolderError."""
+    """Name of the format of a file or folder by its content, None for anything else. Raises InputError."""
     if path.is_dir():
         return "oxts" if oxts.looks_like(path) else None
     head = head_bytes(path)
@@ -126,5 +126,5 @@ def _entries(folder: Path) -> list[os.DirEntry[str]]:
 def _is_trajectory(path: Path) -> bool:
     try:
         return trajectory_format(path) is not None
-    except DriveFolderError:
+    except InputError:
         return False

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from conetl.files.documents import shown
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.earth import is_geocentric
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -99,7 +99,7 @@ class _Found(NamedTuple):
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
-    """The records of a table. Raises DriveFolderError that names its columns where they are not understood."""
+    """The records of a table. Raises InputError that names its columns where they are not understood."""
     lines = head_lines(path)
     found = _header(path, lines, settings)
     columns = dict(found.columns)
@@ -137,7 +137,7 @@ def looks_like(lines: list[str]) -> bool:
 
 
 def check_yaw(path: Path, found: RecordedTrajectory, column: str) -> None:
-    """Raise DriveFolderError where a yaw is a heading, clockwise from north: then the vehicle would not drive where it looks."""
+    """Raise InputError where a yaw is a heading, clockwise from north: then the vehicle would not drive where it looks."""
     if found.rotations is None or found.is_local:
         return
     lat, lon, _ = np.radians(found.positions).T
@@ -154,14 +154,14 @@ def check_yaw(path: Path, found: RecordedTrajectory, column: str) -> None:
     yaw = np.arctan2(forward[:, 1], forward[:, 0])
     as_yaw, as_heading = (np.median(np.abs(np.angle(np.exp(1j * (a - course))))) for a in (yaw, np.pi / 2 - yaw))
     if as_yaw > np.pi / 4 and as_heading < np.pi / 9:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: by the path that was driven, the column {shown(column)} counts clockwise from north, as a "
             f"heading does; a yaw counts counter-clockwise from east. Put trajectory: {{columns: {{heading: {column[:60]}}}}}"
         )
 
 
 def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
-    """The line that names most columns. Raises DriveFolderError."""
+    """The line that names most columns. Raises InputError."""
     marks: tuple[str | None, ...] = _MARKS
     if settings.delimiter is not None:
         marks = (None if settings.delimiter == " " else settings.delimiter,)
@@ -187,13 +187,13 @@ def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
             if best is None or len(found.columns) > max(len(best.columns), 2 if mark is None else 0):
                 best = found
     if best is None:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: there is no line with the names of the columns; write one, or number the columns in drive.yaml, for "
             "example trajectory: {columns: {time: 1, lat: 2, lon: 3, height: 4}}"
         )
     missing = [str(name) for name in settings.columns.values() if isinstance(name, str) and name not in best.names]
     if missing:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: has no column {shown(missing[0])}, which trajectory.columns names; its columns are "
             f"{', '.join(best.names)[:200]}"
         )
@@ -201,14 +201,14 @@ def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
 
 
 def _columns(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str, Column]:
-    """Columns by our name: those of the settings, then those recognised. Raises DriveFolderError where two claim one name."""
+    """Columns by our name: those of the settings, then those recognised. Raises InputError where two claim one name."""
     mapped = {str(name): role for role, name in settings.columns.items() if isinstance(name, str)}
     columns: dict[str, Column] = {}
     for stated, number in settings.columns.items():
         if isinstance(number, int):
             columns[stated] = _numbered(path, stated, number, settings)
         if stated not in ROLES:
-            raise DriveFolderError(
+            raise InputError(
                 f"drive.yaml: trajectory.columns: {shown(stated)} is unknown; known are {', '.join(ROLES)}"
             )
     for at, name in enumerate(names):
@@ -216,7 +216,7 @@ def _columns(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str
         if role is None or (role in settings.columns and name not in mapped):
             continue
         if role in columns:
-            raise DriveFolderError(
+            raise InputError(
                 f"{path}: the columns {shown(columns[role].name)} and {shown(name)} may both be the {role}; name one "
                 f"in drive.yaml, trajectory: {{columns: {{{role}: ...}}}}"
             )
@@ -226,7 +226,7 @@ def _columns(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str
 
 def _numbered(path: Path, role: str, number: int, settings: TrajectoryFile) -> Column:
     if role not in ROLES or not 1 <= number <= 1000:
-        raise DriveFolderError(
+        raise InputError(
             f"drive.yaml: trajectory.columns: {shown(role)}: {number}: expected a number from 1 to 1000 for "
             f"one of {', '.join(ROLES)}"
         )
@@ -236,7 +236,7 @@ def _numbered(path: Path, role: str, number: int, settings: TrajectoryFile) -> C
 def column_of(
     path: Path, role: str, at: int, name: str, unit: str, settings: TrajectoryFile, *, required: bool = False
 ) -> Column:
-    """A column with the factor of its unit. Raises DriveFolderError for units that are not supported.
+    """A column with the factor of its unit. Raises InputError for units that are not supported.
 
     required: the file states all units; else what is not one of this column's is part of its name.
     """
@@ -244,7 +244,7 @@ def column_of(
         return Column(at, name, unit=_TIMES.get(unit))
     units = _DEGREES if role in ANGLES else _LENGTHS
     if unit in _REFUSED or (required and unit not in units):
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: column {shown(name)}: the unit {unit[:40]} is not supported; write degrees, radians or metres"
         )
     unstated = "rad" if role in ANGLES and settings.angles == "radians" else ""

@@ -21,7 +21,7 @@ from pyproj.exceptions import ProjError
 from conetl.files.documents import shown
 from conetl.geometry import geodesy
 from conetl.model.arrays import Floats
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Axes, Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -36,7 +36,7 @@ _GRID_SUFFIXES = (".tif", ".gtx")
 
 
 def in_wgs84(reading: Reading, settings: TrajectoryFile, path: Path) -> Iterator[Records]:
-    """The records with latitude, longitude (degrees) and ellipsoidal height (m). Raises DriveFolderError.
+    """The records with latitude, longitude (degrees) and ellipsoidal height (m). Raises InputError.
 
     Sigmas are increased by the stated accuracy of a geoid model or datum shift.
     """
@@ -65,30 +65,30 @@ def in_wgs84(reading: Reading, settings: TrajectoryFile, path: Path) -> Iterator
 
 @contextmanager
 def _proj_errors(what: str) -> Iterator[None]:
-    """PROJ's errors as DriveFolderError."""
+    """PROJ's errors as InputError."""
     try:
         yield
     except (ProjError, ValueError) as error:
-        raise DriveFolderError(f"{what}: {shown(str(error))}") from error
+        raise InputError(f"{what}: {shown(str(error))}") from error
 
 
 def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
-    """From the frame of the positions to that of the map, where a file begins (3,). Raises DriveFolderError."""
+    """From the frame of the positions to that of the map, where a file begins (3,). Raises InputError."""
     if settings.frame is None or settings.map_frame is None:
-        raise DriveFolderError(
+        raise InputError(
             "drive.yaml: trajectory.frame (of the positions, like ITRF2020) and trajectory.map_frame (of the map's coordinates, "
             "like ETRF2000) belong together: state both"
         )
     known = {key: _crs(getattr(settings, key), key) for key in ("frame", "map_frame")}
     for key, crs in known.items():
         if not crs.is_geographic:
-            raise DriveFolderError(f"drive.yaml: trajectory.{key}: {shown(crs.name)} is not the name of a frame")
+            raise InputError(f"drive.yaml: trajectory.{key}: {shown(crs.name)} is not the name of a frame")
     source, target = (crs.to_3d() for crs in known.values())
     lat, lon = (float(value) for value in start[:2])
     with _proj_errors("drive.yaml: trajectory.frame, map_frame"):
         group = geodesy.operations(source, target, geodesy.around(lon, lat))
     if not group.transformers or not group.best_available:
-        raise DriveFolderError(
+        raise InputError(
             f"drive.yaml: trajectory.frame, map_frame: PROJ has no transformation from {shown(source.name)} to "
             f"{shown(target.name)} at {lat:.1f}, {lon:.1f} degrees: transform the positions first"
         )
@@ -132,15 +132,15 @@ def _transformed(steps: list[Transformer], axes: Axes, piece: Records, settings:
 
 
 def _needs_transformation(reading: Reading, settings: TrajectoryFile, path: Path) -> bool:
-    """Raises DriveFolderError where the settings lack what the file requires."""
+    """Raises InputError where the settings lack what the file requires."""
     if reading.axes == "projected" and settings.crs is None:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: has easting and northing, but does not say of which coordinate reference system: put "
             "trajectory: {crs: 'EPSG:25832'} into drive.yaml"
         )
     stated = settings.heights is not None or (settings.crs is not None and _crs(settings.crs, "crs").is_compound)
     if reading.heights == "sea level" and not stated:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: its heights are above the sea, the map's are above the WGS 84 ellipsoid: put the geoid into drive.yaml, "
             "trajectory: {heights: 'EPSG:5773'} (EGM96), or export ellipsoidal heights"
         )
@@ -149,7 +149,7 @@ def _needs_transformation(reading: Reading, settings: TrajectoryFile, path: Path
 
 
 def is_geocentric(settings: TrajectoryFile) -> bool:
-    """Whether the CRS of the settings has its origin in the earth's centre. Raises DriveFolderError if PROJ does not know it."""
+    """Whether the CRS of the settings has its origin in the earth's centre. Raises InputError if PROJ does not know it."""
     return settings.crs is not None and _crs(settings.crs, "crs").is_geocentric
 
 
@@ -160,7 +160,7 @@ def _crs(text: str, key: str) -> CRS:
         example = {"crs": "EPSG:25832", "frame": "ITRF2020", "map_frame": "ETRF2000"}.get(
             key, "ellipsoidal, EPSG:5773 or the name of a geoid grid"
         )
-        raise DriveFolderError(
+        raise InputError(
             f"drive.yaml: trajectory.{key}: {shown(text)} is not known to PROJ; expected for example {example}"
         ) from error
 
@@ -171,17 +171,15 @@ def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Pat
     flat = source.sub_crs_list[0] if source.is_compound else source
     kinds = {"geodetic": flat.is_geographic, "geocentric": flat.is_geocentric, "projected": flat.is_projected}
     if not kinds.get(axes, False):
-        raise DriveFolderError(
-            f"{path}: has {axes} coordinates; trajectory.crs in drive.yaml, {shown(source.name)}, has not"
-        )
+        raise InputError(f"{path}: has {axes} coordinates; trajectory.crs in drive.yaml, {shown(source.name)}, has not")
     after: list[Transformer] = []
     geoid = settings.heights if settings.heights != "ellipsoidal" and axes != "geocentric" else None
     if geoid is not None and source.is_compound:
-        raise DriveFolderError("drive.yaml: trajectory.crs has heights of its own: leave out trajectory.heights")
+        raise InputError("drive.yaml: trajectory.crs has heights of its own: leave out trajectory.heights")
     if geoid is not None and not geoid.lower().endswith(_GRID_SUFFIXES):
         vertical = _crs(geoid, "heights")
         if not vertical.is_vertical:
-            raise DriveFolderError(
+            raise InputError(
                 f"drive.yaml: trajectory.heights: {shown(vertical.name)} is not a CRS of heights; EPSG:5773 (EGM96) is one"
             )
         source = CompoundCRS(
@@ -199,14 +197,14 @@ def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Pat
         group = geodesy.operations(source, CRS(4979), geodesy.around(lon, lat))
     missing = geodesy.missing_grids(group)
     if not group.transformers or (missing and not group.best_available):
-        raise DriveFolderError(_missing(path, source.name, missing))
+        raise InputError(_missing(path, source.name, missing))
     return [group.transformers[0], *after], _accuracy_m(group.transformers[0])
 
 
 def _grid(name: str, path: Path) -> Transformer:
     """From heights above a geoid to ellipsoidal ones, by a grid beside the file or in PROJ's folders; in degrees."""
     if PurePath(name).name != name or not all(c.isalnum() or c in "._-" for c in name):
-        raise DriveFolderError(
+        raise InputError(
             f"drive.yaml: trajectory.heights: {shown(name)}: expected the name of a grid file (letters, digits, . _ -) without a "
             f"folder; put the file beside {path.name} or into {get_user_data_dir()}"
         )
@@ -217,7 +215,7 @@ def _grid(name: str, path: Path) -> Transformer:
     ]
     found = next((folder / name for folder in folders if (folder / name).is_file()), None)
     if found is None:
-        raise DriveFolderError(_missing(path, f"the geoid {name}", [name]))
+        raise InputError(_missing(path, f"the geoid {name}", [name]))
     steps = (
         "unitconvert +xy_in=deg +xy_out=rad",
         f'vgridshift +grids="{found}" +multiplier=1',

@@ -15,7 +15,7 @@ from xml.parsers import expat
 import numpy as np
 
 from conetl.files.documents import XmlFile
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import floats, head_bytes
@@ -27,7 +27,7 @@ _VALUES = frozenset({"ele", "time", "geoidheight"})
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
-    """The points of a file. Raises DriveFolderError where it is not XML or has a document type."""
+    """The points of a file. Raises InputError where it is not XML or has a document type."""
     stated = states_geoid(path)
     records = _records(path, settings, add_geoid=stated and settings.heights is None)
     return Reading(records, heights="ellipsoidal" if stated else "unstated")
@@ -88,9 +88,9 @@ def _records(path: Path, settings: TrajectoryFile, *, add_geoid: bool) -> Iterat
                     points.rows = []
         points.parser.Parse(b"", True)
     except (expat.ExpatError, ValueError, LookupError) as error:
-        raise DriveFolderError(f"{path}: this is not GPX: {str(error)[:200]}") from error
+        raise InputError(f"{path}: this is not GPX: {str(error)[:200]}") from error
     except OSError as error:
-        raise DriveFolderError(f"{path}: cannot be read ({error.strerror})") from error
+        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if points.rows:
         yield _piece(points.rows, read_times, add_geoid)
 

@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.delimited import column_of, role_of
 from conetl.readers.trajectories.recorded import Reading
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -40,17 +40,17 @@ def looks_like(lines: list[str]) -> bool:
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
-    """The records of an export. Raises DriveFolderError."""
+    """The records of an export. Raises InputError."""
     lines = head_lines(path)
     at = header_of(lines)
     if at is None:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: expected a line with the names of the columns (GPSTime, Week, Latitude, Longitude, H-Ell, ...) and one "
             "with their units; export with a profile that writes both"
         )
     names, units = lines[at].split(), re.findall(r"\([^()]*\)", lines[at + 1])
     if len(names) != len(units):
-        raise DriveFolderError(f"{path}, line {at + 2}: there are {len(names)} columns, but {len(units)} units")
+        raise InputError(f"{path}, line {at + 2}: there are {len(names)} columns, but {len(units)} units")
     delimiter = "," if "," in next((line for line in lines[at + 2 :] if line.strip()), "") else None
     columns, order = _columns(path, names, units, settings)
     axes, heights = require(columns, path, names)
@@ -62,7 +62,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
 def _columns(
     path: Path, names: list[str], units: list[str], settings: TrajectoryFile
 ) -> tuple[dict[str, Column], Literal["dmy", "mdy"] | None]:
-    """Columns by our name, the first of each, and the order of the date. Raises DriveFolderError for an unknown unit."""
+    """Columns by our name, the first of each, and the order of the date. Raises InputError for an unknown unit."""
     columns: dict[str, Column] = {}
     order: Literal["dmy", "mdy"] | None = None
     at = 0

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.arrays import Floats
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import LEVEL_SIGMA_RAD
@@ -51,9 +51,9 @@ def looks_like(lines: list[str]) -> bool:
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
-    """The epochs of a log. Raises DriveFolderError where there is no date."""
+    """The epochs of a log. Raises InputError where there is no date."""
     if path.stat().st_size > MAX_BYTES:
-        raise DriveFolderError(f"{path}: expected at most {MAX_BYTES:,} bytes; cut the log to the time of the drive")
+        raise InputError(f"{path}: expected at most {MAX_BYTES:,} bytes; cut the log to the time of the drive")
     log = _Log()
     for first, lines in line_blocks(path):
         for number, line in enumerate(lines, first):
@@ -161,13 +161,13 @@ def _number(text: str) -> float:
 
 
 def _records(log: _Log, settings: TrajectoryFile, path: Path) -> Iterator[Records]:
-    """All epochs. Raises DriveFolderError without a date."""
+    """All epochs. Raises InputError without a date."""
     if not log.gga_ns:
         why = f"; {log.damaged:,} sentences have a wrong checksum or content" if log.damaged else ""
-        raise DriveFolderError(f"{path}: there is no GGA sentence with a time{why}")
+        raise InputError(f"{path}: there is no GGA sentence with a time{why}")
     if not log.dated:
         if settings.date is None:
-            raise DriveFolderError(
+            raise InputError(
                 f"{path}: no valid RMC or ZDA sentence gives the date: put trajectory: {{date: 2024-02-07}} (UTC) into drive.yaml"
             )
         log.move((settings.date - date(1970, 1, 1)).days - int(log.gga_ns[0] // DAY_NS))

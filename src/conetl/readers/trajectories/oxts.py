@@ -17,7 +17,7 @@ import numpy as np
 
 from conetl.files.documents import named
 from conetl.geometry import pose as se3
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Reading, Records, check_fix
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.times import TimeFormat, time_reader
@@ -83,15 +83,15 @@ def looks_like(path: Path) -> bool:
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
-    """The records of a folder. Raises DriveFolderError."""
+    """The records of a folder. Raises InputError."""
     folder = folder_of(path)
     if folder is None:
-        raise DriveFolderError(f"{path}: expected a folder with data/*.txt and timestamps.txt, as KITTI's oxts")
+        raise InputError(f"{path}: expected a folder with data/*.txt and timestamps.txt, as KITTI's oxts")
     return Reading(_records(folder, settings))
 
 
 def _records(folder: Path, settings: TrajectoryFile) -> Iterator[Records]:
-    with named(folder, DriveFolderError):
+    with named(folder):
         with os.scandir(folder / "data") as entries:
             found = (Path(e.path) for e in entries if e.name.endswith(".txt"))
             files = {

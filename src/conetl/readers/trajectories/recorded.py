@@ -15,7 +15,7 @@ from conetl.files.documents import first_message
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.base import MAX_HEIGHT_M, MIN_HEIGHT_M, GeodeticPosition
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.times import EARLIEST_NS, MAX_AHEAD_NS, Times, clock_problem
 
 Axes = Literal["geodetic", "projected", "geocentric", "local"]
@@ -112,7 +112,7 @@ def rotations_of_quaternions(wxyz: Floats) -> Floats:
 def assembled(
     path: Path, name: str, pieces: Iterable[Records], *, is_local: bool, between_ns: tuple[int, int] | None
 ) -> RecordedTrajectory:
-    """The trajectory of WGS 84 or local records, sorted by time, each time once. Raises DriveFolderError without a valid record.
+    """The trajectory of WGS 84 or local records, sorted by time, each time once. Raises InputError without a valid record.
 
     between_ns: only records of these times are kept.
     """
@@ -141,16 +141,14 @@ def assembled(
             inside[list(wrong)] = False
         count += int(inside.sum())
         if count > MAX_RECORDS:
-            raise DriveFolderError(f"{path}: more than {MAX_RECORDS:,} records: cut the file to the time of the drive")
+            raise InputError(f"{path}: more than {MAX_RECORDS:,} records: cut the file to the time of the drive")
         if inside.any():
             turned = None if piece.rotations is None else piece.rotations[inside]
             kept.append(Records(piece.times_ns[inside], piece.positions[inside], turned, piece.sigma[inside], {}))
     if not kept:
         # A bad line of another time, such as a header, is not the cause.
         cause = "" if found_ns and not bad else first_problem
-        raise DriveFolderError(
-            f"{path}: no usable pose: {cause or 'there are no records' + of_images(between_ns, found_ns)}"
-        )
+        raise InputError(f"{path}: no usable pose: {cause or 'there are no records' + of_images(between_ns, found_ns)}")
     times = np.concatenate([piece.times_ns for piece in kept])
     order = np.argsort(times, kind="stable")
     first = np.diff(times[order], prepend=0) > 0
@@ -170,7 +168,7 @@ def assembled(
 
 
 def _require_one_receiver(path: Path, kept: Sequence[Records], order: Any, first: Any, is_local: bool) -> None:
-    """Raise DriveFolderError where many records have the time of another one and a position that contradicts it.
+    """Raise InputError where many records have the time of another one and a position that contradicts it.
 
     order (N,): of the records of all pieces by time; first (N,): which of them are the first of their time.
     """
@@ -182,7 +180,7 @@ def _require_one_receiver(path: Path, kept: Sequence[Records], order: Any, first
     contradict = apart_m > SAME_M + 3.0 * np.hypot(stated_m, stated_m[other])
     if contradict.sum() > max(LEAST_SECOND, LEAST_SECOND_SHARE * first.sum()):
         at_first = np.datetime64(int(times[contradict][0]), "ns").astype("datetime64[ms]")
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: {contradict.sum():,} records have the time of another one, but are up to {apart_m.max():.1f} m off, "
             f"the first at {at_first} UTC: two receivers (NMEA: talkers) or logs in one file, or times without fractions of a "
             "second. Keep the records of one receiver, with their whole times"

@@ -18,7 +18,7 @@ from pyproj import Transformer
 
 from conetl.geometry.geodesy import ecef_R_enu
 from conetl.model.arrays import Floats
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import Axes, Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import Column, TableLayout, table_records
@@ -43,17 +43,17 @@ def header_of(lines: list[str]) -> int | None:
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
-    """The records of a solution file. Raises DriveFolderError."""
+    """The records of a solution file. Raises InputError."""
     lines = head_lines(path)
     at = header_of(lines)
     if at is None:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: there is no line like '%  GPST  latitude(deg) longitude(deg)  height(m)  Q ...', without which times and "
             "coordinates may mean anything; write the solution with its header (out-outhead=on)"
         )
     header = lines[at]
     if "baseline" in header:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: holds vectors from a base (e/n/u-baseline), not positions; set out-solformat to llh and convert it again"
         )
     note = " ".join(line for line in lines[:at] if line.startswith("%"))
@@ -83,7 +83,7 @@ def _layout(header: str, data: str, first_line: int, path: Path) -> TableLayout:
         at += 3 if dms else 1
     axes: Axes = "geocentric" if {"x", "y", "z"} <= columns.keys() else "geodetic"
     if axes == "geodetic" and not {"lat", "lon", "height"} <= columns.keys():
-        raise DriveFolderError(f"{path}: expected latitude, longitude and height, or x, y, z-ecef in {header[:200]!r}")
+        raise InputError(f"{path}: expected latitude, longitude and height, or x, y, z-ecef in {header[:200]!r}")
     return TableLayout(columns, axes, first_line, delimiter, scale=scale, time_words=time_words)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from conetl.files.documents import named
 from conetl.model.arrays import Floats
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.times import SECOND_NS, TimeFormat, Times, common_clock, gps_to_utc
@@ -43,15 +43,15 @@ def looks_like(size: int, head: bytes) -> bool:
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
-    """The records of an SBET file, with sigmas where there is a smrmsg file. Raises DriveFolderError."""
+    """The records of an SBET file, with sigmas where there is a smrmsg file. Raises InputError."""
     rows = _mapped(path, WIDTH)
     if not len(rows):
-        raise DriveFolderError(f"{path}: the file is empty; expected records of {RECORD_BYTES} bytes")
+        raise InputError(f"{path}: the file is empty; expected records of {RECORD_BYTES} bytes")
     start = rows[:100, 0]
     first = [repr(float(value)) for value in start[np.isfinite(start)]]
     clock = common_clock(first, "time", path, settings, scale="gps", unit="s")
     if clock.kind not in {"week", "day"} or clock.scale not in {"gps", "UTC"}:
-        raise DriveFolderError(
+        raise InputError(
             f"{path}: its times are seconds of a GPS week or of a day, of GPS time or UTC; found {first[:1]}"
         )
     sigma_path = sigma_file(path)
@@ -60,11 +60,11 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
 
 
 def _mapped(path: Path, width: int) -> Floats:
-    """(N, width) of a file, read as it is used. Raises DriveFolderError."""
-    with named(path, DriveFolderError):
+    """(N, width) of a file, read as it is used. Raises InputError."""
+    with named(path):
         size = path.stat().st_size
         if size % (8 * width) or size > MAX_BYTES:
-            raise DriveFolderError(
+            raise InputError(
                 f"{path}: has {size:,} bytes; expected records of {8 * width} bytes, "
                 f"{MAX_BYTES:,} at most. Was it copied completely?"
             )
@@ -72,14 +72,12 @@ def _mapped(path: Path, width: int) -> Floats:
 
 
 def sigma_file(path: Path) -> Path | None:
-    """The smrmsg file of an SBET file: smrmsg_X.out beside sbet_X.out, or the only one beside it. Raises DriveFolderError."""
+    """The smrmsg file of an SBET file: smrmsg_X.out beside sbet_X.out, or the only one beside it. Raises InputError."""
     found = sorted(p for p in path.parent.glob("[sS][mM][rR][mM][sS][gG]*") if p.is_file())
     own = [p for p in found if p.stem.lower().removeprefix("smrmsg") == path.stem.lower().removeprefix("sbet")]
     if len(own or found) > 1:
         wanted = f"smrmsg{path.stem.lower().removeprefix('sbet')}.out"
-        raise DriveFolderError(
-            f"{path}: {', '.join(p.name for p in found[:5])} are beside it; name one of them {wanted}"
-        )
+        raise InputError(f"{path}: {', '.join(p.name for p in found[:5])} are beside it; name one of them {wanted}")
     return next(iter(own or found), None)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import Axes, Heights, Reading, Records, attitude, rotations_of_quaternions
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import floats, line_blocks, split_line
@@ -96,7 +96,7 @@ def table_records(
     path: Path, layout: TableLayout, settings: TrajectoryFile,
     adjust: Callable[[Mapping[str, Floats], Records], Records] | None = None,
 ) -> Iterator[Records]:  # fmt: skip
-    """The records of a file. Raises DriveFolderError where its times cannot be understood.
+    """The records of a file. Raises InputError where its times cannot be understood.
 
     adjust: what a format does besides, given the values of all columns (N,) by our name.
     """
@@ -143,12 +143,12 @@ def _clock(
         elif layout.scale == "local" and not (
             clock.kind == "unix" or all(OFFSET.search(word) for word in words if word)
         ):
-            raise DriveFolderError(
+            raise InputError(
                 f"{path}: column {column.name!r}: local time of which zone? Put for example "
                 "trajectory: {time: Europe/Berlin} into drive.yaml"
             )
         elif layout.scale == "?" or clock.kind == "day":
-            raise DriveFolderError(
+            raise InputError(
                 f"{path}: column {column.name!r}: GPS time, which is some seconds ahead of UTC, or UTC? Put "
                 "trajectory: {time: gps} or {time: utc} into drive.yaml"
             )
@@ -207,7 +207,7 @@ def rotations_of(values: Mapping[str, Floats], sigma: Floats) -> Floats | None:
 def require(columns: dict[str, Column], path: Path, header: Sequence[str]) -> tuple[Axes, Heights]:
     """Axes and heights of a table's positions; heights above the sea become `height` where there are no others.
 
-    Raises DriveFolderError where a column is missing.
+    Raises InputError where a column is missing.
     """
     heights: Heights = "ellipsoidal"
     above_sea = columns.pop("height_msl", None)
@@ -220,7 +220,7 @@ def require(columns: dict[str, Column], path: Path, header: Sequence[str]) -> tu
         names = POSITIONS[axes]
         if names[0] in columns and names[1] in columns:
             if names[2] not in columns:
-                raise DriveFolderError(
+                raise InputError(
                     f"{path}: has no column for {names[2]!r}; its columns are {shown_header}. Name it in drive.yaml, for example "
                     f"trajectory: {{columns: {{{names[2]}: H}}}}"
                 )
@@ -228,7 +228,7 @@ def require(columns: dict[str, Column], path: Path, header: Sequence[str]) -> tu
                 missing = "a column for a time"
                 break
             return axes, heights
-    raise DriveFolderError(
+    raise InputError(
         f"{path}: expected {missing}, found {shown_header}. Name them in drive.yaml, for example "
         "trajectory: {columns: {time: Zeit, lat: B, lon: L, height: H}}"
     )

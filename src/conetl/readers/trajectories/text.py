@@ -10,7 +10,7 @@ import numpy as np
 
 from conetl.files.documents import named
 from conetl.model.arrays import Floats
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 
 MAX_TEXT_BYTES = 8 << 30
 """20 million records of 400 characters."""
@@ -21,10 +21,10 @@ _HEAD = 65_536
 
 
 def head_bytes(path: Path) -> bytes:
-    """The first bytes of a file. Raises DriveFolderError where it cannot be read or is larger than a trajectory may be."""
-    with named(path, DriveFolderError), path.open("rb") as file:
+    """The first bytes of a file. Raises InputError where it cannot be read or is larger than a trajectory may be."""
+    with named(path), path.open("rb") as file:
         if path.stat().st_size > MAX_TEXT_BYTES:
-            raise DriveFolderError(f"{path}: expected at most {MAX_TEXT_BYTES:,} bytes")
+            raise InputError(f"{path}: expected at most {MAX_TEXT_BYTES:,} bytes")
         return file.read(_HEAD)
 
 
@@ -40,7 +40,7 @@ def encoding_of(head: bytes) -> str:
 
 
 def head_lines(path: Path) -> list[str]:
-    """The lines among the first bytes of a file, without the last one if it is cut. Raises DriveFolderError."""
+    """The lines among the first bytes of a file, without the last one if it is cut. Raises InputError."""
     head = head_bytes(path)
     text = head.decode(encoding_of(head), errors="replace")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
@@ -48,10 +48,10 @@ def head_lines(path: Path) -> list[str]:
 
 
 def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Number of the first line, from 1, and lines of consecutive pieces of a file, too long ones cut. Raises DriveFolderError."""
+    """Number of the first line, from 1, and lines of consecutive pieces of a file, too long ones cut. Raises InputError."""
     encoding = encoding_of(head_bytes(path))
     number, rest = 1, ""
-    with named(path, DriveFolderError), path.open(encoding=encoding, errors="replace") as file:
+    with named(path), path.open(encoding=encoding, errors="replace") as file:
         while block := file.read(_BLOCK):
             *lines, rest = (rest + block).split("\n")
             rest = rest[: MAX_LINE + 1]

@@ -23,7 +23,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.model.errors import DriveFolderError
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.settings import TrajectoryFile
 
 Times = NDArray[np.int64]
@@ -227,7 +227,7 @@ def common_clock(
     words: Iterable[str], name: str, path: object, settings: TrajectoryFile, *, scale: str, unit: str | None,
     has_week: bool = False,
 ) -> TimeFormat:  # fmt: skip
-    """The clock of most of the first values of a column: one of them may be damaged. Raises DriveFolderError.
+    """The clock of most of the first values of a column: one of them may be damaged. Raises InputError.
 
     name: of the column, for messages; scale: unless the settings state another; unit: s, ms, us or ns if the column's name states
     it; has_week: whether there is a column of GPS weeks.
@@ -240,7 +240,7 @@ def common_clock(
         except ValueError as error:
             problem = f": {error}"
     if not found:
-        raise DriveFolderError(f"{path}: column {name!r}{problem}")
+        raise InputError(f"{path}: column {name!r}{problem}")
     return found.most_common(1)[0][0]
 
 
