@@ -7,6 +7,10 @@
 -- marking: shape of a lane marking for the web view (conetl.marking_json); null of point objects.
 -- receipt: what is read as Receipt.
 -- frame_pair: what is read as FramePair and its Pose.
+-- evidence: no columns, but what ogc.page joins to p, a page of features or lane markings: n (counts of drives) and e (existence
+-- after a miss), until $7 to_at as known at $8 known_at. It is that of conetl.feature_evidence, looked up for all items at once;
+-- existence after a miss only where there is a miss. The full join finds what a left join would, because n has no other
+-- features, but it is always hashed or merged, where a planner who expects one item would read n once per item.
 
 -- name: state
 x.category, x.geom, x.cov_xx, x.cov_xy, x.cov_xz, x.cov_yy, x.cov_yz, x.cov_zz,
@@ -39,3 +43,34 @@ x.may_pass, x.changeset_id, x.frame_pairs, x.seconds, x.flow_run_id, x.host, x.a
 -- name: frame_pair
 x.frame_index, x.left_path, x.right_path, x.captured_at_ns,
 array[ST_X(x.geom), ST_Y(x.geom), ST_Z(x.geom)] as map_t_body_m, x.map_r_body, x.sigma_enu_m, x.sigma_rpy_rad, x.detail
+
+-- name: evidence
+full join (
+    select
+        x.feature_id,
+        count(*) filter (where x.kind in ('missed', 'removed'))::integer as missed_count,
+        count(*) filter (
+            where x.kind not in ('missed', 'removed', 'merged') and x.changeset_id not in (
+                select i.changeset_id from conetl.drive d join conetl.changeset i using (drive_uuid) where d.kind <> 'drive'
+            )
+        )::integer as seen_count
+    from page p
+    join conetl.feature f on f.feature_id = p.feature_id and f.map_id > 0
+    join conetl.delta x on x.cell = f.cell and x.feature_id = f.feature_id
+    where x.changed_at <= (select $7::text::timestamptz) and x.system_period @> (select $8::text::timestamptz)
+    group by x.feature_id
+) n on n.feature_id = p.feature_id
+cross join lateral (
+    select
+        case when n.missed_count > 0 then (
+            select x.existence_after
+            from conetl.delta x
+            join conetl.changeset c using (changeset_id)
+            join conetl.drive d using (drive_uuid)
+            where x.cell = conetl.cell_of(p.feature_id) and x.feature_id = p.feature_id and x.old_version = p.version
+            and x.kind = 'missed'
+            and x.changed_at <= (select $7::text::timestamptz) and x.system_period @> (select $8::text::timestamptz)
+            order by d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
+            limit 1
+        ) end as existence_after
+) e

@@ -213,5 +213,5 @@ def test_a_page_of_a_large_map_reads_the_evidence_of_its_items_only(maps, monkey
     async def read_all(*_, **__):
         raise AssertionError("every feature is read")
 
-    monkeypatch.setattr("conetl.web.ogc.collections.AsOfCollection._count", read_all)
+    monkeypatch.setattr("conetl.web.ogc.collections._count", read_all)
     assert maps.page("town", None, "most", 10, 0) == whole

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
@@ -17,6 +17,7 @@ from tipg.errors import NotFound
 from tipg.model import Extent, Spatial, Temporal
 
 from conetl.db import ogc_store as store
+from conetl.db.connection import load_sql
 from conetl.db.ogc_store import Degrees, ServedMap
 from conetl.exports.fields import FIELDS
 from conetl.model.params import ReconcileParams
@@ -168,27 +169,25 @@ class AsOfCollection(PgCollection):
         order = self._sort_expressions(sortby)
         columns = {name: f"p.{name}" for name in self.columns(properties)}
         arguments = self._arguments(box, interval)
-        by_place = None
-        source = self.table
+        source, evidence, by_place = self.table, "", None
         if self.table != "changes":
             columns = {name: EVIDENCE_COLUMNS.get(name, column) for name, column in columns.items()}
+            evidence = load_sql("columns.evidence")
         used = {name for name, _ in [*order, *(values or ())]}
         if self.table == "features" and used.isdisjoint(EVIDENCE_COLUMNS):
             source = "standing"  # evidence is read after the limit
             by_place = None if ids else self._by_place_of_many(box)
         text = {
-            "where": self._where_clause(where), "order": ", ".join(sql for _, sql in order), "source": f"{SCHEMA}.{source}",
-            "properties": ", ".join(f"{column} as {name}" for name, column in columns.items()), "box": _named(arguments, 5),
+            "where": self._where_clause(where), "order": ", ".join(sql for _, sql in order), "evidence": evidence,
+            "properties": ", ".join(f"{column} as {name}" for name, column in columns.items()),
         }  # fmt: skip
         if by_place is not None:
-            return await self._page_of_many(conn, text | {"by_place": by_place}, arguments, limit, offset, links)
-        items, returned = await self._items(conn, text, limit, offset, *links, *arguments.values())
+            return await self._page_of_many(conn, text, by_place, arguments, limit, offset, links)
+        page_text = {**text, "call": _call(source, arguments, 5)}
+        items, returned = await _items(conn, page_text, limit, offset, *links, *arguments.values())
         if returned < limit and (returned or not offset):  # the last page gives the number of all
             return Page(items, returned, offset + returned)
-        if self.table != "changes":
-            return Page(items, returned, await self._count(conn, text, arguments))
-        matched = await self._features_count_query(conn, where=where, function_parameters=_texts(arguments))
-        return Page(items, returned, matched)
+        return Page(items, returned, await _count(conn, text, source, arguments))
 
     def _by_place_of_many(self, box: Degrees | None) -> str | None:
         """For a large part of a large map: whether to use the spatial index, in SQL. None for smaller parts."""
@@ -198,31 +197,20 @@ class AsOfCollection(PgCollection):
         return "false" if part * self.served.share >= MOST_VERSIONS else "true"
 
     async def _page_of_many(
-        self, conn: asyncpg.Connection, text: Mapping[str, str], arguments: Mapping[str, str | float],
+        self, conn: asyncpg.Connection, text: Mapping[str, str], by_place: str, arguments: Mapping[str, str | float],
         limit: int, offset: int, links: tuple[str, str],
     ) -> Page:  # fmt: skip
         """A page of a large part of a large map: first the versions that are on it, then their items."""
-        found_text = {**text, "box": _named(arguments, 3)}
+        found_text = {**text, "call": _call("standing", arguments, 3, by_place)}
         found = await store.fetch(conn, "features_found", found_text, limit, offset, *arguments.values())
         if not found:
-            return Page(b"", 0, await self._count(conn, text, arguments) if offset else 0)
+            return Page(b"", 0, await _count(conn, text, "standing", arguments) if offset else 0)
         versions = [row["version_row_id"] for row in found]
-        own = [value for name, value in arguments.items() if name not in _BOX]
-        page_text = {**text, "box": "", "where": f"where version_row_id = any(${5 + len(own)}::bigint[])"}
-        items, returned = await self._items(conn, page_text, limit, 0, *links, *own, versions)
+        own = {name: value for name, value in arguments.items() if name not in _BOX}
+        where = f"where version_row_id = any(${5 + len(own)}::bigint[])"
+        page_text = {**text, "call": _call("standing", own, 5), "where": where}
+        items, returned = await _items(conn, page_text, limit, 0, *links, *own.values(), versions)
         return Page(items, returned, found[0]["matched"])
-
-    async def _items(self, conn: asyncpg.Connection, text: Mapping[str, str], *arguments: object) -> tuple[bytes, int]:
-        """Items of one page as comma-separated JSON, and their number."""
-        name = "changes_page" if self.table == "changes" else "features_page"
-        [row] = await store.fetch(conn, name, text, *arguments)
-        return (row["items"] or "").encode(), row["returned"]
-
-    async def _count(
-        self, conn: asyncpg.Connection, text: Mapping[str, str], arguments: Mapping[str, str | float]
-    ) -> int:
-        [row] = await store.fetch(conn, "features_count", {**text, "box": _named(arguments, 1)}, *arguments.values())
-        return int(row[0])
 
     async def features(  # type: ignore[override]  # of tipg's parameters, those of one item
         self, conn: asyncpg.Connection, *, ids_filter: list[str], properties: list[str] | None, geom_as_wkt: bool, **_: Any
@@ -307,9 +295,26 @@ def as_ewkt(geometry: dict[str, Any]) -> str:
     return f"SRID=4326;{kind}({vertices})"
 
 
-def _named(arguments: Mapping[str, Any], first: int) -> str:
-    """The box of a call as named SQL arguments, each after a comma; `first` is the number of the first argument of all."""
-    return "".join(f", {name} => ${k}" for k, name in enumerate(arguments, first) if name in _BOX)
+async def _items(conn: asyncpg.Connection, text: Mapping[str, str], *arguments: object) -> tuple[bytes, int]:
+    """Items of one page as comma-separated JSON, and their number."""
+    [row] = await store.fetch(conn, "page", text, *arguments)
+    return (row["items"] or "").encode(), row["returned"]
+
+
+async def _count(
+    conn: asyncpg.Connection, text: Mapping[str, str], source: str, arguments: Mapping[str, str | float]
+) -> int:
+    [row] = await store.fetch(conn, "count", {**text, "call": _call(source, arguments, 1)}, *arguments.values())
+    return int(row[0])
+
+
+def _call(function: str, arguments: Iterable[str], first: int, by_place: str | None = None) -> str:
+    """A call of a function with named arguments; `first` is the number of the first one. Instants are sent as text."""
+    types = _FEATURE_PARAMETERS | _CHANGE_PARAMETERS
+    casts = {name: "::text::timestamptz" for name, kind in types.items() if kind == "timestamptz"}
+    given = [f"{name} => ${k}{casts.get(name, '')}" for k, name in enumerate(arguments, first)]
+    given += [] if by_place is None else [f"by_place => {by_place}"]
+    return f"{SCHEMA}.{function}({', '.join(given)})"
 
 
 def _checked_id(text: str) -> str:
