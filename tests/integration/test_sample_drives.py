@@ -51,8 +51,7 @@ def errors_of(truth: Path, results: AnalysedDrive, factor: float) -> PointErrors
     # What all sightings of a cone have in common of its disparity is a constant, which is not theirs to state.
     scaled = with_variance_factors(results.records.matches, {CONE: VarianceFactors(factor**2, factor**2, factor**2)})
     matches = [m.model_copy(update={"sigma_outline_px": factor * m.sigma_outline_px}) for m in scaled]
-    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
-    positions, _ = locate_positions(matches, pairs, drive.rig, PARAMS.position)
+    positions, _ = locate_positions(matches, drive.frame_pairs, drive.rig, PARAMS.position)
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
     lines, _ = compare_with_truth(read_truth_cones(truth)[0], results.tracks, path_m)
     return position_errors(members_of(lines), positions, drive, results.poses)

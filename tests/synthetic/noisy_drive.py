@@ -68,7 +68,7 @@ def draw_positions(
         for number, cone in enumerate(cones)
         if (match := _match(rng, cone, number, pair, rig, noise, outlines[number])) is not None
     ]
-    positions, _ = locate_positions(matches, {pair.frame_index: pair for pair in logged}, rig, PositionParams())
+    positions, _ = locate_positions(matches, logged, rig, PositionParams())
     drive = drive_of(logged, rig)
     return NoisyDrive(drive, [_truth(number, cone) for number, cone in enumerate(cones)], matches, positions, [])
 

@@ -75,9 +75,7 @@ def test_single_positions_from_refined_poses_that_slide(noise: float, drives: in
         )
         assert refined.outcome is RefinementOutcome.REFINED
         drive = drawn.drive.model_copy(update={"frame_pairs": refined.frame_pairs})
-        positions, _ = locate_positions(
-            drawn.matches, {pair.frame_index: pair for pair in refined.frame_pairs}, RIG, PositionParams()
-        )
+        positions, _ = locate_positions(drawn.matches, refined.frame_pairs, RIG, PositionParams())
         cone_of = {(p.frame_index, p.match_index): drawn.truth[p.match_index] for p in positions}
         jointly.append(drive_consistency(position_errors(cone_of, positions, drive, pose_cov(refined, PARAMS))))
         as_one.append(drive_consistency(position_errors(cone_of, positions, drive)))

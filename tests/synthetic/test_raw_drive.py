@@ -97,9 +97,9 @@ def raw_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def positions(drive: Drive) -> list[Position]:
     """Positions of the chosen frames, by detector, matcher and intersection, as `conetl ingest` does it."""
     params, detector = IngestParams(), load_detector(None, threads=1)
-    pairs = {pair.frame_index: pair for pair in drive.frame_pairs if pair.frame_index in FRAMES}
+    pairs = [pair for pair in drive.frame_pairs if pair.frame_index in FRAMES]
     matches = []
-    for frame, pair in pairs.items():
+    for pair in pairs:
         found, images = {}, {}
         for side, path in (("left", pair.left_path), ("right", pair.right_path)):
             images[side] = read_rig_image(Path(path), drive.rig, side)  # type: ignore[arg-type]
@@ -107,7 +107,7 @@ def positions(drive: Drive) -> list[Position]:
                 detector, images[side],
                 score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou,
             )  # fmt: skip
-            found[side], _ = check_boxes(boxes, frame_index=frame, side=side, params=params.detection)  # type: ignore[arg-type]
+            found[side], _ = check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params.detection)  # type: ignore[arg-type]
         up = map_SE3_left(pair.pose, drive.rig)[2, :3]
         pair_images = images["left"], images["right"]
         matches += match_pair(

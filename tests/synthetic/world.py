@@ -183,7 +183,7 @@ def locate(
         left, right = detections[pair.frame_index, "left"], detections[pair.frame_index, "right"]
         up = camera_pose(pair, rig, "left")[2, :3]
         matches += match_pair(left, right, rig, MatchParams(), up_left=up)[0]
-    positions, _ = locate_positions(matches, {p.frame_index: p for p in pairs}, rig, PositionParams())
+    positions, _ = locate_positions(matches, pairs, rig, PositionParams())
     return [d for ds in detections.values() for d in ds], matches, positions
 
 

@@ -105,7 +105,7 @@ def _check_pair(
     (left, right), detections, matches, _ = match_images(paths, rig, detector, params, pair)
     up = map_SE3_left(pair.pose, rig)[2, :3]
     by_index = {match.match_index: match for match in matches if match.refined}
-    positions, _ = locate_positions(matches, {pair.frame_index: pair}, rig, params.position)
+    positions, _ = locate_positions(matches, [pair], rig, params.position)
     residuals, used = [], []
     lowest_m, highest_m = params.track.min_cone_height_m, params.track.max_cone_height_m
     for position in positions:

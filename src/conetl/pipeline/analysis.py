@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +13,7 @@ from typing import NamedTuple
 from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
-from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Pose, Position, StereoMatch, Track
+from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, params_sha256
@@ -121,18 +122,15 @@ def analyse(
         health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
         matches, refused_matches = load_matches(found.matches, drive.frame_pairs)
         positions, refused_positions = load_results(position_paths, Position)
-        tracks, refused_tracks = executor.run(
-            fuse, drive, detections, matches, positions, params, card.evidence, trajectory
-        )
+        fused = partial(executor.run, fuse, drive, detections, params, card.evidence, trajectory)
+        tracks, refused_tracks = fused(matches, positions)
         if trajectory.covariance is not None:
             # What sightings state by themselves made these tracks; what the tracks say of that makes the next ones, and what
             # these say of single sightings the last.
             weighed, positions, _ = executor.run(weigh, drive, matches, tracks, params, trajectory)
-            tracks, _ = executor.run(fuse, drive, detections, weighed, positions, params, card.evidence, trajectory)
+            tracks, _ = fused(weighed, positions)
             matches, positions, refused_positions = executor.run(compare, drive, weighed, tracks, params, trajectory)
-            tracks, refused_tracks = executor.run(
-                fuse, drive, detections, matches, positions, params, card.evidence, trajectory
-            )
+            tracks, refused_tracks = fused(matches, positions)
             # Observations of an object that moves contradict each other: sigmas that cover it would hide that.
             tracks, moving = executor.run(keep_standing, drive, weighed, tracks, params, trajectory)
             refused_tracks = [*refused_tracks, *moving]
@@ -218,38 +216,36 @@ def _locate(chunk: Chunk, matches: Path) -> Path:
     key = result_key(RESULTS_VERSION, "locate", matches.stem, params_sha256(chunk.params.position), geometry_key(chunk))
     if has_result(chunk.results_folder, key):
         return result_path(chunk.results_folder, key)
-    pairs = {pair.frame_index: pair for pair in chunk.frame_pairs}
     found, _ = load_matches([matches], chunk.frame_pairs)
-    positions, rejections = locate_positions(found, pairs, chunk.rig, chunk.params.position)
+    positions, rejections = locate_positions(found, chunk.frame_pairs, chunk.rig, chunk.params.position)
     return save_result(chunk.results_folder, key, positions, rejections)
 
 
 def fuse(
     drive: Drive,
     detections: list[Detection],
-    matches: list[StereoMatch],
-    positions: list[Position],
     params: IngestParams,
     evidence: DetectorEvidence | None,
-    trajectory: RefinedTrajectory | None = None,
+    trajectory: RefinedTrajectory,
+    matches: list[StereoMatch],
+    positions: list[Position],
 ) -> tuple[list[Track], list[Rejection]]:
     """Tracks of the whole drive. evidence: what is measured of the model's boxes; None where nothing was.
 
-    trajectory: the refined one, whose poses `drive` has; without it relative motion errs by fixed shares of the distance.
+    trajectory: whose poses `drive` has; where it was not refined relative motion errs by fixed shares of the distance.
     """
-    motion = None if trajectory is None else motion_error(trajectory)
-    return fuse_tracks(
-        positions, matches, detections, drive.frame_pairs, drive.rig, params, evidence or UNMEASURED, motion
-    )
+    motion, evidence = motion_error(trajectory), evidence or UNMEASURED
+    return fuse_tracks(positions, matches, detections, drive.frame_pairs, drive.rig, params, evidence, motion)
 
 
 def weigh(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
     """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `estimate_variance_factors`."""
-    poses, errors = _poses_of(drive), pose_cov(trajectory, params.trajectory)
-    weighed = with_variance_factors(matches, estimate_variance_factors(tracks, matches, drive.rig, poses, errors))
-    return weighed, *_located_again(drive, weighed, params)
+    errors = pose_cov(trajectory, params.trajectory)
+    factors = estimate_variance_factors(tracks, matches, drive.rig, drive.frame_pairs, errors)
+    weighed = with_variance_factors(matches, factors)
+    return weighed, *locate_positions(weighed, drive.frame_pairs, drive.rig, params.position)
 
 
 def compare(
@@ -258,20 +254,8 @@ def compare(
     """Matches of the whole drive with larger sigmas where they contradict their tracks, and their positions; see
     `with_contradictions`."""
     errors = pose_cov(trajectory, params.trajectory)
-    compared = with_contradictions(matches, tracks, drive.rig, _poses_of(drive), errors)
-    return compared, *_located_again(drive, compared, params)
-
-
-def _poses_of(drive: Drive) -> dict[int, Pose]:
-    """By frame index."""
-    return {pair.frame_index: pair.pose for pair in drive.frame_pairs}
-
-
-def _located_again(
-    drive: Drive, matches: list[StereoMatch], params: IngestParams
-) -> tuple[list[Position], list[Rejection]]:
-    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
-    return locate_positions(matches, pairs, drive.rig, params.position)
+    compared = with_contradictions(matches, tracks, drive.rig, drive.frame_pairs, errors)
+    return compared, *locate_positions(compared, drive.frame_pairs, drive.rig, params.position)
 
 
 def keep_standing(

@@ -132,7 +132,7 @@ def take_pair(
     started, processor_s = time.monotonic(), time.thread_time()
     params = detectors.params
     matched = match_searched([side.found for side in sides], drive.rig, params, pair)
-    positions, _ = locate_positions(matched.matches, {pair.frame_index: pair}, drive.rig, params.position)
+    positions, _ = locate_positions(matched.matches, [pair], drive.rig, params.position)
     left, right = matched.detections
     frame = LiveFrame(pair, (*left, *right), tuple(matched.matches), tuple(positions))
     tracks, changed = add_frame(drive.tracks, frame, drive.rig, params, detectors.evidence)

@@ -171,9 +171,9 @@ def cone_groups(
     trajectory: RefinedTrajectory, rig: Rig, matches: Sequence[StereoMatch], params: IngestParams
 ) -> list[tuple[Position, ...]]:
     """The positions of each cone that is observed often enough to be a track, with covariances as of landmarks."""
-    pairs = {pair.frame_index: pair for pair in trajectory.frame_pairs}
-    positions, _ = locate_positions([m for m in matches if m.refined], pairs, rig, params.position)
-    left = {index: map_SE3_left(pair.pose, rig) for index, pair in pairs.items()}
+    refined = [match for match in matches if match.refined]
+    positions, _ = locate_positions(refined, trajectory.frame_pairs, rig, params.position)
+    left = {pair.frame_index: map_SE3_left(pair.pose, rig) for pair in trajectory.frame_pairs}
     groups = chain_positions(positions, left, params.track, motion_error(trajectory))
     return [tuple(map(_down_weighted, group)) for group in groups if len(group) >= params.track.min_observations]
 

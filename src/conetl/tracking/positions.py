@@ -6,7 +6,7 @@ pair; rigid motions change neither residuals nor image covariance. Matches that 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -91,18 +91,19 @@ class _Located(NamedTuple):
 
 
 def locate_positions(
-    matches: Sequence[StereoMatch], drive_pairs: Mapping[int, FramePair], rig: Rig, params: PositionParams
+    matches: Sequence[StereoMatch], frame_pairs: Iterable[FramePair], rig: Rig, params: PositionParams
 ) -> tuple[list[Position], list[Rejection]]:
-    """Positions of stereo matches in the map frame; drive_pairs: by frame index.
+    """Positions of stereo matches in the map frame; frame_pairs: with the drive's poses.
 
     Every match is in exactly one of the two lists, in the order given. `xyz_m` is the foot; `cov_m2` includes image, calibration
     and pose sigmas, `camera_cov_m2` the image sigmas alone.
     """
-    posed = np.array([match.frame_index in drive_pairs for match in matches], dtype=bool)
+    used = {match.frame_index for match in matches}
+    poses = {pair.frame_index: pair.pose for pair in frame_pairs if pair.frame_index in used}
+    posed = np.array([match.frame_index in poses for match in matches], dtype=bool)
     if not posed.any():
         return [], [_no_pose(match) for match in matches]
     located = _locate(matches, rig, params)
-    poses = {index: drive_pairs[index].pose for index in {m.frame_index for m in matches} if index in drive_pairs}
     order = sorted(poses)
     rank = {frame_index: i for i, frame_index in enumerate(order)}
     slot = np.array([rank.get(m.frame_index, 0) for m in matches])  # matches without a pose are rejected below

@@ -15,7 +15,7 @@ two objects (`with_contradictions`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from conetl.geometry.intersection import pair_jacobian
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.arrays import Floats
-from conetl.model.drive import Pose, StereoMatch, Track
+from conetl.model.drive import FramePair, Pose, StereoMatch, Track
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov
@@ -78,16 +78,17 @@ def estimate_variance_factors(
     tracks: Sequence[Track],
     matches: Sequence[StereoMatch],
     rig: Rig,
-    poses: Mapping[int, Pose],
+    frame_pairs: Iterable[FramePair],
     pose_cov: PoseCov | None = None,
 ) -> dict[str, VarianceFactors]:
     """Factors for the observations of one drive, from all its tracks, by their classes.
 
     Detectors show the edges of some classes better than those of others, and the shape assumed in matching fits some better: each
-    class has its own factors. poses: by frame index, of a refined trajectory; pose_cov: of their errors, None without any. Only
+    class has its own factors. frame_pairs: with refined poses; pose_cov: of their errors, None without any. Only
     matches refined in the images, whose shared errors are known, count; with few of them the factors stay near 1.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
+    poses = {pair.frame_index: pair.pose for pair in frame_pairs}
     cones: list[tuple[int, ObservedCone]] = []
     classes = sorted({track.category for track in tracks})
     for track in tracks:
@@ -142,7 +143,7 @@ def with_contradictions(
     matches: Sequence[StereoMatch],
     tracks: Sequence[Track],
     rig: Rig,
-    poses: Mapping[int, Pose],
+    frame_pairs: Iterable[FramePair],
     pose_cov: PoseCov | None = None,
 ) -> list[StereoMatch]:
     """The matches of one drive, with larger sigmas where they contradict their tracks; never with smaller ones.
@@ -151,6 +152,7 @@ def with_contradictions(
     `estimate_variance_factors` does not use. The other arguments are as there.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
+    poses = {pair.frame_index: pair.pose for pair in frame_pairs}
     for track in tracks:
         members = [match_of[member] for member in track.members]
         parts = -(-len(members) // _MOST_PAIRS)
@@ -208,7 +210,7 @@ def _disparity_px(match: StereoMatch) -> float:
 def observed_cone(
     xyz_m: Floats, pairs: Sequence[StereoMatch], rig: Rig, poses: Mapping[int, Pose], pose_cov: PoseCov | None
 ) -> ObservedCone:
-    """pairs: matches of a track whose shared errors are known. poses, pose_cov: as in `estimate_variance_factors`."""
+    """pairs: matches of a track whose shared errors are known. poses: by frame index; pose_cov: of their errors."""
     stated_poses = [poses[m.frame_index] for m in pairs]
     left, right = (np.stack([pose_of(p, rig) for p in stated_poses]) for pose_of in (map_SE3_left, map_SE3_right))
     # Coordinates around the cone: millimetre corrections on millions of metres would lose digits.

@@ -96,7 +96,7 @@ def ahead(forward_m: float, left_m: float = 0.0, up_m: float = -0.9) -> Array:
 
 def test_a_cone_is_located_at_its_position() -> None:
     foot = ahead(12.0, 2.0)
-    positions, rejections = locate_positions([match_of(see(foot))], {7: PAIR}, RIG, PARAMS)
+    positions, rejections = locate_positions([match_of(see(foot))], [PAIR], RIG, PARAMS)
     assert not rejections
     (position,) = positions
     np.testing.assert_allclose(position.xyz_m, foot, atol=1e-6)
@@ -121,9 +121,9 @@ def test_both_covariances_agree_with_monte_carlo() -> None:
             name: tuple(p + pointing + [0.2, 0.5] * rng.normal(size=2) for p in pair) for name, pair in exact.items()
         }
         matches.append(match_of(noisy, i, sigma_pointing_px=0.4))  # type: ignore[arg-type]
-    positions, rejections = locate_positions(matches, {7: PAIR}, RIG, PARAMS)
+    positions, rejections = locate_positions(matches, [PAIR], RIG, PARAMS)
     assert not rejections
-    (predicted,), _ = locate_positions([match_of(exact, sigma_pointing_px=0.4)], {7: PAIR}, RIG, PARAMS)
+    (predicted,), _ = locate_positions([match_of(exact, sigma_pointing_px=0.4)], [PAIR], RIG, PARAMS)
     errors = np.array([p.camera_xyz_m for p in positions]) - predicted.camera_xyz_m
     whitened = np.linalg.solve(np.linalg.cholesky(cov_matrix(predicted.camera_cov_m2)), errors.T)
     np.testing.assert_allclose(np.cov(whitened), np.eye(3), atol=0.12)  # sigmas doubled: 0.25; halved: 4
@@ -163,8 +163,8 @@ PHI = {"relative.ry_rad": SIGMA_PHI}
 def test_the_error_of_the_calibration_is_in_the_map_covariance_only() -> None:
     rig = calibrated(RIG, PHI)
     matches = [match_of(see(ahead(10.0))), *BAD.values()]
-    exact, refused = locate_positions(matches, {7: PAIR}, RIG, PARAMS)
-    positions, still_refused = locate_positions(matches, {7: PAIR}, rig, PARAMS)
+    exact, refused = locate_positions(matches, [PAIR], RIG, PARAMS)
+    positions, still_refused = locate_positions(matches, [PAIR], rig, PARAMS)
     assert [r.reason for r in still_refused] == [r.reason for r in refused]
     assert positions[0].xyz_m == exact[0].xyz_m
     assert positions[0].camera_cov_m2 == exact[0].camera_cov_m2, "images of one rig share the error"
@@ -245,7 +245,7 @@ BAD = {
 def test_every_bad_match_is_rejected_with_its_reason_and_the_good_ones_stay(locate: str) -> None:
     matches = [match_of(see(ahead(10.0))), *BAD.values(), match_of(see(ahead(20.0)), 6)]
     if locate == "map":
-        positions, rejections = locate_positions(matches, {7: PAIR}, RIG, PARAMS)
+        positions, rejections = locate_positions(matches, [PAIR], RIG, PARAMS)
         expected = list(BAD)
     else:  # without need of a pose
         positions, rejections = locate_in_camera(matches, RIG, PARAMS)  # type: ignore[assignment]
@@ -262,10 +262,10 @@ def test_every_bad_match_is_rejected_with_its_reason_and_the_good_ones_stay(loca
 def test_too_few_iterations_and_missing_poses_are_rejections() -> None:
     points = shifted(see(ahead(6.0, 2.0)), v_px=15.0)
     params = PARAMS.model_copy(update={"max_iterations": 1, "max_residual_px": 50.0})
-    _, (rejection,) = locate_positions([match_of(points)], {7: PAIR}, RIG, params)
+    _, (rejection,) = locate_positions([match_of(points)], [PAIR], RIG, params)
     assert rejection.reason is RejectionReason.NOT_CONVERGED
-    assert locate_positions([], {7: PAIR}, RIG, PARAMS) == locate_in_camera([], RIG, PARAMS) == ([], [])
-    _, rejections = locate_positions([match_of(see(ahead(10.0)))], {}, RIG, PARAMS)
+    assert locate_positions([], [PAIR], RIG, PARAMS) == locate_in_camera([], RIG, PARAMS) == ([], [])
+    _, rejections = locate_positions([match_of(see(ahead(10.0)))], [], RIG, PARAMS)
     assert [r.reason for r in rejections] == [RejectionReason.POSITION_INVALID]
 
 
@@ -286,7 +286,7 @@ def test_an_invalid_position_is_a_rejection_and_no_exception() -> None:
     left, right = np.array([609.6, 172.9]), np.array([609.6 - disparity, 172.9])
     points = dict.fromkeys(("foot", "centre", "tip"), (left, right))
     pair = PAIR.model_copy(update={"pose": level})
-    positions, (rejection,) = locate_positions([match_of(points)], {7: pair}, rig, PARAMS)
+    positions, (rejection,) = locate_positions([match_of(points)], [pair], rig, PARAMS)
     assert not positions
     assert rejection.reason is RejectionReason.POSITION_INVALID
     assert "range_m" in rejection.detail

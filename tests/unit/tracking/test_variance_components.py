@@ -102,7 +102,7 @@ def by_class(
     pairs: list[FramePair] = PATH,
     pose_cov: PoseCov | None = None,
 ) -> dict[str, VarianceFactors]:
-    return estimate_variance_factors(tracks, matches, RIG, {pair.frame_index: pair.pose for pair in pairs}, pose_cov)
+    return estimate_variance_factors(tracks, matches, RIG, pairs, pose_cov)
 
 
 @pytest.mark.parametrize("sizes", [(1.0, 1.0, 1.0), (1.5, 0.7, 1.3), (0.7, 1.6, 0.6)])
@@ -194,7 +194,7 @@ def test_only_observations_that_were_used_change() -> None:
 
 
 def compared(matches: list[StereoMatch], tracks: list[Track]) -> list[StereoMatch]:
-    return with_contradictions(matches, tracks, RIG, {pair.frame_index: pair.pose for pair in PATH})
+    return with_contradictions(matches, tracks, RIG, PATH)
 
 
 def _moved(match: StereoMatch, columns_px: float, rows_px: float, disparity_px: float) -> StereoMatch:
