@@ -127,8 +127,7 @@ def serve(map_: Planted) -> None:
     store.last_changes(conn, "default", [row["feature_id"] for row in standing])
     store.track_ranges(conn, [(drive_uuid, track.track_index) for track in map_.drive.tracks[::2]])
     store.read_frame_boxes(conn, drive_uuid, 100)
-    match = {"drive_uuid": drive_uuid, "frame_index": 100, "match_index": 0}
-    store.read_rows(conn, "serving.sighting_image", map_name="default", side="left", **match)
+    store.read_rows(conn, "judging.frame", map_name="default", drive_uuid=drive_uuid, frame_index=100)
 
 
 def export(map_: Planted) -> None:

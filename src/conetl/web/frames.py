@@ -100,7 +100,7 @@ def frame_image(
         expected_box(to.position(state), state["cone_height_m"], pose, rig, side, state["category"])
         for state in history
     }
-    sharp = [(box["x_px"], box["y_px"], box["w_px"], box["h_px"]) for box in boxes]
+    sharp = [_xywh(box) for box in boxes]
     sharp += [box for box in expected if box is not None and _is_near(box, rig)]
     path = image_file(row["source_path"], row[f"{side}_path"])
     data = frame_jpeg(path, rig, side, sharp, whole=request.app.state.whole_images)
@@ -112,6 +112,10 @@ def _frame(conn: Connection, map_name: str, drive_uuid: UUID, frame_index: int) 
     if not rows:
         raise HTTPException(404, f"The map {map_name} has no frame pair {frame_index} of drive {drive_uuid}.")
     return rows[0]
+
+
+def _xywh(box: store.Row) -> Box:
+    return box["x_px"], box["y_px"], box["w_px"], box["h_px"]
 
 
 def _problem(row: dict[str, Any], side: str) -> str | None:
@@ -143,15 +147,14 @@ def sighting_image(
     """JPEG of the surroundings of one detection, with its box; the database alone decides which file is read."""
     pool: ReaderPool = request.app.state.pool
     with pool.reading() as conn:  # released before the image is decoded
-        match = {"drive_uuid": drive_uuid, "frame_index": frame_index, "match_index": match_index, "side": side}
-        rows = store.read_rows(conn, "serving.sighting_image", map_name=map_name, **match)
-    if not rows:
+        row = _frame(conn, map_name, drive_uuid, frame_index)
+        boxes = store.read_frame_boxes(conn, drive_uuid, frame_index)[side]
+    found = [box for box in boxes if box["match_index"] == match_index]
+    if not found:
         raise HTTPException(
             404, f"The map {map_name} has no match {match_index} in frame pair {frame_index} of this drive."
         )
-    row = rows[0]
-    path = image_file(row["source_path"], row["picture_path"])
-    box = (row["x_px"], row["y_px"], row["w_px"], row["h_px"])
+    path, box = image_file(row["source_path"], row[f"{side}_path"]), _xywh(found[0])
     data = crop_jpeg(
         path, Rig.model_validate(row["rig"]), side, box, context=context, whole=request.app.state.whole_images
     )
