@@ -115,6 +115,11 @@ class CalibrationCovariance(Record):
                     raise ValueError(f"the matrix is not symmetric at {self.names[i]}, {self.names[j]}")
         return self
 
+    @property
+    def sigmas(self) -> dict[str, float]:
+        """By name."""
+        return {name: self.matrix[i][i] ** 0.5 for i, name in enumerate(self.names)}
+
 
 class Rig(Record):
     """Two cameras on a body (the INS unit, or the left camera if there is none).

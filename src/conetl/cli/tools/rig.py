@@ -48,7 +48,8 @@ def show(
         print_json({"format": found, "rectified": rectified, "baseline_m": rig.baseline_m, "rig": rig})
         return
     say(f"{file}: {FORMAT_NAMES[found]}, rig {rig.rig_id}")
-    sigmas = _sigmas(rig)
+    covariance = rig.calibration_covariance
+    sigmas = {} if covariance is None else covariance.sigmas
     interior: list[tuple[str, ...]] = [
         ("image size", f"{rig.left.width_px} x {rig.left.height_px}", f"{rig.right.width_px} x {rig.right.height_px}")
     ]
@@ -123,13 +124,6 @@ def _lost(rig: Rig, to: str) -> list[str]:
 
 def _cameras(rig: Rig) -> tuple[tuple[Side, Camera], tuple[Side, Camera]]:
     return ("left", rig.left), ("right", rig.right)
-
-
-def _sigmas(rig: Rig) -> dict[str, float]:
-    covariance = rig.calibration_covariance
-    if covariance is None:
-        return {}
-    return {name: float(np.sqrt(covariance.matrix[i][i])) for i, name in enumerate(covariance.names)}
 
 
 def _cell(value: float, sigmas: dict[str, float], name: str) -> str:

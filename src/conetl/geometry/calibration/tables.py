@@ -17,7 +17,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residuals_px
 from conetl.geometry.rectification import rectified_from_raw, rectify
 from conetl.model.arrays import Floats
-from conetl.model.rig import INTERIOR, RELATIVE, Rig, Side
+from conetl.model.rig import INTERIOR, RELATIVE, CalibrationCovariance, Rig, Side
 
 _STEP_RAD = 1e-6
 COVERAGE_CELLS = 8
@@ -34,7 +34,7 @@ class Value(NamedTuple):
 
 def interior_in_pixels(rig: Rig, side: Side) -> list[Value]:
     """fx, fy, cx, cy and the lens's coefficients of one camera. The rig must have a covariance."""
-    camera, sigmas = rigs.camera_of(rig, side), _sigmas(rig)
+    camera, sigmas = rigs.camera_of(rig, side), _covariance(rig).sigmas
     rows = [Value(name.removesuffix("_px"), getattr(camera, name), sigmas[f"{side}.{name}"], "px") for name in INTERIOR]
     names = {"fisheye": ("k1", "k2", "k3", "k4")}.get(
         camera.lens.model, ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
@@ -48,7 +48,7 @@ def interior_in_pixels(rig: Rig, side: Side) -> list[Value]:
 
 def interior_in_millimetres(rig: Rig, side: Side, sensor_mm: tuple[float, float]) -> list[Value]:
     """fx, fy, x0, y0 of one camera on a sensor of width, height in mm (the paper's Table 1)."""
-    camera, sigmas = rigs.camera_of(rig, side), _sigmas(rig)
+    camera, sigmas = rigs.camera_of(rig, side), _covariance(rig).sigmas
     across, down = sensor_mm[0] / camera.width_px, sensor_mm[1] / camera.height_px
     return [
         Value("fx", camera.fx_px * across, sigmas[f"{side}.fx_px"] * across, "mm"),
@@ -119,15 +119,13 @@ def coverage(rig: Rig, views: Sequence[BoardView], side: Side) -> float:
     return len(np.unique(cells, axis=0)) / COVERAGE_CELLS**2
 
 
-def _sigmas(rig: Rig) -> dict[str, float]:
-    covariance = rig.calibration_covariance
-    if covariance is None:
+def _covariance(rig: Rig) -> CalibrationCovariance:
+    if rig.calibration_covariance is None:
         raise ValueError(f"rig {rig.rig_id} has no covariance of its calibration")
-    return {name: covariance.matrix[i][i] ** 0.5 for i, name in enumerate(covariance.names)}
+    return rig.calibration_covariance
 
 
 def _relative_covariance(rig: Rig) -> Floats:
-    names = list(_sigmas(rig))
-    index = [names.index(f"relative.{name}") for name in RELATIVE]
-    assert rig.calibration_covariance is not None
-    return np.array(rig.calibration_covariance.matrix)[np.ix_(index, index)]
+    covariance = _covariance(rig)
+    index = [covariance.names.index(f"relative.{name}") for name in RELATIVE]
+    return np.array(covariance.matrix)[np.ix_(index, index)]

@@ -133,17 +133,16 @@ def revert(
     number. Nothing is lost: reverting the decision brings everything back. Raises InputError, ConflictError where that was done
     already."""
     with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
-        target = _target(conn, map_name, what)
+        target, known = _target(conn, map_name, what), store.list_decisions(conn, map_name=map_name)
         if target.kind == "changeset":
-            for known in store.list_decisions(conn, map_name=map_name):
-                if known.changeset_id == target.id and known.kind == REVERT:
-                    raise ConflictError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
+            if any(one.changeset_id == target.id and one.kind == REVERT for one in known):
+                raise ConflictError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
             kind, withdraws, changeset_id = REVERT, None, target.changeset_id
         elif target.kind == WITHDRAW or not target.active:
             raise ConflictError(f"decision {target.id} is no longer active: record it again instead")
         else:
             kind, withdraws, changeset_id = WITHDRAW, target.id, None
-        decision = next((d for d in store.list_decisions(conn, map_name=map_name) if d.decision_id == target.id), None)
+        decision = next((one for one in known if one.decision_id == target.id), None)
         decide = partial(at.insert, kind, changeset_id=changeset_id, withdraws=withdraws)
         conflicts: tuple[RevertConflict, ...] = ()
         if target.drive_uuid is not None:
