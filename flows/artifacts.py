@@ -21,7 +21,7 @@ from conetl.model.arrays import Image
 from conetl.model.drive import DriveRecords
 from conetl.model.errors import StorageError
 from conetl.model.ingest_report import ChangeLine, IngestReport
-from conetl.model.rig import Side
+from conetl.model.rig import SIDES
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
 from conetl.pipeline.analysis import AnalysedDrive
@@ -160,11 +160,10 @@ def _show_worst_frames(records: DriveRecords, *, whole: bool) -> None:
     chosen = sorted(worst, key=lambda index: -worst[index])[:_SHOWN_FRAMES]
     pairs = {pair.frame_index: pair for pair in records.drive.frame_pairs}
     rows: list[tuple[Image, Image, str]] = []
-    sides: tuple[Side, Side] = ("left", "right")
     for index in chosen:
         drawn: list[Image] = []
         try:
-            for side in sides:
+            for side in SIDES:
                 boxes = [
                     (d.x_px, d.y_px, d.w_px, d.h_px, d.score, *(np.nan,) * 4, 0.0)
                     for d in records.detections
