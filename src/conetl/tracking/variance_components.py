@@ -79,13 +79,13 @@ def estimate_variance_factors(
     matches: Sequence[StereoMatch],
     rig: Rig,
     frame_pairs: Iterable[FramePair],
-    pose_cov: PoseCov | None = None,
+    pose_cov: PoseCov,
 ) -> dict[str, VarianceFactors]:
     """Factors for the observations of one drive, from all its tracks, by their classes.
 
     Detectors show the edges of some classes better than those of others, and the shape assumed in matching fits some better: each
-    class has its own factors. frame_pairs: with refined poses; pose_cov: of their errors, None without any. Only
-    matches refined in the images, whose shared errors are known, count; with few of them the factors stay near 1.
+    class has its own factors. frame_pairs: with refined poses; pose_cov: of their errors. Only matches refined in the images,
+    whose shared errors are known, count; with few of them the factors stay near 1.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
     poses = {pair.frame_index: pair.pose for pair in frame_pairs}
@@ -144,7 +144,7 @@ def with_contradictions(
     tracks: Sequence[Track],
     rig: Rig,
     frame_pairs: Iterable[FramePair],
-    pose_cov: PoseCov | None = None,
+    pose_cov: PoseCov,
 ) -> list[StereoMatch]:
     """The matches of one drive, with larger sigmas where they contradict their tracks; never with smaller ones.
 
@@ -208,7 +208,7 @@ def _disparity_px(match: StereoMatch) -> float:
 
 
 def observed_cone(
-    xyz_m: Floats, pairs: Sequence[StereoMatch], rig: Rig, poses: Mapping[int, Pose], pose_cov: PoseCov | None
+    xyz_m: Floats, pairs: Sequence[StereoMatch], rig: Rig, poses: Mapping[int, Pose], pose_cov: PoseCov
 ) -> ObservedCone:
     """pairs: matches of a track whose shared errors are known. poses: by frame index; pose_cov: of their errors."""
     stated_poses = [poses[m.frame_index] for m in pairs]
@@ -229,11 +229,10 @@ def observed_cone(
     fixed = np.zeros((len(pairs), 3))
     fixed[:, 0] = [m.sigma_u_px**2 / 2 for m in pairs]
     by_position = _GROUPS @ jacobian
-    design = [by_position, shared[:, :, None] * np.eye(3)]
-    if pose_cov is not None:
-        by_pose = by_position @ moved_by_poses(np.tile(xyz_m, (len(pairs), 1)), stated_poses)
-        design.append(_by_pose_sigmas(by_pose, pose_cov([m.frame_index for m in pairs]), (stated + fixed) ** 0.5))
-    return ObservedCone((observed - computed) @ _GROUPS.T, np.concatenate(design, axis=2), stated, fixed)
+    by_pose = by_position @ moved_by_poses(np.tile(xyz_m, (len(pairs), 1)), stated_poses)
+    by_errors = _by_pose_sigmas(by_pose, pose_cov([m.frame_index for m in pairs]), (stated + fixed) ** 0.5)
+    design = np.concatenate([by_position, shared[:, :, None] * np.eye(3), by_errors], axis=2)
+    return ObservedCone((observed - computed) @ _GROUPS.T, design, stated, fixed)
 
 
 def _by_pose_sigmas(by_pose: Floats, cov: Floats, stated_px: Floats) -> Floats:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -87,11 +89,16 @@ def drawn(
     return matches, tracks
 
 
+def without_errors(frames: Sequence[int]) -> Floats:
+    """Covariance of poses that are exact."""
+    return np.zeros((6 * len(frames), 6 * len(frames)))
+
+
 def found(
     matches: list[StereoMatch],
     tracks: list[Track],
     pairs: list[FramePair] = PATH,
-    pose_cov: PoseCov | None = None,
+    pose_cov: PoseCov = without_errors,
 ) -> VarianceFactors:
     return by_class(matches, tracks, pairs, pose_cov)[CONE]
 
@@ -100,7 +107,7 @@ def by_class(
     matches: list[StereoMatch],
     tracks: list[Track],
     pairs: list[FramePair] = PATH,
-    pose_cov: PoseCov | None = None,
+    pose_cov: PoseCov = without_errors,
 ) -> dict[str, VarianceFactors]:
     return estimate_variance_factors(tracks, matches, RIG, pairs, pose_cov)
 
@@ -194,7 +201,7 @@ def test_only_observations_that_were_used_change() -> None:
 
 
 def compared(matches: list[StereoMatch], tracks: list[Track]) -> list[StereoMatch]:
-    return with_contradictions(matches, tracks, RIG, PATH)
+    return with_contradictions(matches, tracks, RIG, PATH, without_errors)
 
 
 def _moved(match: StereoMatch, columns_px: float, rows_px: float, disparity_px: float) -> StereoMatch:
