@@ -48,16 +48,12 @@ def publish_map(
     cannot be written; the last publication stays then.
     """
     settings = read_settings(map_name)
-    with alive(settings) as database:
-        with database.connection() as conn:
-            if find_map(conn, settings.map_name) is None:
-                return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
+    with alive(settings) as database, database.connection() as conn:
+        if find_map(conn, settings.map_name) is None:
+            return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
         wanted = list(FORMATS) if formats is None else formats
-        published, manifests = write_publication(
-            settings, wanted, folder or settings.exports_folder, as_of, database=database
-        )
-        with database.connection() as conn:
-            held = held_drives(conn, map_name=settings.map_name)
+        published, manifests = write_publication(conn, settings, wanted, folder or settings.exports_folder, as_of)
+        held = held_drives(conn, map_name=settings.map_name)
     create_table_artifact(
         [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
         key="publication",

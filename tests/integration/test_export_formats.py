@@ -307,7 +307,7 @@ def test_a_failing_export_leaves_the_old_files(conn, tmp_path, monkeypatch, name
 
 def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
     settings = Settings(database_url=conn.dsn)
-    published, manifests = write_publication(settings, ["geojson", "geoparquet"], tmp_path)
+    published, manifests = write_publication(conn, settings, ["geojson", "geoparquet"], tmp_path)
     latest = tmp_path / "latest"
     assert latest.resolve() == published
     maps = {f"default.{suffix}{more}" for suffix in ("geojson", "parquet") for more in ("", ".manifest.json")}
@@ -317,9 +317,9 @@ def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
     assert [m["rows"] for m in manifests] == [manifests[0]["rows"]] * 2
     monkeypatch.setattr(text_files, "write_features", lambda source, path: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        write_publication(settings, ["geoparquet", "geojson"], tmp_path)
+        write_publication(conn, settings, ["geoparquet", "geojson"], tmp_path)
     with pytest.raises(InputError, match="kml"):
-        write_publication(settings, ["kml"], tmp_path)
+        write_publication(conn, settings, ["kml"], tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([published.name, "latest"])
     assert latest.resolve() == published
 

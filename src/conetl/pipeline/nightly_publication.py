@@ -12,18 +12,17 @@ from __future__ import annotations
 
 import json
 import shutil
-from contextlib import ExitStack
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from conetl.db.map.map_store import find_map
+from conetl.db.connection import Connection
+from conetl.db.map.map_store import require_map
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest
 from conetl.files.atomic import LATEST, aside, sweep
 from conetl.model.errors import InputError
-from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings
 from conetl.reports.night_page import write_night_page
 
@@ -32,12 +31,7 @@ REPORTED = timedelta(days=1)
 
 
 def write_publication(
-    settings: Settings,
-    formats: list[str],
-    folder: Path,
-    as_of: datetime | None = None,
-    *,
-    database: MapDatabase | None = None,
+    conn: Connection, settings: Settings, formats: list[str], folder: Path, as_of: datetime | None = None
 ) -> tuple[Path, list[dict[str, Any]]]:
     """Write the map of `as_of` (None: latest) in `formats` to a new folder in `folder`; that folder, and its files' manifests.
 
@@ -54,25 +48,17 @@ def write_publication(
         raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder") from error
     sweep([folder])
     try:
-        with ExitStack() as stack:
-            database = database or stack.enter_context(MapDatabase(settings))
-            conn = stack.enter_context(database.connection())
-            info = find_map(conn, settings.map_name)
-            conn.rollback()
-            # The map after its last changeset: what is committed from now on is left out of every file alike.
-            believed_at = info.last_committed_at if info else None
-            request = ExportRequest(settings.map_name, as_of=as_of, believed_at=believed_at)
-            manifests = [
-                export_map(conn, unfinished / f"{settings.map_name}{FORMATS[wanted].suffix}", wanted, request)
-                for wanted in dict.fromkeys(formats)
-            ]
-            now, held = datetime.now(UTC), []
-            if info is not None:
-                facts = write_night_page(
-                    conn, unfinished / REPORT, map_name=settings.map_name, since=now - REPORTED, until=now
-                )
-                held = [drive.model_dump(mode="json") for drive in facts.held]
-        content = {"map": settings.map_name, "report": REPORT if info else None, "held": held, "files": manifests}
+        # The map after its last changeset: what is committed from now on is left out of every file alike.
+        believed_at = require_map(conn, settings.map_name).last_committed_at
+        request = ExportRequest(settings.map_name, as_of=as_of, believed_at=believed_at)
+        manifests = [
+            export_map(conn, unfinished / f"{settings.map_name}{FORMATS[wanted].suffix}", wanted, request)
+            for wanted in dict.fromkeys(formats)
+        ]
+        now = datetime.now(UTC)
+        facts = write_night_page(conn, unfinished / REPORT, map_name=settings.map_name, since=now - REPORTED, until=now)
+        held = [drive.model_dump(mode="json") for drive in facts.held]
+        content = {"map": settings.map_name, "report": REPORT, "held": held, "files": manifests}
         (unfinished / "publication.json").write_text(json.dumps(content, indent=2) + "\n")
         unfinished.replace(folder / name)
     except BaseException:
