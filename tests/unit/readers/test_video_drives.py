@@ -8,6 +8,8 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from datetime import datetime, timedelta, timezone
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -215,6 +217,89 @@ def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive, folders: 
     text = f"images: {{left: {left}, right: {right}, timestamps: times.txt, right_timestamps: right.txt}}\n"
     (root / "drive.yaml").write_text(text)
     assert len(read_drive(root)[0].frame_pairs) == COUNT - 1
+
+
+def named_by_time(root: Path, sample: Drive, name_of: Callable[[int], str]) -> None:
+    """A folder for `init`, whose images have a name that their time makes."""
+    for camera, side in (("image_02", "left"), ("image_03", "right")):
+        (root / side).mkdir(parents=True)
+        for n, pair in enumerate(sample.frame_pairs):
+            name = name_of(pair.captured_at_ns)
+            (root / side / f"{name}{'_R' * (side == 'right')}.jpg").hardlink_to(SAMPLE / camera / f"data/{n:010d}.jpg")
+    write_rig_yaml(sample.rig, root / "rig.yaml")
+    write_csv(root, video_drives.known_of(sample))
+
+
+def civil(form: str, hours: int = 0) -> Callable[[int], str]:
+    """Names by a form of `strftime`, and of ms, us and ns, in a time zone."""
+    zone = timezone(timedelta(hours=hours))
+
+    def name_of(ns: int) -> str:
+        whole, rest = divmod(ns, 10**9)
+        return datetime.fromtimestamp(whole, zone).strftime(form).format(ms=rest // 10**6, us=rest // 1000, ns=rest)
+
+    return name_of
+
+
+@pytest.mark.parametrize(
+    ("name_of", "has_zone"),
+    [
+        (civil("%Y%m%d_%H%M%S_{ms:03d}"), False),
+        (civil("cam0-%Y%m%dT%H%M%S.{ms:03d}Z"), True),
+        (civil("IMG_%Y-%m-%d_%H-%M-%S-{us:06d}_left"), False),
+        (civil("%Y%m%d%H%M%S{us:06d}"), False),
+        (civil("%Y%m%dT%H%M%S.{ms:03d}+0100", 1), True),
+        (lambda ns: f"{ns // 10**9}_{ns // 10**6 % 1000:03d}", True),
+        (lambda ns: f"drive_20260302_{ns / 10**9:.2f}", True),
+        (lambda ns: f"{ns // 10**6}", True),
+        (lambda ns: f"frame_000017_{ns // 10**3}", True),
+        (lambda ns: f"left-{ns}", True),
+    ],
+)
+def test_names_of_images_are_times(
+    name_of: Callable[[int], str], has_zone: bool, tmp_path: Path, sample: Drive
+) -> None:
+    named_by_time(tmp_path / "run", sample, name_of)
+    made = init(tmp_path / "run")
+    assert made.exit_code == 0 and "16 frame pairs" in made.output, (made.output, made.exception)
+    found = [p.captured_at_ns for p in read_drive(tmp_path / "run")[0].frame_pairs]
+    assert found == [p.captured_at_ns for p in sample.frame_pairs]
+    assert ("the times of the images state no time zone and are taken as UTC" in made.output) != has_zone
+
+
+def test_names_of_images_in_local_time(tmp_path: Path, sample: Drive) -> None:
+    root = tmp_path / "run"
+    named_by_time(root, sample, civil("%Y%m%d_%H%M%S_{ms:03d}", 1))
+    made = init(root)
+    assert made.exit_code == 1 and "timestamps_timezone: Europe/Berlin" in made.output, made.output
+    with (root / "drive.yaml").open("a") as file:
+        file.write("timestamps_timezone: Europe/Berlin\n")
+    inspected = CliRunner().invoke(app, ["inspect", str(root)])
+    assert "state no time zone and are taken as Europe/Berlin" in inspected.output
+    assert read_header(root).captured_from_ns == sample.frame_pairs[0].captured_at_ns // 10**6 * 10**6
+
+
+def seconds(ns: int) -> int:
+    """Whole seconds since 1970, as if an image was taken every second."""
+    return 1772444467 + (ns - 1772444467250000000) // 10**8
+
+
+@pytest.mark.parametrize(
+    ("name_of", "understood"),
+    [
+        (lambda ns: civil("%Y%m%d_%H%M%S")(seconds(ns) * 10**9), "20260302_094107: 2026-03-02 09:41:07, but whole seconds"),
+        (lambda ns: f"{seconds(ns)}", "1772444467: 1772444467, but whole seconds"),
+        (lambda ns: f"20260302_104107_{seconds(ns) % 1000:04d}", "2026-03-02 10:41:07, then numbers of 4 digits"),
+        (lambda ns: f"{ns // 10**9}_{ns // 10**6 % 1000}", "1772444467, then numbers of 2 or 3 digits"),
+        (lambda ns: f"20260302_104107_{seconds(ns) % 1000:03d}", "2026-03-02 10:41:07, then numbers that count the images"),
+    ],
+)  # fmt: skip
+def test_names_that_may_be_times_or_not_are_refused(
+    name_of: Callable[[int], str], understood: str, tmp_path: Path, sample: Drive
+) -> None:
+    named_by_time(tmp_path / "run", sample, name_of)
+    made = init(tmp_path / "run")
+    assert understood in str(made.exception) and "--timestamps: " in str(made.exception), (made.output, made.exception)
 
 
 def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: Path, sample: Drive) -> None:

@@ -121,8 +121,11 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
         header.frame_pairs = facts.frames
         if (first_ns := stated_start(settings, root)) is not None:
             header.set_times([first_ns, first_ns + round(facts.duration_s * 1e9)], root / DRIVE_YAML)
-    elif stamps := stamps_of_images(sources[0], root, settings):
-        header.set_times(stamps, sources[0])
+    else:
+        stamps, assumed = stamps_of_images(sources[0], root, settings)
+        header.remarks += assumed
+        if stamps:
+            header.set_times(stamps, sources[0])
 
 
 def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None = None) -> tuple[Rig, Floats]:

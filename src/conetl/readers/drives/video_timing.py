@@ -33,7 +33,8 @@ from conetl.readers.drives.formats import image_files
 from conetl.readers.drives.pairs import ContentHash, Couple, Image, PairError, Source, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
 from conetl.readers.drives.sparse_poses import pose_reader
-from conetl.readers.trajectories.times import clock_problem, decimal_ns, parse_timestamp
+from conetl.readers.trajectories.image_names import times_of_names
+from conetl.readers.trajectories.times import OFFSET, clock_problem, decimal_ns, parse_timestamp
 from conetl.tracking.clock import estimate_clock
 from conetl.tracking.clock_search import LEAST_SIGMA_S, ImageClock, find_clock_offset, rates_of
 from conetl.tracking.trajectory import measured_motions, read_log
@@ -178,19 +179,21 @@ def _listed(camera: CameraImages, name: str | None, source: Source, track: Sampl
                 f"images of {camera.name}: the trajectory states the times of images only if it has one record per image"
             )
         return [Image(stamp_ns, path) for stamp_ns, path in zip(track.times_ns, camera.paths, strict=True)]
-    texts = _texts(camera.paths, name, source.root, source.content)
+    texts, doubt = _texts(camera.paths, name, source.root, source.content)
     if len(texts) != len(camera.paths):
         raise InputError(
             f"{source.root / str(name)}: {len(texts)} time stamps for the {len(camera.paths)} images of {camera.name}, expected "
             f"one line per image{hint}"
         )
     images = [Image(_stamp(text, source.settings), path) for text, path in zip(texts, camera.paths, strict=True)]
-    if name is None and not any(isinstance(t := image.stamp, int) and clock_problem(t) is None for image in images):
+    has_times = any(isinstance(t := image.stamp, int) and clock_problem(t) is None for image in images)
+    if name is None and (doubt or not has_times):
         found = f"{camera.paths[0].name} to {camera.paths[-1].name}"
         raise UnknownTimeError(
             "timestamps",
             source.root,
-            f"the names of the images in {camera.name} ({found}) are not times since 1970"
+            f"the names of the images in {camera.name} ({found}) are not times"
+            + (f" to a fraction of a second ({doubt})" if doubt else "")
             + ("; images.start is for videos" if source.settings.images.start is not None else ""),
             f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
             "right_timestamps where the right ones have others",
@@ -198,33 +201,39 @@ def _listed(camera: CameraImages, name: str | None, source: Source, track: Sampl
     return images
 
 
-def _texts(paths: Sequence[Path], name: str | None, root: Path, content: ContentHash) -> list[str]:
-    """The time stamps of images: the lines of a file, or else their names."""
+def _texts(paths: Sequence[Path], name: str | None, root: Path, content: ContentHash) -> tuple[list[str], str | None]:
+    """The time stamps of images: the lines of a file, or else their names; and why names may not be times."""
     if name is None:
-        return [path.stem for path in paths]
+        return times_of_names([path.stem for path in paths])
     file = inside(root, name, DRIVE_YAML)
     if not file.is_file():
         raise InputError(f"{file}: the time stamps of the images, which {DRIVE_YAML} names, are missing")
     data = read_bytes(file, _MOST_TIME_BYTES)
     content.add(name, data)
-    return [line for line in data.decode("utf-8-sig", errors="replace").splitlines() if line.strip() and line[0] != "#"]
+    lines = data.decode("utf-8-sig", errors="replace").splitlines()
+    return [line for line in lines if line.strip() and line[0] != "#"], None
 
 
-def stamps_of_images(folder: Path, root: Path, settings: DriveYaml) -> list[int]:
-    """Times (UTC ns) of the images of a folder, by their names or the file of their times, without those that cannot be read."""
+def stamps_of_images(folder: Path, root: Path, settings: DriveYaml) -> tuple[list[int], list[str]]:
+    """Times (UTC ns) of the images of a folder, by their names or the file of their times, without those that cannot be read;
+    and what was assumed of them."""
     name = settings.images.timestamps
     if name is not None and name == settings.trajectory.file:
-        return []  # the header of a drive reads no trajectory
-    texts = _texts(image_files(folder), name, root, ContentHash())
-    return [stamp for text in texts if isinstance(stamp := _stamp(text, settings), int)]
+        return [], []  # the header of a drive reads no trajectory
+    texts, _ = _texts(image_files(folder), name, root, ContentHash())
+    zone = settings.timestamps_timezone
+    remark = f"the times of the images state no time zone and are taken as {zone} (timestamps_timezone in {DRIVE_YAML})"
+    has_zone = all(":" not in text or OFFSET.search(text) for text in texts)
+    stamps = [stamp for text in texts if isinstance(stamp := _stamp(text, settings), int)]
+    return stamps, [] if has_zone else [remark]
 
 
 def _stamp(text: str, settings: DriveYaml) -> int | str:
-    """UTC nanoseconds of a time stamp, or of seconds or (16 digits and more) nanoseconds since 1970; else what is wrong."""
+    """UTC nanoseconds of a time stamp, or of s, ms (13 digits), us (16) or ns (19) since 1970; else what is wrong."""
     word = text.strip()
     try:
         if word.replace(".", "", 1).isdecimal():
-            return decimal_ns(word, 0 if len(word.partition(".")[0]) > 15 else 9)
+            return decimal_ns(word, {13: 6, 16: 3, 19: 0}.get(len(word.partition(".")[0]), 9))
         return parse_timestamp(word, settings.timestamps_timezone)
     except ValueError as error:
         return str(error)
