@@ -22,23 +22,28 @@ from conetl.db.schema import migrate as apply_migrations
 from conetl.files.atomic import old_images, old_publications, old_results, remove, size_bytes, sweep
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.database import open_database, open_maps
-from conetl.pipeline.settings import read_settings
+from conetl.pipeline.settings import Settings, read_settings
 
 
 @contextmanager
 def open_map(map_name: str | None) -> Iterator[tuple[Connection, MapInfo]]:
-    """A connection to the database, and the map of this name, or of the settings. Raises InputError, with the nearest names.
+    """A connection to the database, and the map of this name, or of the settings. Raises InputError, with the nearest names."""
+    settings = read_settings(map_name)
+    with open_maps(with_maps(settings)) as conn:
+        yield conn, require_map(conn, settings.map_name)
+
+
+def with_maps(settings: Settings) -> Settings:
+    """The same settings, for a command that only reads. Raises InputError.
 
     No cluster is made for it: where there is none, the current folder is probably another one than that of the ingest.
     """
-    settings = read_settings(map_name)
     if not settings.database_url and cluster_status(settings.home).state == "absent":
         raise InputError(
             f"{settings.home.absolute()}: contains no maps. They are in `.conetl` of the folder in which `conetl ingest` ran: "
-            "change to that folder, or set CONETL_HOME"
+            "change to that folder, or set CONETL_HOME; a new map begins with `conetl ingest DRIVE`"
         )
-    with open_maps(settings) as conn:
-        yield conn, require_map(conn, settings.map_name)
+    return settings
 
 
 def up(as_json: JsonOption = False) -> None:
@@ -100,7 +105,7 @@ def migrate(as_json: JsonOption = False) -> None:
 
 def audit(as_json: JsonOption = False) -> None:
     """Check the consistency of the maps. Exit code 1: a check found inconsistent rows."""
-    with closing(open_database(read_settings())) as conn:
+    with closing(open_database(with_maps(read_settings()))) as conn:
         results = run_audits(conn)
     if as_json:
         print_json(results)
@@ -162,7 +167,7 @@ def archive(
         return
     to = folder or settings.home / "archive"
     before = now - timedelta(seconds=parse_age(keep_positions or ""))
-    with open_maps(settings) as conn:
+    with open_maps(with_maps(settings)) as conn:
         drives = prunable_drives(conn, before)
         sizes = [archive_drive(conn, drive, to, now=now) for drive in drives] if do_it else []
     if do_it:  # without those that another process archived meanwhile
@@ -207,7 +212,7 @@ def prune(
     report: dict[str, Any] = {"deleted": do_it}
     if keep_positions is not None:
         before = now - timedelta(seconds=parse_age(keep_positions))
-        with open_maps(settings) as conn:
+        with open_maps(with_maps(settings)) as conn:
             drives = prunable_drives(conn, before)
             rows = sum(d.detection_count + d.match_count + d.position_count for d in drives)
             if do_it:

@@ -51,10 +51,14 @@ def test_reading_a_map_in_a_folder_without_one_makes_no_database(
     monkeypatch.chdir(tmp_path)
     for name in ("CONETL_HOME", "CONETL_DATABASE_URL"):
         monkeypatch.delenv(name, raising=False)
-    for command in ("map show", "map export --out cones.gpkg", "report night"):
+    for command in (
+        "map show", "map show --provisional", "map list", "map export --out cones.gpkg", "report night", "view", "db audit",
+        "db prune --keep-positions 90d", "db archive --keep-positions 90d", "backfill / --dry-run",
+    ):  # fmt: skip
         done = CliRunner().invoke(app, command.split())
         assert isinstance(done.exception, InputError), (command, done)
         assert f"{tmp_path / '.conetl'}: contains no maps" in str(done.exception)
+        assert "a new map begins with `conetl ingest DRIVE`" in str(done.exception)
     assert not list(tmp_path.iterdir())
 
 
