@@ -147,6 +147,24 @@ def test_the_page_of_a_drive_fits_a_sheet(shown: Any, latest: CommittedChangeset
     assert len(right_px) > 3 and max(right_px) <= A4_PX
 
 
+def test_a_long_name_of_a_drive_has_a_line_of_its_own(shown: Any, tmp_path: Path) -> None:
+    night = read_night(shown, map_name="default", since=datetime(2000, 1, 1, tzinfo=UTC), until=datetime.now(UTC))
+    name = "BAB8_KM214_Richtungsfahrbahn_Sued_Fruehschicht_Fahrzeug03_20260302_104107"
+    drives = [row | {"drive_id": name} for row in night.drives]
+    (tmp_path / "night.html").write_text(night_page(replace(night, drives=drives)))
+    with chromium() as browser:
+        tab = browser.new_page(viewport={"width": A4_PX, "height": 1000})
+        tab.emulate_media(media="print")
+        tab.goto((tmp_path / "night.html").as_uri())
+        table = tab.locator("h2:text-is('Drives') ~ table").first
+        rights_px, heights_px = (
+            table.evaluate(f"t => [...t.querySelectorAll('b')].map(b => b.getBoundingClientRect().{side})")
+            for side in ("right", "height")
+        )
+        assert table.evaluate("t => t.getBoundingClientRect().right") <= A4_PX
+    assert len(rights_px) == len(drives) and max(rights_px) <= A4_PX and max(heights_px) < 20
+
+
 def test_an_empty_drive_has_a_report(shown: Any, samples: Any) -> None:
     """Committed without the flow, without positions and images."""
     samples.commit(shown, key="abcd", map_name="bare")
