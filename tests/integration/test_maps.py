@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import zipfile
 from contextlib import closing
 from uuid import uuid4
@@ -13,6 +14,7 @@ from conetl.db.connection import connect, execute, load_sql
 from conetl.db.receipt_store import Receipt, held_if_free, write_receipt
 from conetl.pipeline.maps.decisions import decide_place, revert
 from conetl.pipeline.settings import Settings
+from tests.command import free_port
 from tests.conftest import filled_template
 from tests.integration.drives_of_days import failed_audits, merge, survey
 
@@ -75,6 +77,17 @@ READING = (
     "map suppress a", "map pin a", "map revert 1", "map decisions", "report drive 1", "report night", "base list",
     "base drop x", "drive held", "drive accept x", "view",
 )  # fmt: skip
+
+
+def test_a_view_without_its_map_says_which_there_are(conetl, monkeypatch):
+    notes = []
+    monkeypatch.setattr("conetl.cli.view.note", notes.append)
+    monkeypatch.setattr("conetl.cli.view.uvicorn.Server.run", lambda *_, **__: None)
+    before = signal.getsignal(signal.SIGINT)
+    conetl("view", "--port", free_port())
+    signal.signal(signal.SIGINT, before)
+    [said] = notes
+    assert said.startswith("this database has no map named default; it has north, south. Choose one with --map")
 
 
 def test_a_misspelt_map_is_named_with_its_neighbours(conetl):

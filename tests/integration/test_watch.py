@@ -165,6 +165,13 @@ def test_a_folder_that_never_becomes_a_drive_is_an_error(
     assert "no drive was recorded here" in str(result.exception)
 
 
+def test_the_next_step_after_a_watch_is_of_the_same_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    report = WatchReport("drive", "east")
+    monkeypatch.setattr("conetl.pipeline.watch.watch_drive", lambda *_, **__: report)
+    said = CliRunner().invoke(app, ["watch", "my drives/today", "--map", "east"]).stdout
+    assert said.endswith("Next: conetl ingest --map east 'my drives/today'\n")
+
+
 def test_a_pair_is_asked_for_its_place_until_it_has_one(
     settings: Settings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,7 +37,9 @@ def _problem(error: Any, context: Any) -> str:
         near = get_close_matches(name, known, n=2, cutoff=0.5)
         return f"there is no option {name}" + (f"; did you mean {' or '.join(near)}?" if near else "")
     if text.startswith("Got unexpected extra argument"):
-        return f"unexpected argument {text.partition('(s) (')[2].rstrip(')')}"
+        extra = text.partition("(s) (")[2].rstrip(")")
+        has_map = any("--map" in param.opts for param in context.command.params)
+        return f"unexpected argument {extra}" + (f"; did you mean --map {extra}?" if has_map else "")
     return text[:1].lower() + text[1:]
 
 

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 import uvicorn
 
-from conetl.cli.console import JsonOption, MapOption, answer, err
+from conetl.cli.console import JsonOption, MapOption, answer, err, note
 from conetl.cli.database import with_maps
 from conetl.db.map.map_store import require_map
 from conetl.files.home import WRITER_TOKEN, checked_secret, login_address, make_secret, read_secret, view_token
@@ -77,8 +77,12 @@ def view(
         places = read_gazetteer(gazetteer)
     with MapDatabase(with_maps(settings)) as database, database.connection() as conn:
         url = database.url
-        if map_name is not None:  # without --map the first drive may come later
-            require_map(conn, map_name)
+        try:
+            require_map(conn, settings.map_name)
+        except InputError as error:
+            if map_name is not None:  # without --map the first drive may come later
+                raise
+            note(str(error))
     writer = decision_writer(settings, url, on_request=decisions, token_file=writer_token_file)
     token = view_token(settings.home) if login else None
     with closing(free_port("127.0.0.1", port, "the web view", "--port")) as listener:

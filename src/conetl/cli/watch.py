@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -89,7 +90,7 @@ def watch(
     rows = [(name, *(f"{1000 * s:.0f}" for s in seconds)) for name, seconds in latency(report.pairs).items()]
     ui.print_table("Latency of frame pairs recorded during the watch, ms", ("", "p50", "p95", "max"), rows)
     if report.drive_id:
-        ui.say(f"Next: conetl ingest {drive}")
+        ui.say(f"Next: conetl ingest --map {report.map_name} {quote(str(drive))}")
 
 
 _PROVISIONAL: ui.Columns = {

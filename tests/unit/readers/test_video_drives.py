@@ -661,6 +661,16 @@ def test_init_takes_the_size_of_the_images_where_a_calibration_has_none(folder: 
     assert "stereo.yml" not in made.output
 
 
+def test_init_takes_the_calibration_of_kitti(folder: Path, tmp_path: Path) -> None:
+    copy = copied(folder, tmp_path, "rig.yaml")
+    (copy / "calib_cam_to_cam.txt").hardlink_to(SAMPLE / "calib_cam_to_cam.txt")
+    made = init(copy, "--start", "2026-03-02 09:41:07.25Z", "--right-offset", "0", "--mount", "1,0,0.7,2")
+    assert made.exit_code == 0 and "calibration calib_cam_to_cam.txt (KITTI" in made.output, (
+        made.output,
+        made.exception,
+    )
+
+
 def test_init_takes_a_calibration_in_millimetres_that_states_no_unit(folder: Path, tmp_path: Path) -> None:
     copy, rig = copied(folder, tmp_path, "rig.yaml"), read_rig_yaml(folder / "rig.yaml")
     WRITERS["opencv"](rig, tmp_path / "stereo.yml")

@@ -42,6 +42,8 @@ def diff(
     as_json: ui.JsonOption = False,
 ) -> None:
     """Show the differences between two states of the map."""
+    if output is not None and output.suffix.lower() not in {".geojson", ".json"}:
+        raise InputError(f"{output}: --out writes GeoJSON (.geojson, .json); --image writes an image")
     with open_map(map_name) as (conn, info):
         old, new = state_of(conn, info.map_name, before), state_of(conn, info.map_name, after)
         changes = map_diff.diff(old, new)

@@ -21,7 +21,7 @@ from conetl.readers.drives import drive_format
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
-from conetl.readers.rigs import RIG_SUFFIXES, RIG_YAML, FoundRigs, find_rigs, read_given_rig
+from conetl.readers.rigs import CAM_TO_CAM, RIG_SUFFIXES, RIG_YAML, FoundRigs, find_rigs, read_given_rig
 from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format, unknown_heights
 from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M
 from conetl.readers.trajectories.recorded import RecordedTrajectory
@@ -406,7 +406,8 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
 
 
 def _rigs_in(root: Path, size: tuple[int, int] | None) -> FoundRigs:
-    return find_rigs([root / name for name in names_in(root, RIG_SUFFIXES) if name != DRIVE_YAML], size)
+    names = names_in(root, RIG_SUFFIXES) + [CAM_TO_CAM] * (root / CAM_TO_CAM).is_file()
+    return find_rigs([root / name for name in names if name != DRIVE_YAML], size)
 
 
 def _mounted(values: Sequence[float]) -> str:
