@@ -40,6 +40,8 @@ _LEAST_OFFSET_M = 0.1
 _LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 #: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
 _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
+#: No road leads from a cone to another one that is so near in plan and so much higher; a bridge is lower.
+_BESIDE_M, _CLIFF_M = 30.0, 20.0
 #: The fold compares all of the map that is so near.
 _NEAR_M = 50.0
 #: An imported map, or a drive, may be in another datum: ED50 is 80 m east and 200 m north of ETRS89.
@@ -173,10 +175,28 @@ def far_displacement(
     this is decided once, when the drive comes.
     """
     sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]
+    if (check := _beyond_a_cliff(sure, features)) is not None:
+        return check.model_copy(update={"name": "heights of another section"})
     check = _standing_elsewhere(sure, features, params)
     if check is None or check.value is None or check.value <= _NEAR_M:
         return None
     return check.model_copy(update={"name": "the same cones elsewhere"})
+
+
+def _beyond_a_cliff(tracks: Sequence[Track], features: Sequence[MapFeature]) -> HealthCheck | None:
+    """The height difference of a drive's cones against the map's nearest ones, where none of them can be on the same road: the
+    drive shows another section of it, in another height system."""
+    if not tracks or not features:
+        return None
+    t, f = xyz_of(tracks), xyz_of(features)
+    apart_m, nearest = cKDTree(f[:, :2]).query(t[:, :2])
+    near = apart_m <= _BESIDE_M
+    up_m = (t[:, 2] - f[nearest, 2])[near]
+    if not up_m.size or np.abs(up_m).min() < _CLIFF_M:
+        return None
+    covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
+    sigma_m = float(np.sqrt((covs[0] + covs[1][nearest])[near, 2, 2].max()))
+    return _higher(float(np.median(up_m)), sigma_m, len(up_m), "cones", "the nearest ones")
 
 
 def _standing_elsewhere(

@@ -263,3 +263,18 @@ def test_the_same_cones_far_away_are_known_by_their_arrangement(places: Floats, 
     found = far_displacement(tracks_at(measured), features_at(SET_UP), PARAMS)
     assert (found and found.name) == (says and "the same cones elsewhere")
     assert found is None or str(says) in found.detail
+
+
+@pytest.mark.parametrize(
+    ("places", "says"),
+    [
+        (ZONE + np.array((45.0, 0, -47.6)), "47.6 m lower than the nearest ones"),  # the next section, above the geoid
+        (ZONE + np.array((45.0, 0, 12.0)), None),  # on a bridge
+        (ZONE + np.array((200.0, 0, 47.6)), None),  # the road climbs
+        (ZONE + np.array((45.0, 0, 0)), None),
+    ],
+)
+def test_a_section_in_another_height_system_is_known_by_the_cones_before_it(places: Floats, says: str | None) -> None:
+    found = far_displacement(tracks_at(places), features_at(ZONE), PARAMS)
+    assert (found and found.name) == (says and "heights of another section")
+    assert found is None or str(says) in found.detail
