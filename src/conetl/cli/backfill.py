@@ -11,7 +11,6 @@ import typer
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from conetl.cli import console as ui
-from conetl.cli.database import with_maps
 from conetl.cli.ingest import read_params
 from conetl.db.receipt_store import QUIET, pending_changesets
 from conetl.files.names import minutes
@@ -54,7 +53,7 @@ def backfill(
     from conetl.pipeline.backfill_plan import plan_as_dict, plan_drives
 
     begin, end = ui.parse_time(since), ui.parse_instant(until)
-    with open_maps(with_maps(settings) if dry_run else settings) as conn, ui.spinner("Planning"):
+    with open_maps(settings) as conn, ui.spinner("Planning"):
         plan = plan_drives(conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck)
         pending = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
     facts: dict[str, Any] = {"held": [], "hold_events": [], "plan": plan_as_dict(plan, max_parallel or 1), "drives": []}
