@@ -95,10 +95,6 @@ def test_only_the_time_of_the_drive_is_kept(tmp_path: Path) -> None:
 # --------------------------------------------------------------------------- times
 
 
-def gps_ns(text: str) -> int:
-    return parse_timestamp(text)
-
-
 @pytest.mark.parametrize(
     ("gps", "utc"),
     [
@@ -112,7 +108,7 @@ def gps_ns(text: str) -> int:
     ],
 )  # fmt: skip
 def test_gps_time_is_ahead_of_utc_by_the_leap_seconds_of_its_date(gps: str, utc: str) -> None:
-    assert gps_to_utc(np.array([gps_ns(gps)]))[0] == parse_timestamp(utc)
+    assert gps_to_utc(np.array([parse_timestamp(gps)]))[0] == parse_timestamp(utc)
 
 
 @given(st.integers(946_684_800, 1_900_000_000).map(lambda s: s * SECOND_NS))
@@ -214,24 +210,25 @@ def test_weeks_that_rolled_over_are_refused(write: Any, settings: dict[str, Any]
 
 
 @pytest.mark.parametrize(
-    ("column", "first", "settings", "shift_s"),
+    ("column", "first", "settings"),
     [
-        ("time", "1707297300.0", {}, 0),
-        ("timestamp_ms", "1707297300000", {}, 0),
-        ("t", "1707297300000000", {}, 0),
-        ("stamp", "1707297300000000000", {}, 0),
-        ("gps_time", "1391332518", {"time": "gps"}, 0),
-        ("utc", "2024-02-07 10:15:00+01:00", {}, 0),
-        ("time", "2024-02-07T09:15:18", {"time": "gps"}, 0),
-        ("time", "2024-02-07T04:15:00", {"time": "America/New_York"}, 0),
-        ("time", "33300.0", {"time": "utc", "date": date(2024, 2, 7)}, 0),
-        ("local_time", "2024-02-07 10:15:00+01:00", {}, 0),
-        ("Ortszeit", "07.02.2024 10:15:00", {"time": "Europe/Berlin"}, 0),
-        ("local_timestamp", "1707297300", {}, 0),
-        ("tow", f"{files.TOW}", {"week": files.WEEK}, 0),
+        ("time", "1707297300.0", {}),
+        ("timestamp_ms", "1707297300000", {}),
+        ("t", "1707297300000000", {}),
+        ("stamp", "1707297300000000000", {}),
+        ("gps_time", "1391332518", {"time": "gps"}),
+        ("utc", "2024-02-07 10:15:00+01:00", {}),
+        ("time", "2024-02-07T09:15:18", {"time": "gps"}),
+        ("time", "2024-02-07T04:15:00", {"time": "America/New_York"}),
+        ("time", "33300.0", {"time": "utc", "date": date(2024, 2, 7)}),
+        ("local_time", "2024-02-07 10:15:00+01:00", {}),
+        ("Ortszeit", "07.02.2024 10:15:00", {"time": "Europe/Berlin"}),
+        ("local_timestamp", "1707297300", {}),
+        ("Datum/Zeit", "07.02.2024 09:15:00", {}),
+        ("tow", f"{files.TOW}", {"week": files.WEEK}),
     ],
 )  # fmt: skip
-def test_times_of_tables(column: str, first: str, settings: dict[str, Any], shift_s: int, tmp_path: Path) -> None:
+def test_times_of_tables(column: str, first: str, settings: dict[str, Any], tmp_path: Path) -> None:
     path = files.write(tmp_path, "a.csv", [f"{column},lat,lon,alt", f"{first},49,8.4,110"])
     found = read_trajectory(path, TrajectoryFile(**settings))
     assert found.times_ns[0] == int(files.START.timestamp()) * SECOND_NS
@@ -246,11 +243,6 @@ def test_dates_and_times_in_two_columns(names: str, tmp_path: Path) -> None:
     found = read_trajectory(path, TrajectoryFile(time="utc"))
     assert found.times_ns.tolist() == [int(files.START.timestamp()) * SECOND_NS + SECOND_NS // 4]
     assert trajectory_format(path) == "table"
-
-
-def test_a_column_datumzeit_has_date_and_time(tmp_path: Path) -> None:
-    path = files.write(tmp_path, "a.csv", ["Datum/Zeit;Breite;Länge;Höhe", "07.02.2024 09:15:00;49,1;8,4;110,5"])
-    assert read_trajectory(path).times_ns[0] == int(files.START.timestamp()) * SECOND_NS
 
 
 @pytest.mark.parametrize(
@@ -494,21 +486,25 @@ def test_unknown_sigmas_must_be_given(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("recorded_up_m", "vertical_m", "up_m"), [(5.0, None, 5.0), (5.0, 0.4, 0.4), (np.nan, None, 0.3)]
+    ("recorded_m", "stated", "found_m"),
+    [
+        # A recorded height stays as uncertain as it is.
+        ((0.1, 5.0), {"horizontal_m": 0.2}, (0.2, 5.0)),
+        ((0.1, 5.0), {"horizontal_m": 0.2, "vertical_m": 0.4}, (0.2, 0.4)),
+        ((0.1, np.nan), {"horizontal_m": 0.2}, (0.2, 0.3)),
+        ((0.1, 2000.0), {"horizontal_m": 0.2}, (0.2, 0.3)),
+        # Only recorded sigmas have a limit.
+        ((2000.0, np.nan), {"horizontal_m": 0.2}, (0.2, 0.3)),
+        ((2000.0, np.nan), {"horizontal_m": 5000.0}, (5000.0, 7500.0)),
+        ((2000.0, np.nan), {}, (np.nan, np.nan)),
+    ],
 )
-def test_a_recorded_height_stays_as_uncertain_as_it_is(
-    recorded_up_m: float, vertical_m: float | None, up_m: float
+def test_stated_sigmas_take_the_place_of_recorded_ones(
+    recorded_m: tuple[float, float], stated: dict[str, float], found_m: tuple[float, float]
 ) -> None:
-    recorded = np.array([[0.1, 0.1, recorded_up_m, np.nan, np.nan, np.nan]])
-    found = stated_sigmas(recorded, Sigmas(horizontal_m=0.2, vertical_m=vertical_m))
-    assert found[0, :3] == pytest.approx((0.2, 0.2, up_m))
-
-
-@pytest.mark.parametrize(("horizontal_m", "up_m"), [(0.2, 0.3), (5000.0, 7500.0), (None, np.nan)])
-def test_only_recorded_sigmas_have_a_limit(horizontal_m: float | None, up_m: float) -> None:
-    recorded = np.array([[2000.0, 0.1, np.nan, np.nan, np.nan, np.nan]])
-    found = stated_sigmas(recorded, Sigmas(horizontal_m=horizontal_m))
-    np.testing.assert_allclose(found[0, :3], [horizontal_m or np.nan, horizontal_m or np.nan, up_m])
+    across_m, up_m = recorded_m
+    found = stated_sigmas(np.array([[across_m, 0.1, up_m, np.nan, np.nan, np.nan]]), Sigmas(**stated))
+    np.testing.assert_allclose(found[0, :3], [found_m[0], *found_m])
 
 
 def test_an_unknown_time_system_in_drive_yaml_is_refused(tmp_path: Path) -> None:
