@@ -147,15 +147,15 @@ def test_images_are_decoded_once(along: Along, tmp_path: Path, monkeypatch: pyte
 
 @pytest.mark.parametrize(("most", "steps", "spans"), [(120, 1, 19), (10, 1, 10), (50, 2, 38)])
 def test_self_calibration_follows_spans_of_all_of_a_drive_or_of_pieces(
-    most: int, steps: int, spans: int, tmp_path: Path
+    most: int, steps: int, spans: int, sample_settings: Settings
 ) -> None:
     """The drive is 52 m long. The last case compares points over one metre."""
     drive, _ = read_drive(SAMPLES[0])
     few = TrajectoryParams(self_calibration_max_spans=most, self_calibration_span_m=1.0 if most == 50 else 2.0)
-    settings, heard = Settings(home=tmp_path), [(0, 0)]
+    heard = [(0, 0)]
     with ThreadExecutor(2) as executor:
         found = analyse(
-            drive, IngestParams(chunk_pairs=8, trajectory=few), settings=settings, executor=executor,
+            drive, IngestParams(chunk_pairs=8, trajectory=few), settings=sample_settings, executor=executor,
             progress=lambda done, total: heard.append((done, total)),
         )  # fmt: skip
         assert {time.step: time.task_count for time in executor.times()}["follow spans"] == steps
