@@ -29,11 +29,11 @@ from conetl.pipeline.settings import Settings, read_settings
 def open_map(map_name: str | None) -> Iterator[tuple[Connection, MapInfo]]:
     """A connection to the database, and the map of this name, or of the settings. Raises InputError, with the nearest names."""
     settings = read_settings(map_name)
-    with open_maps(with_maps(settings)) as conn:
+    with open_maps(require_maps(settings)) as conn:
         yield conn, require_map(conn, settings.map_name)
 
 
-def with_maps(settings: Settings) -> Settings:
+def require_maps(settings: Settings) -> Settings:
     """The same settings, for a command that only reads. Raises InputError.
 
     No cluster is made for it: where there is none, the current folder is probably another one than that of the ingest.
@@ -105,7 +105,7 @@ def migrate(as_json: JsonOption = False) -> None:
 
 def audit(as_json: JsonOption = False) -> None:
     """Check the consistency of the maps. Exit code 1: a check found inconsistent rows."""
-    with closing(open_database(with_maps(read_settings()))) as conn:
+    with closing(open_database(require_maps(read_settings()))) as conn:
         results = run_audits(conn)
     if as_json:
         print_json(results)
@@ -167,7 +167,7 @@ def archive(
         return
     to = folder or settings.home / "archive"
     before = now - timedelta(seconds=parse_age(keep_positions or ""))
-    with open_maps(with_maps(settings)) as conn:
+    with open_maps(require_maps(settings)) as conn:
         drives = prunable_drives(conn, before)
         sizes = [archive_drive(conn, drive, to, now=now) for drive in drives] if do_it else []
     if do_it:  # without those that another process archived meanwhile
@@ -212,7 +212,7 @@ def prune(
     report: dict[str, Any] = {"deleted": do_it}
     if keep_positions is not None:
         before = now - timedelta(seconds=parse_age(keep_positions))
-        with open_maps(with_maps(settings)) as conn:
+        with open_maps(require_maps(settings)) as conn:
             drives = prunable_drives(conn, before)
             rows = sum(d.detection_count + d.match_count + d.position_count for d in drives)
             if do_it:

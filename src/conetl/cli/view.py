@@ -11,7 +11,7 @@ import typer
 import uvicorn
 
 from conetl.cli.console import JsonOption, MapOption, answer, err, note
-from conetl.cli.database import with_maps
+from conetl.cli.database import require_maps
 from conetl.db.map.map_store import require_map
 from conetl.files.home import WRITER_TOKEN, checked_secret, login_address, make_secret, read_secret, view_token
 from conetl.model.errors import InputError
@@ -75,7 +75,7 @@ def view(
         from conetl.readers.maps.gazetteer import read_gazetteer  # GDAL takes seconds to load
 
         places = read_gazetteer(gazetteer)
-    with MapDatabase(with_maps(settings)) as database, database.connection() as conn:
+    with MapDatabase(require_maps(settings)) as database, database.connection() as conn:
         url = database.url
         try:
             require_map(conn, settings.map_name)

@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from conetl.cli import console as ui
-from conetl.cli.database import with_maps
+from conetl.cli.database import require_maps
 from conetl.cli.ingest import read_params
 from conetl.db.live_store import read_provisional
 from conetl.geometry.packing import horizontal_sigma_m
@@ -110,7 +110,7 @@ _PROVISIONAL: ui.Columns = {
 
 def show_provisional(settings: Settings, *, as_json: bool) -> None:
     """The provisional features of a map (`conetl map show --provisional`)."""
-    with open_maps(with_maps(settings)) as conn:
+    with open_maps(require_maps(settings)) as conn:
         found = read_provisional(conn, map_name=settings.map_name)
     if as_json:
         ui.print_json({"map": settings.map_name, "provisional_features": found})

@@ -10,52 +10,29 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from itertools import islice
-from math import exp, hypot, log, sqrt
-from typing import NamedTuple
+from math import exp, log, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 from scipy.special import betaln
 
-from conetl.geometry.packing import cov_matrices
-from conetl.mapping.association import assign, classes_of, common_offset, near_pairs, xyz_of
+from conetl.mapping.displacement import (
+    LEAST_OFFSET_M,
+    LEAST_PAIRS,
+    MAX_SIGMAS,
+    displaced,
+    held,
+    higher,
+    of_other_classes,
+    standing_elsewhere,
+)
 from conetl.mapping.marking_deltas import drive_of, lines_on_map
 from conetl.mapping.marking_lines import feet
-from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import Track
-from conetl.model.health import AGREEMENT, HealthCheck, hold
+from conetl.model.health import HealthCheck
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 
-#: Positions (N, 3) and classes (N,) of tracks or features.
-_Places = tuple[Floats, NDArray[np.str_]]
-#: Sigmas of a common displacement that the stated ones do not explain.
-_MAX_SIGMAS = 5.0
-#: Smaller displacements and height differences are left to the fusion.
-_LEAST_OFFSET_M = 0.1
-#: Cones or stretches that must agree on a small displacement; on a height difference beyond any error of measurement one does.
-_LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
-#: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
-_MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
-#: No road leads from a cone to another one that is so near in plan and so much higher; a bridge is lower.
-_BESIDE_M, _CLIFF_M = 30.0, 20.0
-#: The fold compares all of the map that is so near.
-_NEAR_M = 50.0
-#: An imported map, or a drive, may be in another datum: ED50 is 80 m east and 200 m north of ETRS89.
-FARTHEST_M = 300.0
-#: So many of its cones must fit, so that two rows of about equal distances do not by chance. A drive may set up new ones.
-_LEAST_SAME, _LEAST_SAME_OF_DRIVE, _LEAST_SAME_SHARE = 5, 7, 0.6
-_LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
-#: A fit is distinct if no other one, this many gates apart, fits this share as many; else some of the map's cones must be absent.
-_APART_GATES, _RIVAL_SHARE, _LEAST_ABSENT_SHARE = 2.0, 0.8, 0.25
-#: Two zones set up by people are not equal to this root mean square distance of their cones.
-_SAME_ZONE_M = 0.05
-#: Limits of that search: tracks that it uses, tracks from which it starts, and how far two lengths may differ.
-_MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
-_MAX_NEAR, _MAX_TRIED = 150, 300
 #: Fewer removals, or cones that were moved, need no second look.
 _LEAST_REMOVED, _LEAST_MOVED = 3, 3
 #: A drive that confirms this many objects that were on the map an hour before is where the map has it.
@@ -84,9 +61,9 @@ def contradiction(
         (track for track in tracks if track.existence_probability >= params.founding_existence_probability),
         key=lambda track: track.xyz_m,
     )
-    displaced = _displaced(sure, features, kinds, params) if sure and features else None
-    displaced = displaced or _standing_elsewhere(sure, features, params) or _of_other_classes(sure, features, params)
-    return displaced or _scattered(kinds, "cones", "the zone was set up again") or _blind(kinds, params)
+    check = displaced(sure, features, kinds, params) if sure and features else None
+    check = check or standing_elsewhere(sure, features, params) or of_other_classes(sure, features, params)
+    return check or _scattered(kinds, "cones", "the zone was set up again") or _blind(kinds, params)
 
 
 def marking_contradiction(
@@ -101,285 +78,6 @@ def marking_contradiction(
     return moved or _displaced_markings(markings, stretches, params) or _replaced(kinds)
 
 
-def _displaced(
-    tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
-) -> HealthCheck | None:
-    """The common displacement of a drive's cones against the map's; None where the stated sigmas cover it."""
-    places, on_map = _places(tracks), _places(features)
-    t, f = places[0], on_map[0]
-    covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
-    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
-    # GNSS without a fix is metres off, as its sigmas state: only the heights are compared after its offset is taken out.
-    offset_m = np.array([*common_offset(tracks, features, params)[0][:2], 0.0])
-    for shift_m, compared in ((np.zeros(3), (1.0, 1.0, 1.0)), (offset_m, (0.0, 0.0, 1.0))):
-        pairs = _same_positions(places, on_map, shift_m, params)
-        if pairs and 2 * len(pairs) >= len(near):
-            i, j = list(pairs), list(pairs.values())
-            common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
-            if common is not None:
-                return common
-    some = near[:: 1 + len(near) // _MAX_TRACKS]
-    share = len(some) / max(len(near), 1)
-    found = share * (kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED])
-    least = max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(some), 2 * found + 1)
-    fit = _best_fit(t[some, :2], f[:, :2], params.min_gate_m, _MAX_DISPLACEMENT_M) if least <= len(some) else None
-    if fit is None or fit.agreeing < least:
-        return None
-    absent = share * (kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED])
-    same_zone = fit.distinct and (fit.beside or fit.residual_m <= _SAME_ZONE_M)
-    if not same_zone and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
-        return None  # the map's row may continue, or have a second one beside it, where the drive sees it
-    sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
-    if fit.largest_m <= min(params.max_offset_m, _MAX_SIGMAS * sigma_m):
-        return None
-    turned = f" and turned by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= 0.1 else ""
-    if fit.largest_m <= _MAX_SIGMAS * sigma_m:
-        detail = (
-            f"Its cones lie {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
-            "to tell which cone is which: process its GNSS with corrections, or ingest it into a map of its own."
-        )
-        return _held("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
-    return _aside(fit.middle_m, sigma_m, turned, min(params.max_offset_m, _MAX_SIGMAS * sigma_m))
-
-
-def imported_displacement(
-    stated: Sequence[MapFeature], features: Sequence[MapFeature], params: ReconcileParams
-) -> HealthCheck | None:
-    """The common displacement of the cones that an imported map states against the map's; None where their sigmas cover it.
-
-    Cones at equal distances fit a row farther along, or the same plan elsewhere, as well: only an irregular arrangement that fits
-    once, within what two surveys of the same cones differ by, is taken for the same cones.
-    """
-    if not stated or not features:
-        return None
-    t, f = xyz_of(stated), xyz_of(features)
-    covs = cov_matrices([one.cov_m2 for one in stated]), cov_matrices([one.cov_m2 for one in features])
-    pairs = _same_positions(_places(stated), _places(features), np.zeros(3), params)
-    if pairs:
-        i, j = list(pairs), list(pairs.values())
-        # Where most have no cone near them, those that do are others' neighbours: their heights alone are compared.
-        compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(_with_neighbours(t, f)) else (0.0, 0.0, 1.0)
-        common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
-        if common is not None:
-            return common
-    return _arranged_alike(stated, features, len(pairs), params, _LEAST_SAME)
-
-
-def far_displacement(
-    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
-) -> HealthCheck | None:
-    """The common displacement, beyond that which `contradiction` finds, of a drive's cones against the map's; None where there is
-    none, or too few cones tell.
-
-    features: the map's point objects within `FARTHEST_M` of the tracks. The fold compares only what a drive may have in view:
-    this is decided once, when the drive comes.
-    """
-    sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]
-    if (check := _beyond_a_cliff(sure, features)) is not None:
-        return check.model_copy(update={"name": "heights of another section"})
-    check = _standing_elsewhere(sure, features, params)
-    if check is None or check.value is None or check.value <= _NEAR_M:
-        return None
-    return check.model_copy(update={"name": "the same cones elsewhere"})
-
-
-def _beyond_a_cliff(tracks: Sequence[Track], features: Sequence[MapFeature]) -> HealthCheck | None:
-    """The height difference of a drive's cones against the map's nearest ones, where none of them can be on the same road: the
-    drive shows another section of it, in another height system."""
-    if not tracks or not features:
-        return None
-    t, f = xyz_of(tracks), xyz_of(features)
-    apart_m, nearest = cKDTree(f[:, :2]).query(t[:, :2])
-    near = apart_m <= _BESIDE_M
-    up_m = (t[:, 2] - f[nearest, 2])[near]
-    if not up_m.size or np.abs(up_m).min() < _CLIFF_M:
-        return None
-    covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
-    sigma_m = float(np.sqrt((covs[0] + covs[1][nearest])[near, 2, 2].max()))
-    return _higher(float(np.median(up_m)), sigma_m, len(up_m), "cones", "the nearest ones")
-
-
-def _standing_elsewhere(
-    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
-) -> HealthCheck | None:
-    """The displacement by the arrangement of enough cones alone, whatever row, also one along which no other cone is missing."""
-    if len(tracks) < _LEAST_SAME_OF_DRIVE or not features:
-        return None
-    found = len(_same_positions(_places(tracks), _places(features), np.zeros(3), params))
-    return _arranged_alike(tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
-
-
-def _of_other_classes(
-    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
-) -> HealthCheck | None:
-    """Whether most of the objects that stand where the map has one are of another class than there."""
-    t, f = _places(tracks), _places(features)
-    same = _same_positions(t, f, np.zeros(3), params)
-    others = np.setdiff1d(np.arange(len(t[0])), list(same)), np.setdiff1d(np.arange(len(f[0])), list(same.values()))
-    rows, columns = near_pairs(t[0][others[0], :2], f[0][others[1], :2], params.min_gate_m)
-    pairs = assign(rows, columns, np.hypot(*(t[0][others[0][rows]] - f[0][others[1][columns]])[:, :2].T))
-    if len(pairs) < _LEAST_PAIRS or len(pairs) <= len(same):
-        return None
-    changes = Counter((f[1][others[1][j]], t[1][others[0][i]]) for i, j in pairs.items())
-    (was, now), _ = max(changes.items(), key=lambda item: (item[1], item[0]))
-    detail = (
-        f"Of {len(pairs) + len(same)} objects that stand where the map has one, {len(pairs)} are of another class, such as {now} "
-        f"instead of {was}: the class names in the sidecar of the detector's model are in another order, or all were replaced."
-    )
-    return _held("classes", len(pairs), detail, limit=max(len(same), _LEAST_PAIRS - 1), unit="objects")
-
-
-def _with_neighbours(t: Floats, f: Floats) -> Ints:
-    """Which cones t (N, 3) have one of f (M, 3) within `FARTHEST_M`."""
-    return np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
-
-
-def _arranged_alike(
-    cones: Sequence[Track | MapFeature],
-    features: Sequence[MapFeature],
-    found: int,
-    params: ReconcileParams,
-    least_same: int,
-) -> HealthCheck | None:
-    """How far cones lie from those of the map that are arranged alike.
-
-    found: how many stand where one of the map stands, of which twice as many must fit elsewhere, at least least_same.
-    """
-    t, f = xyz_of(cones), xyz_of(features)
-    near = _with_neighbours(t, f)
-    some = near[:: 1 + len(near) // _MAX_TRACKS]
-    found_of_some = found * len(some) / max(len(near), 1)
-    least = max(least_same, _LEAST_SAME_SHARE * len(some), 2 * found_of_some + 1)
-    if least > len(some):
-        return None
-    spacing_m = np.asarray(cKDTree(t[near, :2]).query(t[some, :2], 2)[0])[:, 1]
-    if spacing_m.std() < 2 * _SAME_ZONE_M:
-        return None
-    fit = _best_fit(t[some, :2], f[:, :2], 2 * _SAME_ZONE_M, FARTHEST_M)
-    if fit is None or fit.agreeing < least or not fit.distinct or fit.residual_m > _SAME_ZONE_M:
-        return None
-    covs = cov_matrices([one.cov_m2 for one in cones]), cov_matrices([one.cov_m2 for one in features])
-    sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
-    limit_m = min(params.max_offset_m, _MAX_SIGMAS * sigma_m)
-    return _aside(fit.middle_m, sigma_m, "", limit_m) if fit.largest_m > limit_m else None
-
-
-def _places(objects: Sequence[Track | MapFeature]) -> _Places:
-    return xyz_of(objects), classes_of(objects)
-
-
-def _same_positions(tracks: _Places, features: _Places, shift_m: Floats, params: ReconcileParams) -> dict[int, int]:
-    """Which tracks, moved back by `shift_m` (3,), stand where features of the same class stand, whatever the heights."""
-    (t, t_classes), (f, f_classes) = tracks, features
-    rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
-    alike = t_classes[rows] == f_classes[columns]  # a sign may hang above a cone
-    rows, columns = rows[alike], columns[alike]
-    return assign(rows, columns, np.hypot(*(t[rows] - shift_m - f[columns])[:, :2].T))
-
-
-def _held(what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str) -> HealthCheck:
-    """A hold; its figures are rounded to what is meant, so that they are the same wherever they are computed again."""
-    value, limit = round(value, 3), round(float(limit), 3)
-    sigma = None if sigma is None else round(sigma, 3)
-    return hold(f"{AGREEMENT}: {what}", detail, value=value, sigma=sigma, limit=limit, unit=unit)
-
-
-def _mean_sigma_m(cov_m2: Floats) -> float:
-    """Of a (3, 3) covariance: the mean of both horizontal axes."""
-    return float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2))
-
-
-def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
-    """apart_m (K, 3): tracks less their features; cov_m2 (3, 3): of one difference."""
-    east, north, up = np.median(apart_m, axis=0).tolist()
-    higher = _higher(up, float(np.sqrt(cov_m2[2, 2])), len(apart_m), "cones", "the same cones")
-    if higher is not None:
-        return higher
-    offset = np.array([east, north])
-    chi2 = float(offset @ np.linalg.solve(cov_m2[:2, :2], offset))
-    if len(apart_m) >= _LEAST_PAIRS and chi2 > _MAX_SIGMAS**2 and hypot(east, north) > _LEAST_OFFSET_M:
-        sigma_m = _mean_sigma_m(cov_m2)
-        return _aside(hypot(east, north), sigma_m, "", max(_LEAST_OFFSET_M, _MAX_SIGMAS * sigma_m))
-    return None
-
-
-def _higher(up_m: float, sigma_m: float, count: int, what: str, those: str) -> HealthCheck | None:
-    """count: pairs that agree on a height difference."""
-    limit_m = max(_LEAST_OFFSET_M if count >= _LEAST_PAIRS else _GROSS_RISE_M, _MAX_SIGMAS * sigma_m)
-    if abs(up_m) <= limit_m:
-        return None
-    apart = f"{abs(up_m):.{1 if abs(up_m) >= 1 else 2}f} m {'higher' if up_m > 0 else 'lower'}"
-    detail = (
-        f"Its {what} lie {apart} than {those} of the map, at a stated {sigma_m:.2f} m: the heights refer to another datum "
-        "(ellipsoid or geoid), or the height of antenna or cameras is wrong."
-    )
-    return _held("heights", up_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
-
-
-def _aside(distance_m: float, sigma_m: float, turned: str, limit_m: float) -> HealthCheck:
-    detail = (
-        f"Its cones lie {distance_m:.1f} m from those of the map{turned}, at a stated {sigma_m:.2f} m: one of the two has a "
-        "wrong position, or all cones were moved alike. Check base station, datum and antenna offset of the drive."
-    )
-    return _held("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
-
-
-class _Fit(NamedTuple):
-    """A displacement of a whole drive after which its cones fit the map's."""
-
-    agreeing: int
-    residual_m: float
-    """Root mean square distance of the tracks that fit to their features, after the displacement."""
-    middle_m: float
-    """Median and largest displacement of the tracks."""
-    largest_m: float
-    turn: float
-    """Radians, counter-clockwise."""
-    beside: bool
-    """Whether the displaced row still lies along at least half of its length beside where it was."""
-    distinct: bool
-    """Whether no other displacement fits nearly as well, as along a row of equal distances."""
-
-
-def _best_fit(t: Floats, f: Floats, gate_m: float, within_m: float) -> _Fit | None:
-    """Of all displacements that put two tracks onto two features the one with which most tracks fit; of equals the smallest.
-
-    t (N, 2), f (M, 2): tracks and features; gate_m: of a fit; within_m: farthest displacement. Two tracks far from each other are
-    tried with all features at their distance.
-    """
-    along = np.linalg.svd(t - t.mean(axis=0), full_matrices=False)[2][0]
-    extent_m = float(np.ptp(t @ along))
-    tree = cKDTree(f)
-    tried: list[tuple[int, float, Floats, Floats, float]] = []
-    for i in range(0, len(t), 1 + len(t) // _STARTS):
-        lengths = np.hypot(*(t - t[i]).T)
-        j = int(np.argmax(np.where(lengths <= _LONGEST_BASE_M, lengths, 0.0)))
-        first, second = (np.array(tree.query_ball_point(t[k], within_m, return_sorted=True), np.intp) for k in (i, j))
-        first, second = (near[:: 1 + len(near) // _MAX_NEAR] for near in (first, second))
-        a, b = (grid.ravel() for grid in np.meshgrid(first, second))
-        base, others = t[j] - t[i], f[b] - f[a]
-        turns = np.arctan2(others[:, 1], others[:, 0]) - np.arctan2(base[1], base[0])
-        turns = (turns + np.pi) % (2 * np.pi) - np.pi
-        alike = np.abs(np.hypot(*others.T) - lengths[j]) <= _LENGTH_TOLERANCE_M
-        candidates = np.flatnonzero(alike & (np.abs(turns) <= _MAX_TURN) & (lengths[j] > 0))
-        for k in candidates[:: 1 + len(candidates) // _MAX_TRIED]:
-            rotation = Rotation.from_rotvec((0, 0, turns[k])).as_matrix()[:2, :2]
-            placed = (t - t[i]) @ rotation.T + f[a[k]]
-            agreeing = int(np.count_nonzero(tree.query(placed)[0] <= gate_m))
-            moved = placed - t
-            tried.append((agreeing, -float(np.hypot(*moved.T).mean()), moved.mean(axis=0), moved, float(-turns[k])))
-    if not tried:
-        return None
-    agreeing, _, mean, moved, turn = max(tried, key=lambda one: one[:2])
-    moved_m = np.hypot(*moved.T)
-    rivals = (other for other in tried if other[0] >= _RIVAL_SHARE * agreeing)
-    distinct = not any(float(np.hypot(*(other[2] - mean))) > _APART_GATES * gate_m for other in rivals)
-    beside = abs(float(np.median(moved @ along))) <= extent_m / 2
-    left_m = np.asarray(tree.query(t + moved)[0])
-    residual_m = float(np.sqrt(np.mean(left_m[left_m <= gate_m] ** 2)))
-    return _Fit(agreeing, residual_m, float(np.median(moved_m)), float(moved_m.max()), turn, beside, distinct)
-
-
 def _scattered(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthCheck | None:
     """Whether most of the objects that a drive shows are at other positions than the map's.
 
@@ -392,7 +90,7 @@ def _scattered(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthCh
         f"It would move {moved} of the {moved + stayed} {what} that it shows: its distances or poses are wrong (baseline, "
         f"alignment), or {otherwise}."
     )
-    return _held("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit=what)
+    return held("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit=what)
 
 
 def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | None:
@@ -416,7 +114,7 @@ def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | 
         f"{'cone' if seen == 1 else 'cones'}: were they cleared, or could its cameras not see them? Look at its images."
     )
     probability = 1.0 / (1.0 + exp(gone - blind))
-    return _held("removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them")
+    return held("removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them")
 
 
 def _displaced_markings(
@@ -432,31 +130,31 @@ def _displaced_markings(
     cov = map_cov[found.point] + found.at(drive.cov_m2)
     count = len(np.unique(on_map.line[found.point]))
     up = float(np.median((found.at(drive.lines.vertices_m) - on_map.vertices_m[found.point])[:, 2]))
-    higher = _higher(up, sqrt(cov[:, 2, 2].mean()), count, "lane markings", "those")
-    if higher is not None:
-        return higher
+    check = higher(up, sqrt(cov[:, 2, 2].mean()), count, "lane markings", "those")
+    if check is not None:
+        return check
     aside_m = float(np.hypot(*np.median(found.lateral_m[:, None] * on_map.normals[found.point], axis=0)))
     sigma_m = sqrt(float(cov[:, 0, 0].mean() + cov[:, 1, 1].mean()) / 2)
-    limit_m = max(_LEAST_OFFSET_M, _MAX_SIGMAS * sigma_m)
-    if count < _LEAST_PAIRS or aside_m <= limit_m:
+    limit_m = max(LEAST_OFFSET_M, MAX_SIGMAS * sigma_m)
+    if count < LEAST_PAIRS or aside_m <= limit_m:
         return None
     detail = (
         f"Its lane markings lie {aside_m:.2f} m beside those of the map, at a stated {sigma_m:.2f} m: one of the two has a wrong "
         "position, or the road was repainted. Check base station, datum and antenna offset of the drive."
     )
-    return _held("position", aside_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
+    return held("position", aside_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
 
 def _replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
     """Most stretches in view are gone: the drive is farther off and adds as many others, or it cannot see them."""
     stayed, moved = kinds[DeltaKind.CONFIRMED], kinds[DeltaKind.MOVED]
     added, removed = kinds[DeltaKind.ADDED], kinds[DeltaKind.REMOVED]
-    if min(removed, added) >= _LEAST_PAIRS and min(removed, added) + moved > stayed:
+    if min(removed, added) >= LEAST_PAIRS and min(removed, added) + moved > stayed:
         cause = "its position is wrong, or the road was repainted. Check base station, datum and antenna offset."
-    elif removed >= _LEAST_PAIRS and removed > stayed + moved + added:
+    elif removed >= LEAST_PAIRS and removed > stayed + moved + added:
         cause = "a lens was smeared or covered, or the paint is gone. Look at its images."
     else:
         return None
     detail = f"It would remove {removed} {_STRETCHES}, add {added} others and confirm {stayed}: {cause}"
-    limit = max(stayed, _LEAST_PAIRS - 1)
-    return _held("replaced", removed, detail, limit=limit, unit=_STRETCHES)
+    limit = max(stayed, LEAST_PAIRS - 1)
+    return held("replaced", removed, detail, limit=limit, unit=_STRETCHES)

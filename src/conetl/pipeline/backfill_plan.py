@@ -114,7 +114,7 @@ def plan_drives(
 
     once: what failed for good or crashed repeatedly is left alone until the drive changes (for schedules). recheck: drives whose
     header is known are compared by content as well. folders: drive folders, if they are known already. Raises InputError where
-    `since` is not before `until`, InputError where there is no `root`.
+    `since` is not before `until`, or there is no `root`.
     """
     if since is not None and until is not None and until <= since:
         raise InputError(

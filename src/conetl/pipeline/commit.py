@@ -26,7 +26,7 @@ from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.files.parquet_store import result_key
 from conetl.geometry.linear_reference import evenly_spread
 from conetl.geometry.packing import horizontal_sigma_m
-from conetl.mapping.agreement import FARTHEST_M, far_displacement
+from conetl.mapping.displacement import FARTHEST_M, far_displacement
 from conetl.model.base import utc_from_ns
 from conetl.model.detector_evidence import evidence_sha256
 from conetl.model.drive import Drive, DriveRecords

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.mapping.agreement import _blind, contradiction, far_displacement, imported_displacement
+from conetl.mapping.agreement import _blind, contradiction
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import Terms
+from conetl.mapping.displacement import far_displacement, imported_displacement
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
 from conetl.model.map_records import DeltaKind, MapFeature

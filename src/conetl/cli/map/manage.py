@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from conetl.cli.console import Columns, JsonOption, answer, at_a_question, counted, print_json, print_records, say
-from conetl.cli.database import open_map, with_maps
+from conetl.cli.database import open_map, require_maps
 from conetl.db.connection import transaction
 from conetl.db.map.archive import delete_map, list_maps, rename_map, restore_map
 from conetl.db.map.map_store import find_map, insert_map
@@ -34,7 +34,7 @@ MapArgument = Annotated[str, typer.Argument(metavar="NAME", help="Name of the ma
 
 def list_(as_json: JsonOption = False) -> None:
     """List the maps of the database."""
-    with open_maps(with_maps(read_settings())) as conn:
+    with open_maps(require_maps(read_settings())) as conn:
         found = list_maps(conn)
     if as_json:
         print_json(found)

@@ -21,7 +21,7 @@ from conetl.db.map.replay_store import affected_drives, superseded_drives
 from conetl.db.map.results import MapInfo, RunInfo
 from conetl.files.parquet_store import result_key
 from conetl.geometry.geodesy import to_crs
-from conetl.mapping.agreement import imported_displacement
+from conetl.mapping.displacement import imported_displacement
 from conetl.mapping.history import DriveEvidence
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError

@@ -88,7 +88,7 @@ def propose(root: Path, answers: Mapping[str, str], *, asks: bool = False) -> Pr
 
     asks: also questions that nobody has to answer.
 
-    Raises InputError where there is nothing to make a drive of, InputError for an answer that does not fit.
+    Raises InputError where there is nothing to make a drive of, or an answer does not fit.
     """
     proposal = Proposal([], [], {}, None)
     size = _add_images(root, answers, proposal)
