@@ -124,7 +124,7 @@ def _jumps() -> list[WrongRecording]:
         ),
         *(
             WrongRecording(
-                f"GNSS jumps {m:g} m within a second", spread_jump(m), cause="against the images|contradict", fast=m == 0.3
+                f"GNSS jumps {m:g} m within a second", spread_jump(m), cause="relative to the images|contradict", fast=m == 0.3
             )
             for m in (0.3, 1.0, 3.0)
         ),
@@ -134,7 +134,7 @@ def _jumps() -> list[WrongRecording]:
 
 
 def _logs() -> list[WrongRecording]:
-    drifts = {0.5: None, 1.0: r"drifts|distances -1\.5", 3.0: "drifts|contradict GNSS/INS"}
+    drifts = {0.5: None, 1.0: r"drifts|differ by -1\.5", 3.0: "drifts|contradict GNSS/INS"}
     return [
         *(WrongRecording(f"GNSS drifts {m:g} m", drift(m), cause=c, fast=m == 1.0) for m, c in drifts.items()),
         *(WrongRecording(f"heights drift {m:g} m", climbing(m), cause="up or down", fast=m == 0.4) for m in (0.4, 1.0)),
@@ -176,7 +176,7 @@ def _logs() -> list[WrongRecording]:
             WrongRecording(f"{name} of other sign", files=images.log(lambda p: [-p[0]], k, k + 1), cause="contradict GNSS/INS")
             for k, name in {3: "roll", 4: "pitch"}.items()
         ),
-        WrongRecording("heading from north", files=images.log(lambda p: [np.pi / 2 - p[0]], 5, 6), cause="away from where"),
+        WrongRecording("heading from north", files=images.log(lambda p: [np.pi / 2 - p[0]], 5, 6), cause="direction of its cam"),
         WrongRecording("poses in reverse", reversed_poses, cause="reverse order", fast=True),
         WrongRecording("GNSS frozen", frozen_place(), cause="is it frozen", fast=True),
         WrongRecording("GNSS frozen from the middle on", frozen_place(0.5), cause="GNSS/INS"),
@@ -200,7 +200,7 @@ def _rigs() -> list[WrongRecording]:
         ),
         *(
             WrongRecording(f"baseline {p:+g} %", baseline(1 + p / 100), cause=c, fast=p == 1.2)
-            for p, c in {-5: "baseline", -1.2: "baseline", 1.2: r"distances \+1\.[12].*baseline", 5: "baseline"}.items()
+            for p, c in {-5: "baseline", -1.2: "baseline", 1.2: r"differ by \+1\.[12].*baseline", 5: "baseline"}.items()
         ),
         *(WrongRecording(f"focal length {p:+d} %", lenses(1 + p / 100), cause="focal|[Cc]alibrat") for p in (-2, 2)),
         WrongRecording("principal point of the right camera 5 px", lenses(right_column_px=5.0), cause="[Cc]alibrat"),
@@ -244,7 +244,7 @@ def _rigs() -> list[WrongRecording]:
             for first, last in ((12, 26), (2, 9), (30, 38), (11, 17))
         ),
         *(
-            WrongRecording(f"{what} of another drive", images_of(SAMPLES[2], *ends), cause="go elsewhere")
+            WrongRecording(f"{what} of another drive", images_of(SAMPLES[2], *ends), cause="the images jump")
             for what, ends in {"10 image pairs": (15, 25), "last 10 image pairs": (29, 39)}.items()
         ),
     ]  # fmt: skip

@@ -167,7 +167,7 @@ def test_a_drive_with_images_of_another_one_counts_once_a_person_accepts_it(
     drive, _ = NAMED["10 image pairs of another drive"].read(FIRST, tmp_path)
     done = commit(analyse(drive, settings=settings), settings).report
     assert "images of one recording" in [check.name for check in done.health if check.verdict is Verdict.HOLD]
-    assert "go elsewhere" in str(done.on_hold)
+    assert "the images jump" in str(done.on_hold)
     with closing(connect(database_url)) as conn:
         assert not read_current_features(conn)
         accept_drive(conn, drive.drive_id, map_name="default")

@@ -90,12 +90,12 @@ def test_sigmas_of_poses_hold() -> None:
     [
         (0.5, [0, 2, 4], {1: (0.7, 0.7, 0.0)}, Verdict.WARN, "contradict them: P1 ("),
         (0.5, [0, 2, 4], {2: (0.0, 0.0, 0.5)}, Verdict.WARN, "contradict them: P2 ("),
-        (0.02, [0, 2, 3, 4], {1: (0.7, 0.7, 0.0)}, Verdict.WARN, "GNSS/INS is 0.5"),
-        (0.02, [0, 2, 3, 4], {}, Verdict.WARN, "sigmas of both), more than it states: one of the two"),
+        (0.02, [0, 2, 3, 4], {1: (0.7, 0.7, 0.0)}, Verdict.WARN, "GNSS/INS differs from them by 0.5"),
+        (0.02, [0, 2, 3, 4], {}, Verdict.WARN, "sigmas of both): one of the two"),
         (0.5, [0, 4], {1: (0.7, 0.7, 0.0)}, Verdict.HOLD, "contradict each other"),
         (0.02, [0, 2, 3, 4], dict.fromkeys(range(4), (0.4, 0.3, 0.9)), Verdict.HOLD, "in height only"),  # tips of cones
         (0.02, [0, 4], {}, Verdict.HOLD, "P0 (0.5"),  # two do not contradict a log
-        (0.5, [0, 4], dict.fromkeys(range(2), (500.0, 0.0, 0.0)), Verdict.WARN, "None of 2 control points"),
+        (0.5, [0, 4], dict.fromkeys(range(2), (500.0, 0.0, 0.0)), Verdict.WARN, "None of the 2 control points"),
     ],
 )
 def test_wrong_points_are_named_and_not_believed(

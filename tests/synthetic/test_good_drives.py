@@ -51,7 +51,7 @@ def test_motions_that_only_the_stated_heading_errors_turn_are_kept() -> None:
     """A heading that is off by half a degree, as stated, turns every measured motion to the side, by far more than its noise."""
     for seed in (135, 193):
         drive = draw_drive(np.random.default_rng(seed), turns=True)
-        assert "0 refused" in checked(drive)[0].detail
+        assert "0 rejected" in checked(drive)[0].detail
 
 
 def test_the_sigma_of_the_clock_counts_noisy_attitudes_and_gaps() -> None:

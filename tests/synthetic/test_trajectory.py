@@ -134,7 +134,7 @@ def test_one_wild_motion_is_refused(wild_m: float) -> None:
     truth, log, motions = drive(3)
     wild = [*motions[:25], shifted(motions[25], wild_m), *motions[26:]]
     result = refine_trajectory(log, RIG, wild, PARAMS)
-    assert "1 refused" in result.detail
+    assert "1 rejected" in result.detail
     clean = refine_trajectory(log, RIG, motions, PARAMS)
     assert slide(pose_errors(result.frame_pairs, truth)) < slide(pose_errors(clean.frame_pairs, truth)) + 0.15
 
@@ -154,7 +154,7 @@ def test_a_jump_of_the_log_is_not_blamed_on_the_images() -> None:
         for pair in log
     ]
     result = refine_trajectory(jumped, RIG, motions, PARAMS)
-    assert "0 refused" in result.detail
+    assert "0 rejected" in result.detail
 
 
 def test_a_lorry_that_fills_the_images_is_not_followed() -> None:
@@ -162,7 +162,7 @@ def test_a_lorry_that_fills_the_images_is_not_followed() -> None:
     truth, log, motions = drive(5)
     beside = [shifted(m, -0.6) if 20 <= k < 40 else m for k, m in enumerate(motions)]
     result = refine_trajectory(log, RIG, beside, PARAMS)
-    assert "20 refused" in result.detail
+    assert "20 rejected" in result.detail
     assert np.abs(pose_errors(result.frame_pairs, truth)[:, :3]).max() < 3 * 0.4 * 1.5
 
 

@@ -87,8 +87,8 @@ def _scattered(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthCh
     if moved < _LEAST_MOVED or moved <= stayed:
         return None
     detail = (
-        f"It would move {moved} of the {moved + stayed} {what} that it shows: its distances or poses are wrong (baseline, "
-        f"alignment), or {otherwise}."
+        f"The drive would move {moved} of the {moved + stayed} {what} that it shows: its distances or poses are wrong "
+        f"(baseline, alignment), or {otherwise}."
     )
     return held("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit=what)
 
@@ -110,8 +110,8 @@ def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | 
     if blind - gone <= log(_MAX_BLIND / (1 - _MAX_BLIND)):
         return None
     detail = (
-        f"It would remove {removed} of the {removed + stayed} cones in its view and shows {seen or 'no'} "
-        f"{'cone' if seen == 1 else 'cones'}: were they cleared, or could its cameras not see them? Look at its images."
+        f"The drive would remove {removed} of the {removed + stayed} cones in its view and shows {seen or 'no'} "
+        f"{'cone' if seen == 1 else 'cones'}: were they cleared, or could the cameras not see them? Check the images."
     )
     probability = 1.0 / (1.0 + exp(gone - blind))
     return held("removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them")
@@ -139,8 +139,8 @@ def _displaced_markings(
     if count < LEAST_PAIRS or aside_m <= limit_m:
         return None
     detail = (
-        f"Its lane markings lie {aside_m:.2f} m beside those of the map, at a stated {sigma_m:.2f} m: one of the two has a wrong "
-        "position, or the road was repainted. Check base station, datum and antenna offset of the drive."
+        f"Its lane markings are {aside_m:.2f} m beside those of the map, with a stated sigma of {sigma_m:.2f} m: one of the two "
+        "has a wrong position, or the road was repainted. Check base station, datum and antenna offset of the drive."
     )
     return held("position", aside_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
@@ -152,9 +152,9 @@ def _replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
     if min(removed, added) >= LEAST_PAIRS and min(removed, added) + moved > stayed:
         cause = "its position is wrong, or the road was repainted. Check base station, datum and antenna offset."
     elif removed >= LEAST_PAIRS and removed > stayed + moved + added:
-        cause = "a lens was smeared or covered, or the paint is gone. Look at its images."
+        cause = "a lens was smeared or covered, or the paint is gone. Check the images."
     else:
         return None
-    detail = f"It would remove {removed} {_STRETCHES}, add {added} others and confirm {stayed}: {cause}"
+    detail = f"The drive would remove {removed} {_STRETCHES}, add {added} others and confirm {stayed}: {cause}"
     limit = max(stayed, LEAST_PAIRS - 1)
     return held("replaced", removed, detail, limit=limit, unit=_STRETCHES)

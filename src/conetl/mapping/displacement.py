@@ -83,11 +83,11 @@ def displaced(
     sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     if fit.largest_m <= min(params.max_offset_m, MAX_SIGMAS * sigma_m):
         return None
-    turned = f" and turned by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= 0.1 else ""
+    turned = f" and rotated by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= 0.1 else ""
     if fit.largest_m <= MAX_SIGMAS * sigma_m:
         detail = (
-            f"Its cones lie {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
-            "to tell which cone is which: process its GNSS with corrections, or ingest it into a map of its own."
+            f"Its cones are {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
+            "to tell which cone is which: process its GNSS data with corrections, or ingest the drive into a separate map."
         )
         return held("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
     return _aside(fit.middle_m, sigma_m, turned, min(params.max_offset_m, MAX_SIGMAS * sigma_m))
@@ -174,8 +174,9 @@ def of_other_classes(
     changes = Counter((f[1][others[1][j]], t[1][others[0][i]]) for i, j in pairs.items())
     (was, now), _ = max(changes.items(), key=lambda item: (item[1], item[0]))
     detail = (
-        f"Of {len(pairs) + len(same)} objects that stand where the map has one, {len(pairs)} are of another class, such as {now} "
-        f"instead of {was}: the class names in the sidecar of the detector's model are in another order, or all were replaced."
+        f"Of {len(pairs) + len(same)} objects at the positions of objects on the map, {len(pairs)} have another class, such as "
+        f"{now} instead of {was}: the class names in the sidecar of the detector's model are in the wrong order, or all objects "
+        "were replaced."
     )
     return held("classes", len(pairs), detail, limit=max(len(same), LEAST_PAIRS - 1), unit="objects")
 
@@ -261,16 +262,17 @@ def higher(up_m: float, sigma_m: float, count: int, what: str, those: str) -> He
         return None
     apart = f"{abs(up_m):.{1 if abs(up_m) >= 1 else 2}f} m {'higher' if up_m > 0 else 'lower'}"
     detail = (
-        f"Its {what} lie {apart} than {those} of the map, at a stated {sigma_m:.2f} m: the heights refer to another datum "
-        "(ellipsoid or geoid), or the height of antenna or cameras is wrong."
+        f"Its {what} are {apart} than {those} of the map, with a stated sigma of {sigma_m:.2f} m: the heights refer to another "
+        "datum (ellipsoid or geoid), or the height of antenna or cameras is wrong."
     )
     return held("heights", up_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
 
 def _aside(distance_m: float, sigma_m: float, turned: str, limit_m: float) -> HealthCheck:
     detail = (
-        f"Its cones lie {distance_m:.1f} m from those of the map{turned}, at a stated {sigma_m:.2f} m: one of the two has a "
-        "wrong position, or all cones were moved alike. Check base station, datum and antenna offset of the drive."
+        f"Its cones are {distance_m:.1f} m from those of the map{turned}, with a stated sigma of {sigma_m:.2f} m: one of the two "
+        "has a wrong position, or all cones were moved by the same distance. Check base station, datum and antenna offset of the "
+        "drive."
     )
     return held("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 

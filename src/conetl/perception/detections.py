@@ -107,7 +107,7 @@ def with_detail(drive: Drive, details: Iterable[ImageDetail]) -> tuple[Drive, li
             reason=RejectionReason.IMAGE_WITHOUT_DETAIL,
             record=f"frame pair {pair.frame_index}",
             detail=f"the {least[pair.frame_index].side} image shows fine structure of {pair.detail:.1f} grey levels, at least "
-            f"{MIN_DETAIL:.0f} are needed to say that a cone is gone: look for a covered lens, darkness, fog, blur or "
+            f"{MIN_DETAIL:.0f} are needed to conclude that a cone is gone: check for a covered lens, darkness, fog, blur or "
             "strong compression",
             payload={"frame_index": pair.frame_index, "side": least[pair.frame_index].side, "detail": pair.detail},
         )

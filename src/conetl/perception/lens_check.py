@@ -26,7 +26,7 @@ _WINDOW_PX, _ROUNDS, _HUBER_SIGMAS, _LEAST_PX = 15, 10, 1.5, 0.05
 def check_distortion(pairs: Iterable[tuple[Image, Image, Floats, Floats]], camera: Camera, shrink: int) -> HealthCheck:
     """pairs: grey images of some frame pairs, `shrink` times smaller, and matched points (N, 2) px of the whole ones in both.
     camera: the right one."""
-    name, detail = "distortion of the lenses", "The images show too little to tell."
+    name, detail = "distortion of the lenses", "The images do not show enough for this check."
     points = np.concatenate([np.empty((0, 3)), *(_followed(*pair, shrink) for pair in pairs)])
     if len(points) < _MIN_POINTS:
         return hold_if(False, name, detail, value=None)
@@ -42,12 +42,12 @@ def check_distortion(pairs: Iterable[tuple[Image, Image, Floats, Floats]], camer
         weight = np.minimum(1.0, _HUBER_SIGMAS * spread / np.maximum(off, 1e-12)) * (off < 2 * _HUBER_SIGMAS * spread)
     k1 = float((inverse @ design.T @ (weight * rows))[-1])
     sigma = spread * float(inverse[-1, -1]) ** 0.5
-    limit, detail = max(_MOST, _SIGMAS * sigma), "Both lenses are as the calibration has them."
+    limit, detail = max(_MOST, _SIGMAS * sigma), "The distortion of both lenses agrees with the calibration."
     held = abs(k1) > limit
     if held:
         detail = (
-            f"The right images are distorted by k1 {k1:+.3f} +- {sigma:.3f} against the left ones, beyond the calibration: its "
-            "lens parameters are wrong, or of another rig. Calibrate the rig (conetl calibrate)."
+            f"The right images are distorted by k1 {k1:+.3f} +- {sigma:.3f} relative to the left ones, which the calibration "
+            "does not explain: its lens parameters are wrong, or belong to another rig. Calibrate the rig (conetl calibrate)."
         )
     return hold_if(held, name, detail, value=k1, sigma=sigma, limit=limit)
 

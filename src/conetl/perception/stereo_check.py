@@ -95,9 +95,9 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     wrong = int((near[:, 0] < -_SHRINK).sum())
     if len(near) >= _MIN_MATCHES and wrong > _WRONG_SHARE * len(near):
         raise DriveFolderError(
-            f"{drive.source_path}: the images are swapped, mirrored or upside down: of {len(near)} points in both images "
+            f"{drive.source_path}: the images are swapped, mirrored or upside down: of {len(near)} points in both images, "
             f"{wrong} lie farther right in the right image. Exchange left and right in drive.yaml (`images` of videos and "
-            "image folders, `cameras` of KITTI drives), or turn the images."
+            "image folders, `cameras` of KITTI drives), or rotate the images."
         )
     rows = _rows_of_one_scene(found)
     trigger = _check_trigger(drive.frame_pairs, chosen, offsets)
@@ -123,15 +123,15 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     )
     if abs(off_px) > _CORRECTED_ROWS_PX:
         detail = (
-            f"The right images lie {off_px:+.1f} +- {sigma_px:.1f} px lower than the left ones, too far to be corrected. See "
+            f"The right images lie {off_px:+.1f} +- {sigma_px:.1f} px lower than the left ones, too far to be corrected. Check "
             "whether they were cropped, or recalibrate the rig (conetl calibrate)."
         )
         return drive, [*checks, judged(verdict=Verdict.HOLD, detail=detail)]
     if abs(off_px) <= _FINE_ROWS_PX:
-        return drive, [*checks, judged(verdict=Verdict.PASS, detail="Both images have the same rows.")]
+        return drive, [*checks, judged(verdict=Verdict.PASS, detail="The rows of both images match.")]
     detail = (
-        f"The right images lie {off_px:+.1f} +- {sigma_px:.1f} px lower than the left ones: the right camera was turned by that. "
-        "Recalibrate the rig (conetl calibrate), or see whether the images were cropped."
+        f"The right images lie {off_px:+.1f} +- {sigma_px:.1f} px lower than the left ones: the right camera has rotated. "
+        "Recalibrate the rig (conetl calibrate), or check whether the images were cropped."
     )
     turned = right_camera_turned(drive.rig, np.array([off_px / drive.rig.right.fy_px, 0.0, 0.0]))
     return drive.model_copy(update={"rig": turned}), [*checks, judged(verdict=Verdict.CORRECTED, detail=detail)]
@@ -191,14 +191,14 @@ def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck
     known = {side: share for side, share in shares.items() if share is not None}
     blank = [side for side, share in known.items() if share > _MAX_BLANK_SHARE]
     worst = max(known.values(), default=None)
-    detail = "All parts of the images show the road."
+    detail = "No part of a lens is covered."
     if None in shares.values():
-        detail = "The images show too little to tell."
+        detail = "The images do not show enough for this check."
     if blank and worst is not None:
         detail = (
-            f"In {worst:.0%} of the lower half of the {' and '.join(blank)} images nothing is to be seen, and the rest is sharp: "
-            "the lens is covered in part or dazzled, and cones there would seem to be gone. Clean it; accept the drive where the "
-            "vehicle itself is in view there."
+            f"{worst:.0%} of the lower half of the {' and '.join(blank)} images is blank, although the rest is sharp: the lens "
+            "is covered in part or dazzled, and the drive would remove cones there. Clean the lens. If the vehicle itself is in "
+            "view there, accept the drive."
         )
     return hold_if(blank, "covered parts of the lenses", detail, value=worst, limit=_MAX_BLANK_SHARE)
 
@@ -247,7 +247,7 @@ def _check_sharpness(unclear: UnclearSquares | None, drive: Drive) -> HealthChec
     if blurred:
         detail = (
             f"{max(shares.values()):.0%} of the lower half of the {' and '.join(blurred)} images is blurred: a lens is smeared "
-            "or wet. What is not found there does not count as gone. Clean the lens."
+            "or wet. A cone that is not found there does not count as gone. Clean the lens."
         )
     return HealthCheck(
         name="blurred parts of the lenses", verdict=Verdict.WARN if blurred else Verdict.PASS, value=max(shares.values()),
@@ -269,9 +269,9 @@ def _check_trigger(
     if len(chosen) > 1 and not _is_fitting(offsets(chosen[-1:], 0)):
         parts.append([max(chosen[-1] - 2, 0), chosen[-1]])  # one pair may look wrong by chance
     fitting, lag = len(_rows_of_one_scene(offsets(chosen, 0))), 0
-    detail = "Left and right images are of the same instants."
+    detail = "Left and right images were taken at the same time."
     if fitting < _MIN_MATCHES:
-        detail = "The images show too little to tell."
+        detail = "The images do not show enough for this check."
     for part in parts:
         found = offsets(part, 0)
         own = len(_rows_of_one_scene(found))
@@ -288,7 +288,7 @@ def _check_trigger(
             where = f" in frame pairs {first} to {last}" if in_part else ""
             detail = (
                 f"The right images{where} belong to left images {abs(lag)} frames {'earlier' if lag > 0 else 'later'}: {best} "
-                f"points fit, {own} as delivered. Correct the numbers of the images or the trigger."
+                f"points match, but only {own} as delivered. Correct the image numbers or the trigger."
             )
             break
     value = float(lag) if lag or fitting >= _MIN_MATCHES else None
@@ -307,9 +307,9 @@ def _check_columns(columns: Floats) -> HealthCheck:
     detail = "No point lies farther right in the right image."
     if share > _MAX_BEYOND_SHARE:
         detail = (
-            f"{share:.0%} of the points lie up to {-np.quantile(columns, 0.01):.0f} px farther right in the right image, where "
-            "not even the horizon may: the right images are shifted sideways, or the calibration is of another rig. See whether "
-            "the images were cropped, or calibrate the rig (conetl calibrate)."
+            f"{share:.0%} of the points lie up to {-np.quantile(columns, 0.01):.0f} px farther right in the right image, which "
+            "is impossible even on the horizon: the right images are shifted sideways, or the calibration belongs to another "
+            "rig. Check whether the images were cropped, or calibrate the rig (conetl calibrate)."
         )
     held = share > _MAX_BEYOND_SHARE
     return hold_if(held, "columns of the right images", detail, value=share, limit=_MAX_BEYOND_SHARE)

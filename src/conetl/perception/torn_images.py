@@ -122,14 +122,14 @@ def check_torn(torn: Sequence[TornImage], drive: Drive) -> tuple[HealthCheck, li
     first = {one.pair.frame_index: one for one in reversed(torn)}
     rejections = [_rejection(first[frame]) for frame in sorted(first)]
     share = len(first) / len(drive.frame_pairs)
-    detail = "No image shows two instants."
+    detail = "No image is torn."
     if rejections:
-        detail = f"{len(rejections)} of {len(drive.frame_pairs)} frame pairs were torn and are left out. {_WHAT_TO_DO}"
+        detail = f"{len(rejections)} of {len(drive.frame_pairs)} frame pairs were torn and are not used. {_WHAT_TO_DO}"
     if share > _MAX_TORN_SHARE:
         detail = (
-            f"{len(rejections)} of {len(drive.frame_pairs)} frame pairs are torn: below a row an image shows the instant of the "
-            f"pair before, first in {rejections[0].record} from about row {rejections[0].payload['row_px']} on; others may be "
-            f"torn without showing it. {_WHAT_TO_DO}"
+            f"{len(rejections)} of {len(drive.frame_pairs)} frame pairs are torn: below some row an image shows the previous "
+            f"frame, first in {rejections[0].record} from about row {rejections[0].payload['row_px']} on. Other images may be "
+            f"torn too. {_WHAT_TO_DO}"
         )
     return hold_if(share > _MAX_TORN_SHARE, "torn images", detail, value=share, limit=_MAX_TORN_SHARE), rejections
 
@@ -140,8 +140,8 @@ def _rejection(torn: TornImage) -> Rejection:
         step="detections",
         reason=RejectionReason.IMAGE_TORN,
         record=f"frame pair {frame}",
-        detail=f"{Path(path).name}: from about row {torn.row_px} on the {torn.side} image shows the instant of the frame pair "
-        "before: it is torn. Check the recorder and its connection",
+        detail=f"{Path(path).name}: from about row {torn.row_px} on, the {torn.side} image shows the previous frame: it is torn. "
+        "Check the recorder and its connection",
         payload={"frame_index": frame, "side": torn.side, "path": path, "row_px": torn.row_px},
     )
 
@@ -155,8 +155,8 @@ def check_seams(images: dict[Side, list[Image]], others: Callable[[Side], list[I
     if torn:
         rows = " and ".join(f"row {row} of the {side} images" for side, row in torn.items())
         detail = (
-            f"The images are torn at {rows}: what is below is of another instant, usually that of the image before, and cones "
-            f"there would be placed one interval's travel off. {_WHAT_TO_DO}"
+            f"The images are torn at {rows}: the part below was taken at another time, usually that of the previous image, and "
+            f"cones there would be wrong by the distance driven in between. {_WHAT_TO_DO}"
         )
     value = max((size for size, _ in known.values()), default=None)
     return hold_if(torn, "seams in the images", detail, value=value, limit=_LEAST_MEAN_SEAM)

@@ -202,17 +202,17 @@ def _motion(rig: Rig, pairs: Sequence[FramePair]) -> _Motion | None:
 
 def _contradiction(other_id: str, off_m: float) -> HealthCheck:
     detail = (
-        f"It and drive {other_id}, recorded right before or after it by the same cameras, lie {off_m:.1f} m apart where one "
-        "continues the other: GNSS/INS jumps there, and which of them is right is unknown. Reprocess the GNSS/INS log and "
-        "deliver the wrong one again, or accept the one that is right. If two vehicles made them, give the rig of one a rig_id "
-        "of its own in its drive.yaml (rig_id: NAME), and ingest that drive again."
+        f"This drive and drive {other_id}, recorded right before or after it by the same cameras, are {off_m:.1f} m apart where "
+        "one continues the other: GNSS/INS jumps there, and conetl cannot tell which of them is correct. Reprocess the GNSS/INS "
+        "log and deliver the wrong drive again, or accept the correct one. If they were recorded by two vehicles, give the rig "
+        "of one a separate rig_id in its drive.yaml (rig_id: NAME), and ingest that drive again."
     )
     return hold(ADJOINING, detail, value=round(off_m, 3), limit=_JUMP_M, unit="m")
 
 
 def _continuation(other_id: str) -> HealthCheck:
     detail = (
-        f"It continues drive {other_id}, which is on hold because GNSS/INS jumps between it and another drive: it has the same "
-        "position error, if there is one. It counts as soon as that drive does."
+        f"This drive continues drive {other_id}, which is on hold because GNSS/INS jumps between it and another drive. If that "
+        "drive has a position error, this one has it too. conetl uses this drive as soon as it uses that one."
     )
     return hold(ADJOINING, detail, value=None)

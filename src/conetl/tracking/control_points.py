@@ -296,10 +296,10 @@ def _check(points: Sequence[SurveyedPoint], tie: _Tie, log: _Log | None) -> Heal
     if not used and not wrong:
         return _none_near(len(points))
     if (wrong and (used < 2 or used <= wrong)) or (log is not None and used < _LEAST_AGREEING):
-        agreeing = f" {', '.join(points[k].name for k in tie.cone_of)} alone fit." if used else ""
+        agreeing = f" Only {', '.join(points[k].name for k in tie.cone_of)} fit." if used else ""
         return _unused(
             f"The control points contradict each other or GNSS/INS: {named}.{agreeing} Check the points, their datum and that of "
-            f"GNSS/INS, or survey more: {_LEAST_AGREEING} that agree are believed.",
+            f"GNSS/INS, or survey more: {_LEAST_AGREEING} points must agree.",
             Verdict.HOLD,
         )
     if tie.ambiguous:
@@ -309,26 +309,28 @@ def _check(points: Sequence[SurveyedPoint], tie: _Tie, log: _Log | None) -> Heal
             if np.linalg.norm(np.subtract(one.xyz_m, other.xyz_m)) < _SAME_M
         ]
         advice = (
-            f"one cone is surveyed twice ({', '.join(twins)}): keep one point of it" if twins else "survey more of them"
+            f"one cone is surveyed twice ({', '.join(twins)}): keep one of the points"
+            if twins
+            else "survey more points"
         )
-        return _unused(f"The {count} fit to the cones in more than one way: {advice}.")
-    detail = f"{used} of {count} have a cone and agree: the poses are adjusted to them."
+        return _unused(f"The {count} match the cones in more than one way: {advice}.")
+    detail = f"{used} of {count} match a cone and agree: the poses are adjusted to them."
     verdict = Verdict.WARN if wrong else Verdict.PASS
     if log is not None:
         mean_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
         both_m = np.hypot(log.stated_m, np.mean([points[i].sigma_m for i in tie.cone_of], axis=0))
         sigmas = float(np.abs(mean_m / both_m).max())
-        off = f"{np.linalg.norm(mean_m):.2f} m off them"
+        off = f"{np.linalg.norm(mean_m):.2f} m"
         if np.hypot(*mean_m[:2]) < _SAME_PLAN_M:
             verdict, off = Verdict.HOLD, f"{off} in height only"
             advice = "were feet surveyed, not tips, with the right pole and height system? If so, accept the drive"
         elif (log.drift_m < _DRIFT_SIGMAS * both_m).all():
             verdict, off = Verdict.WARN, f"{off}, all along the drive"
-            advice = "one of the two is wrong, and the map takes the points. Check datum and base station of both"
+            advice = "one of the two is wrong, and the map uses the points. Check datum and base station of both"
         else:
             verdict = Verdict.WARN if wrong else Verdict.CORRECTED
             advice = "it drifts, or jumps: check its log"
-        detail += f" GNSS/INS is {off} ({sigmas:.0f} sigmas of both), more than it states: {advice}."
+        detail += f" GNSS/INS differs from them by {off} ({sigmas:.0f} sigmas of both): {advice}."
     if wrong:
         detail += f" Not used, because the others contradict them: {named}."
     return HealthCheck(name=NAME, verdict=verdict, value=float(used), detail=detail)
@@ -339,4 +341,4 @@ def _unused(detail: str, verdict: Verdict = Verdict.WARN) -> HealthCheck:
 
 
 def _none_near(count: int) -> HealthCheck:
-    return _unused(f"None of {count} control points has a cone near it: is their crs or height system another?")
+    return _unused(f"None of the {count} control points is near a cone: check their CRS and height system.")

@@ -122,7 +122,7 @@ def self_calibrate(
         return _without_estimate(f"{len(points)} spans of the drive could be compared, at least {needed} are needed")
     estimate = estimate_right_camera(cameras_of(rig), points, params)
     if estimate is None:
-        return _without_estimate("too few points stand still, or they are all far away")
+        return _without_estimate("too few points are stationary, or all of them are far away")
     unit_px = _pixels_per_unit(rig)
     cov = estimate.cov + np.diag(_floor(rig, params) ** 2)
     _, prior, by_parameter = _prior(rig, params)
@@ -144,15 +144,15 @@ def self_calibrate(
     bend_text = f", its columns are bent by {found[3] * unit_px[3]:+.2f} px at the sides" if found[3] else ""
     left_px = float(np.sqrt(posterior[1, 1]) * unit_px[1])
     detail = (
-        f"the right camera had turned by {abs(rotation[1]) * 1e3:.2f} mrad sideways and {abs(rotation[0]) * 1e3:.2f} mrad up or "
-        f"down{bend_text}: disparities were {off}, and are now good to {left_px:.2f} px"
+        f"the right camera has rotated by {abs(rotation[1]) * 1e3:.2f} mrad sideways and {abs(rotation[0]) * 1e3:.2f} mrad up or "
+        f"down{bend_text}: disparities were {off}, and are now accurate to {left_px:.2f} px"
     )
     if not worth.any():
         outcome = SelfCalibrationOutcome.INSIGNIFICANT
-        detail = f"kept as given, the drive agrees with it ({figures})"
+        detail = f"kept as given; the drive agrees with it ({figures})"
     elif prior_chi2 > params.self_calibration_max_chi2:
         outcome = SelfCalibrationOutcome.IMPLAUSIBLE
-        detail = f"kept as given, it would have to be off by {prior_chi2**0.5:.1f} of its sigmas ({figures})"
+        detail = f"kept as given; it would have to be wrong by {prior_chi2**0.5:.1f} of its sigmas ({figures})"
     return SelfCalibration(
         outcome=outcome, detail=detail, rotation_rad=vec3(found[:3]), bend=float(found[3]),
         cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(estimate.model_gap.tolist()), span_count=len(points),

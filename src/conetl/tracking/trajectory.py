@@ -144,7 +144,7 @@ def refine_trajectory(
     if worst > params.max_shift_chi2:
         detail = (
             f"visual odometry would move a pose by {worst**0.5:.1f} of its stated sigmas, more than "
-            f"{params.max_shift_chi2**0.5:.1f}; the stated accuracy of GNSS/INS or the calibration is too good to be true"
+            f"{params.max_shift_chi2**0.5:.1f}; the stated sigmas of GNSS/INS or of the calibration are too small"
         )
         return as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail)
     cov = chain_solver.covariance(normal)
@@ -160,7 +160,7 @@ def refine_trajectory(
     ]
     pairs = tuple(pair.model_copy(update={"pose": pose}) for pair, pose in zip(frame_pairs, poses, strict=True))
     detail = (
-        f"{len(good)} of {len(frame_pairs) - 1} intervals measured, {int((~good).sum())} refused; "
+        f"{len(good)} of {len(frame_pairs) - 1} intervals measured, {int((~good).sum())} rejected; "
         f"poses moved by up to {np.linalg.norm(shift, axis=1).max():.2f} m and {np.degrees(np.abs(turn).max()):.2f} degrees"
     )
     map_SE3_left = se3.compose(se3.se3(rotations, places), log.body_SE3_left)

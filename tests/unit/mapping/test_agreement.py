@@ -81,8 +81,8 @@ def turned(places: Floats, degrees: float, about: tuple[float, float] = (-30.0, 
         (ZONE + np.array((0.2, 0.3, 0)), "0.4 m from those of the map"),
         (ZONE + np.array((0, 3.0, 0)), "3.0 m from those of the map"),
         (ZONE[:6] + np.array((10.0, 2.0, 0)), "m from those of the map"),
-        (turned(ZONE, 3.0), "turned by +3.0 degrees"),
-        (turned(ZONE, -1.5), "turned by -1.5 degrees"),
+        (turned(ZONE, 3.0), "rotated by +3.0 degrees"),
+        (turned(ZONE, -1.5), "rotated by -1.5 degrees"),
         (ZONE + np.array((0, 50.0, 0)), "50.0 m from those of the map"),
         (ZONE[:0], "remove 9 of the 9 cones in its view and shows no cones"),
         (ZONE[:1], "remove 8 of the 9 cones in its view and shows 1 cone"),
@@ -193,7 +193,7 @@ def test_a_drive_whose_classes_are_others_is_one_finding(renamed: int, found: bo
     tracks = [one.model_copy(update={"category": "drum"}) for one in tracks[:renamed]] + tracks[renamed:]
     for drive in (tracks, tracks[::-1]):
         check = contradiction(drive, features_at(ZONE), [], PARAMS)
-        said = f"{renamed} are of another class, such as drum instead of traffic_cone"
+        said = f"{renamed} have another class, such as drum instead of traffic_cone"
         assert (check is not None and said in check.detail) == found
 
 

@@ -24,9 +24,9 @@ def test_an_offset_within_what_was_known_is_no_fault(known_s: float, advice: str
         (
             0.031,
             ClockOffset(-0.036, 0.001),
-            "The beginning of the images is known to 31 ms only, and the poses say it is -36 ",
+            "The beginning of the images is only known to 31 ms, and the poses show that it is off by -36 ",
         ),
-        (0.031, None, "The beginning of the images is known to 31 ms only: state it in drive.yaml"),
+        (0.031, None, "The beginning of the images is only known to 31 ms: state it in drive.yaml"),
         (0.001, ClockOffset(-0.036, 0.001), "18 of 153 motions"),
     ],
 )

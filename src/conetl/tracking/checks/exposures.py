@@ -82,16 +82,16 @@ def check_exposures(ahead: tuple[float, ...], rig: Rig, frame_pairs: Sequence[Fr
     baseline_m = float(np.linalg.norm(left_SE3_right(rig)[:3, 3]))
     off_m, sigma_m, limit_m = baseline_m * np.array([*ahead, _MAX_AHEAD])
     wrong = abs(off_m) > max(limit_m, _SIGMAS * sigma_m)
-    detail = "The right camera stands where the calibration has it."
+    detail = "The position of the right camera agrees with the calibration."
     if wrong:
         path = np.array([pair.pose.map_t_body_m for pair in frame_pairs])
         seconds = np.diff([pair.captured_at_ns for pair in frame_pairs]) / 1e9
         speed_m_s = max(median(np.linalg.norm(np.diff(path, axis=0), axis=1) / seconds), 1e-3)
         detail = (
-            f"The right camera stands {abs(off_m):.3f} +- {sigma_m:.3f} m {'before' if off_m > 0 else 'behind'} its place by the "
-            f"calibration: at {speed_m_s:.1f} m/s it exposes {abs(off_m) / speed_m_s * 1e3:.1f} ms too "
-            f"{'late' if off_m > 0 else 'early'}. Trigger both cameras together; if they are, see whether both record brightness "
-            "alike (gamma, contrast: another curve looks the same), or calibrate the rig (conetl calibrate)."
+            f"The right camera is {abs(off_m):.3f} +- {sigma_m:.3f} m {'ahead of' if off_m > 0 else 'behind'} its calibrated "
+            f"position: at {speed_m_s:.1f} m/s it exposes {abs(off_m) / speed_m_s * 1e3:.1f} ms too "
+            f"{'late' if off_m > 0 else 'early'}. Trigger both cameras together. If they are, check that both have the same "
+            "brightness curve (gamma, contrast; a different one has the same effect), or calibrate the rig (conetl calibrate)."
         )
     return [hold_if(wrong, EXPOSURES, detail, value=off_m, sigma=sigma_m, limit=limit_m, unit="m")]
 
@@ -117,12 +117,12 @@ def check_doubled(tracks: Sequence[Track], frame_pairs: Sequence[FramePair]) -> 
     ends = Counter(chain.from_iterable(following))
     pairs = sum(ends[i] == ends[j] == 1 for i, j in following)
     wrong = pairs >= _LEAST_PAIRS and 2 * pairs >= _PAIRED_SHARE * len(tracks)
-    detail = "Objects do not stand in pairs one interval's travel apart."
+    detail = "No objects appear twice."
     if wrong:
         detail = (
-            f"{2 * pairs} of {len(tracks)} objects stand in pairs one interval's travel apart: each image shows two instants, as "
-            "interlaced video does, or frames that were blended when the frame rate was converted. Deinterlace the video, or "
-            "export it at its own frame rate."
+            f"{2 * pairs} of {len(tracks)} objects form pairs at the distance driven in one interval: each image shows two "
+            "instants, because the video is interlaced, or because frames were blended when the frame rate was converted. "
+            "Deinterlace the video, or export it at its original frame rate."
         )
     share = 2 * pairs / len(tracks) if tracks else None
     return hold_if(wrong, DOUBLED, detail, value=share, limit=_PAIRED_SHARE)
@@ -160,12 +160,11 @@ def check_lost_frames(
             for factor in (2.0, 0.5)
         )
     ]
-    detail = "No frame is lost or repeated by both cameras."
+    detail = "No frame was lost or repeated by both cameras."
     if found:
         detail = (
             f"Both cameras lost a frame or repeated one before frame pair {found[0]}: there the images move twice or half as far "
-            "as GNSS/INS, and all later ones are of other poses than their numbers say. Correct the numbers or time stamps of "
-            "the images."
+            "as GNSS/INS, so all later images have wrong poses. Correct the numbers or time stamps of the images."
         )
     return hold_if(found, "frames lost by both cameras", detail, value=float(len(found)), limit=0.0)
 

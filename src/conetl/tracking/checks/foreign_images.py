@@ -58,12 +58,12 @@ def check_recording(
         for k in evenly_spread(suspected.tolist(), _MOST_TRIED)
         if _goes_elsewhere(k, off_m[k], pairs, rig, read, params)
     ]
-    detail = "The images go where GNSS/INS goes."
+    detail = "Images and GNSS/INS show the same path."
     if found:
         detail = (
-            f"After frame pair {' and '.join(map(str, found))} the images go elsewhere and GNSS/INS does not, while both agree "
-            "before and after: images of another recording are among those of this one, or frames were lost. Check names and "
-            "numbers of the images."
+            f"After frame pair {' and '.join(map(str, found))} the images jump and GNSS/INS does not, while both agree before "
+            "and after: images of another recording are mixed with these, or frames were lost. Check the names and numbers of "
+            "the images."
         )
     return hold_if(found, "images of one recording", detail, value=float(len(found)), limit=0.0)
 

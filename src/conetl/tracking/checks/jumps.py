@@ -55,9 +55,9 @@ def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMo
     if worst_m:
         first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
         detail = (
-            f"GNSS/INS jumps by {worst_m:.1f} m between frame pairs {first} and {second}, and the images do not: which side is "
-            "right is unknown. Reprocess the GNSS/INS log; do not deliver the parts as drives of their own, unless something "
-            "else shows that their positions are right."
+            f"GNSS/INS jumps by {worst_m:.1f} m between frame pairs {first} and {second}, but the images do not. conetl cannot "
+            "tell which side is correct. Reprocess the GNSS/INS log. Do not split the recording into two drives, unless you know "
+            "that their positions are correct."
         )
     return hold_if(worst_m, JUMPS, detail, value=worst_m, limit=_LEAST_M, unit="m")
 
@@ -94,11 +94,12 @@ def check_slow_jumps(
         if ratio[k, axis] > worst:
             worst, value_m, limit_m = float(ratio[k, axis]), float(abs(moved_m[k, axis])), float(limits_m[k, axis])
             frames = frame_pairs[k].frame_index, frame_pairs[k + span].frame_index
-    detail = "GNSS/INS moves as the images do over some intervals."
+    detail = "Over several intervals, GNSS/INS and images show the same motion."
     if value_m:
         detail = (
-            f"GNSS/INS moves by {value_m:.1f} m against the images between frame pairs {frames[0]} and {frames[1]}, more than "
-            "its stated sigmas allow: a jump that its filter has spread. Reprocess the GNSS/INS log, or state its true sigmas."
+            f"GNSS/INS moves by {value_m:.1f} m relative to the images between frame pairs {frames[0]} and {frames[1]}, more "
+            "than its stated sigmas allow: probably a jump that its filter has smoothed. Reprocess the GNSS/INS log, or state "
+            "its true sigmas."
         )
     return hold_if(value_m, "slow jumps of the poses", detail, value=value_m, limit=limit_m, unit="m")
 
@@ -139,8 +140,8 @@ def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: Measu
     if worst:
         frames = frame_pairs[first].frame_index, frame_pairs[first + 1].frame_index
         detail = (
-            f"GNSS/INS turns by {np.degrees(worst):.1f} degrees between frame pairs {frames[0]} and {frames[1]}, and the images "
-            "do not: the attitudes on one side are wrong. Reprocess the GNSS/INS log."
+            f"GNSS/INS turns by {np.degrees(worst):.1f} degrees between frame pairs {frames[0]} and {frames[1]}, but the images "
+            "do not: the attitudes before or after it are wrong. Reprocess the GNSS/INS log."
         )
     value, limit_deg = np.degrees([worst, _TURN_RAD]).tolist()
     return hold_if(worst, "jumps of the attitude", detail, value=value, limit=limit_deg, unit="degrees")

@@ -79,14 +79,14 @@ def _check_heights(log: LoggedPoses, measured: MeasuredMotions, by: Floats, resi
     factor, sigma = 1 + float(fit.solution[0]), float(np.hypot(np.linalg.inv(fit.normal)[0, 0] ** 0.5, wrong))
     limit = max(_LEAST_HEIGHTS, _HEIGHTS_SIGMAS * sigma)
     held = abs(factor - 1) > limit
-    detail = "The vehicle climbs by GNSS/INS as in the images, or too little to tell."
+    detail = "GNSS/INS and images show the same climbs, or the road is too level for this check."
     if held:
         likely = {1 / _FOOT_M: "they are in feet", _FOOT_M: "they were converted from feet twice"}
         named = (cause for times, cause in likely.items() if abs(factor / times - 1) < _SAME_FACTOR)
         cause = "their sign is wrong" if factor < 0 else next(named, "they have another unit or are filtered")
         detail = (
-            f"By GNSS/INS the vehicle climbs {factor:.2f} +- {sigma:.2f} times what it does in the images: are its heights "
-            f"right? Perhaps {cause}."
+            f"In GNSS/INS the vehicle climbs {factor:.2f} +- {sigma:.2f} times as much as in the images. Check the heights of "
+            f"the log: perhaps {cause}."
         )
     factor, sigma, limit = np.round([factor, sigma, limit], 3).tolist()
     return hold_if(held, "heights of GNSS/INS", detail, value=factor, sigma=sigma, limit=limit)
@@ -104,12 +104,12 @@ def _check_stretch(residual: Floats, by: Floats, turns: Floats) -> HealthCheck:
     share, sigma = min(found, key=lambda one: abs(one[0]) / one[1])
     least = min(abs(one) for one, _ in found) if found[0][0] * found[1][0] > 0 else 0.0
     warned = least > _LEAST_STRETCH and abs(share) > _STRETCH_SIGMAS * sigma
-    detail = "The vehicle pitches in the images as by GNSS/INS."
+    detail = "Images and GNSS/INS show the same pitch of the vehicle."
     if warned:
         detail = (
-            f"The images show the vehicle pitching {100 * share:+.0f} +- {100 * sigma:.0f} % more than GNSS/INS: they were "
-            "stretched vertically (a video of another aspect ratio?), or fy of the calibration is wrong, and heights against the "
-            "cameras are wrong by that share. Deliver the images as they were recorded, or calibrate the rig (conetl calibrate)."
+            f"In the images the vehicle pitches {100 * share:+.0f} +- {100 * sigma:.0f} % more than in GNSS/INS: they were "
+            "stretched vertically (wrong aspect ratio of the video?), or fy of the calibration is wrong. Heights relative to the "
+            "cameras are wrong by the same percentage. Deliver the original images, or calibrate the rig (conetl calibrate)."
         )
     return HealthCheck(
         name="aspect ratio of the images", verdict=Verdict.WARN if warned else Verdict.PASS, value=round(100 * share, 1),
@@ -120,10 +120,10 @@ def _check_stretch(residual: Floats, by: Floats, turns: Floats) -> HealthCheck:
 def _judged(name: str, value: float, sigma: float, least: float, unit: str, how: str, positive: str) -> HealthCheck:
     limit = max(least, _SIGMAS * sigma)
     held = abs(value) > limit
-    detail = "Turns do not show another mount of the cameras than the calibration."
+    detail = "In turns, the images agree with the mount of the cameras."
     if held:
         detail = (
-            f"In turns the images show the cameras {how} by {value:+.2f} +- {sigma:.2f} {unit} ({positive}) against the "
+            f"In turns, the images show the cameras {how} by {value:+.2f} +- {sigma:.2f} {unit} ({positive}) relative to the "
             "calibration and GNSS/INS: correct body_SE3_left in rig.yaml (mount in drive.yaml; KITTI: calib_imu_to_velo.txt), or "
             "the axes and antenna position of the GNSS/INS log."
         )

@@ -60,7 +60,7 @@ _BENDS_M_S2, _SCATTER_SHARE, _BEND_SIGMAS = 8.0, 0.5, np.sqrt(6 * np.log(4))
 
 _LONGER = (
     "the calibration's baseline, focal length or lens is wrong (raw or rectified images?), or GNSS/INS drifts. Calibrate the rig "
-    "(conetl calibrate) or reprocess its log."
+    "(conetl calibrate) or reprocess the GNSS/INS log."
 )
 
 
@@ -114,10 +114,10 @@ def _with_likely_cause(check: HealthCheck, clock: ClockOffset | None, params: Tr
         return check
     off = ""
     if clock is not None and clock.is_applied(params.clock_sigma_s):
-        off = f", and the poses say it is {1e3 * clock.offset_s:+z.0f} +- {1e3 * clock.sigma_s:.0f} ms off"
+        off = f", and the poses show that it is off by {1e3 * clock.offset_s:+z.0f} +- {1e3 * clock.sigma_s:.0f} ms"
     detail = (
-        f"The beginning of the images is known to {1e3 * params.clock_sigma_s:.0f} ms only{off}: state it in drive.yaml "
-        f"(images.start, or clock.offset_s) before you look for another cause. {check.detail}"
+        f"The beginning of the images is only known to {1e3 * params.clock_sigma_s:.0f} ms{off}: state it in drive.yaml "
+        f"(images.start, or clock.offset_s) before you look for other causes. {check.detail}"
     )
     return check.model_copy(update={"detail": detail})
 
@@ -130,7 +130,7 @@ def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
     }.get(calibration.outcome, Verdict.PASS)
     detail = f"{calibration.detail[0].upper()}{calibration.detail[1:]}."
     if verdict is Verdict.HOLD:
-        detail += " Recalibrate the rig (conetl calibrate), or see whether the images were cropped or shifted."
+        detail += " Recalibrate the rig (conetl calibrate), or check whether the images were cropped or shifted."
     return [HealthCheck(name=CALIBRATION, verdict=verdict, value=None, detail=detail)]
 
 
@@ -149,13 +149,13 @@ def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: Me
     long = np.minimum(np.linalg.norm(observed, axis=1), np.linalg.norm(logged, axis=1)) > least_m
     back = long & ((observed * logged).sum(axis=1) < 0)
     count = int(back.sum())
-    detail = "The vehicle drives where its cameras look."
+    detail = "The vehicle drives in the direction of its cameras."
     if count > _MAX_REVERSED:
         first = frame_pairs[int(measured.start[np.argmax(back)])].frame_index
         detail = (
-            f"The images of {count} intervals, from frame pair {first} on, show the vehicle driving backwards, but positions "
-            "without attitude give the heading of a vehicle that drives forwards. Leave out the part that reverses, or record "
-            "attitudes."
+            f"In {count} intervals, from frame pair {first} on, the images show the vehicle driving backwards. Without "
+            "attitudes, conetl computes the heading of a vehicle that drives forwards. Cut out the part that reverses, or "
+            "record attitudes."
         )
     held, limit = count > _MAX_REVERSED, float(_MAX_REVERSED)
     return [hold_if(held, "driving direction", detail, value=float(count), limit=limit)]
@@ -181,8 +181,8 @@ def _measured(frame_pairs: Sequence[FramePair], rig: Rig, starts: Ints) -> Healt
         if not lost:
             where = f"none of the {end - first} intervals from frame pair {frame_pairs[first].frame_index} on"
         detail = (
-            f"Visual odometry could measure {where}, although the images show enough: the poses "
-            "are not those of these images, or left and right images do not belong together. Check numbers, order and time "
+            f"Visual odometry could measure {where}, although the images show enough: the poses do not "
+            "belong to these images, or left and right images do not belong together. Check numbers, order and time "
             f"stamps of images and poses.{_against_itself(frame_pairs, rig)}"
         )
     name = "intervals measured by visual odometry"
@@ -197,8 +197,8 @@ def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
     every = np.diff(np.flatnonzero(steps_m.any(axis=1)))
     if len(every) and np.median(every) > 1:
         return (
-            f" By the log the positions change only every {np.median(every):.0f} frame pairs: it has fewer records than there "
-            "are images, and each was repeated. Deliver the log as it was recorded; conetl interpolates."
+            f" In the log, positions change only every {np.median(every):.0f} frame pairs: it has fewer records than there are "
+            "images, and each was repeated. Deliver the original log; conetl interpolates."
         )
     step_s = float(np.median(np.diff([pair.captured_at_ns for pair in frame_pairs]))) * 1e-9
     bend_m = float(np.median(np.linalg.norm(np.diff(steps_m, axis=0), axis=1)))
@@ -206,19 +206,19 @@ def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> str:
     stated_m = float(np.median([max(pair.pose.sigma_enu_m[:2]) for pair in frame_pairs]))
     if bend_m > _BENDS_M_S2 * step_s**2 and scatter_m > _SCATTER_SHARE * stated_m:
         return (
-            f" By the log positions scatter by {scatter_m:.2f} m from one record to the next, at stated sigmas of "
+            f" In the log, positions scatter by {scatter_m:.2f} m from one record to the next, with stated sigmas of "
             f"{stated_m:.2f} m: reprocess the log, or state its true sigmas (sigmas in drive.yaml)."
         )
     path_m = float(np.linalg.norm(steps_m, axis=1).sum())
     duration_s = (frame_pairs[-1].captured_at_ns - frame_pairs[0].captured_at_ns) * 1e-9
     if path_m < _STANDING_M_S * duration_s:
-        return f" By the log the vehicle moved {path_m:.1f} m in {duration_s:.0f} s: is it frozen, or in radians?"
+        return f" In the log, the vehicle moved {path_m:.1f} m in {duration_s:.0f} s: is it frozen, or in radians?"
     along, across = (ahead * steps_m).sum(axis=1), ahead[:, 0] * steps_m[:, 1] - ahead[:, 1] * steps_m[:, 0]
     aside_deg = float(np.degrees(np.median(np.abs(np.arctan2(across, along)))))
     if aside_deg > _ASIDE_DEG:
         return (
-            f" By the log the vehicle moved {aside_deg:.0f} degrees away from where its cameras look: are latitude and longitude "
-            "swapped, or the records in reverse order?"
+            f" In the log, the vehicle moved at {aside_deg:.0f} degrees to the direction of its cameras: are latitude and "
+            "longitude swapped, or the records in reverse order?"
         )
     return ""
 
@@ -249,9 +249,9 @@ def _not_adjusted(measured: MeasuredMotions, residual: Floats) -> HealthCheck:
     observed = measured.next_SE3_first[:, :3, 3]
     images_m, log_m = (float(np.linalg.norm(part, axis=1).sum()) for part in (observed, observed - residual[:, 3:]))
     detail = (
-        f"No poses fit both images and GNSS/INS: the images show a path of {images_m:.0f} m, GNSS/INS one of "
-        f"{log_m:.0f} m. Check the rate and the beginning of the images' time stamps (videos may state another rate than that of "
-        "the recording), the log, and the calibration."
+        f"No poses fit both images and GNSS/INS: the path is {images_m:.0f} m long in the images and {log_m:.0f} m in GNSS/INS. "
+        "Check the time stamps of the images (beginning and frame rate; a video can state a wrong rate), the log and the "
+        "calibration."
     )
     return hold("adjustment of the poses", detail, value=None)
 
@@ -267,11 +267,11 @@ def _in_common(observed: Floats, logged: Floats, degrees: float, share: float) -
         turned = share > _OTHER_SHARE and degrees > _OTHER_DEG and np.median(np.abs(ratio)) > _OTHER_LENGTHS
         if turned or abs(scale) > _OTHER_SCALE:
             return (
-                " The images show another path than GNSS/INS: check first when they were taken (images.start in drive.yaml, its "
-                "time zone, time stamps, clocks), then the alignment, the stated sigmas and the calibration."
+                " The images show a different path than GNSS/INS: check first when they were taken (images.start in drive.yaml, "
+                "its time zone, time stamps, clocks), then the alignment, the stated sigmas and the calibration."
             )
         if abs(scale) > _COMMON_SHARE and np.median(np.abs(ratio - scale)) < abs(scale) / 4:
-            return f" The images show distances {100 * scale:+.1f} % longer than GNSS/INS throughout: {_LONGER}"
+            return f" Distances in the images differ by {100 * scale:+.1f} % from GNSS/INS throughout: {_LONGER}"
     return " Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the calibration."
 
 
@@ -279,7 +279,7 @@ def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
     """The offset between the clocks of cameras and GNSS/INS."""
     name = "clock of GNSS/INS against the cameras"
     if clock is None or clock.sigma_s > MAX_SIGMA_S:
-        detail = f"The drive does not show the offset of the clocks; {1e3 * params.clock_sigma_s:g} ms are assumed (1 sigma)."
+        detail = f"This drive does not show the offset of the clocks; a sigma of {1e3 * params.clock_sigma_s:g} ms is assumed."
         return HealthCheck(name=name, verdict=Verdict.PASS, value=None, detail=detail)
     text = f"{1e3 * clock.offset_s:+.0f} +- {1e3 * clock.sigma_s:.0f} ms"
     detail = f"The clocks agree ({text})."
@@ -288,8 +288,8 @@ def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> HealthCheck:
         # An offset within the stated error of the clocks, as for videos whose start was searched, is not the recorder's fault.
         advice = "Correct the synchronisation of the recorder."
         if abs(clock.offset_s) <= 3 * params.clock_sigma_s:
-            advice = f"The clocks were known to {1e3 * params.clock_sigma_s:.0f} ms."
-        detail = f"The stamps of GNSS/INS lag by {text}: corrected. {advice}"
+            advice = f"The clocks were only known to {1e3 * params.clock_sigma_s:.0f} ms."
+        detail = f"The time stamps of GNSS/INS lagged by {text}; this was corrected. {advice}"
     return HealthCheck(
         name=name, verdict=Verdict.CORRECTED if applied else Verdict.PASS, value=1e3 * clock.offset_s,
         sigma=1e3 * clock.sigma_s, limit=1e3 * LEAST_S, unit="ms", detail=detail,
@@ -302,8 +302,8 @@ def _scale(scale: float, sigma: float, prior: float) -> HealthCheck:
     held, doubtful = abs(scale) > max(limit, _MAX_SCALE_SIGMAS * sigma), scale_is_doubtful(scale, sigma, prior)
     detail = "Images and GNSS/INS show the same distances."
     if held or doubtful:
-        detail = f"The images show distances {100 * scale:+.1f} +- {100 * sigma:.1f} % longer than GNSS/INS: {_LONGER}"
-        detail += "" if held else " The stated sigmas of all positions cover a drift."
+        detail = f"Distances in the images differ by {100 * scale:+.1f} +- {100 * sigma:.1f} % from GNSS/INS: {_LONGER}"
+        detail += "" if held else " The sigmas of all positions include such a drift."
     return HealthCheck(
         name=DISTANCES,
         verdict=Verdict.HOLD if held else Verdict.CORRECTED if doubtful else Verdict.PASS, value=100 * scale,
@@ -321,7 +321,7 @@ def _drift(log: LoggedPoses, trajectory: RefinedTrajectory) -> HealthCheck:
     moved, last = places - log.places, len(places) - 1
     worst = HealthCheck(
         name="drift of the poses", verdict=Verdict.PASS, value=0.0, limit=_DRIFT_M, unit="m",
-        detail="The poses do not drift against the images.",
+        detail="The poses do not drift relative to the images.",
     )  # fmt: skip
     for i, j in ((0, last // 2), (last // 2, last), (0, last)):
         drift_m, sigma_m = moved[j] - moved[i], np.sqrt(_change_variance(log, i, j))
@@ -329,8 +329,8 @@ def _drift(log: LoggedPoses, trajectory: RefinedTrajectory) -> HealthCheck:
         off_m, limit_m = float(abs(drift_m[axis])), max(_DRIFT_M, _DRIFT_SIGMAS * float(sigma_m[axis]))
         if off_m > max(limit_m, worst.value or 0.0):
             detail = (
-                f"GNSS/INS drifts by {off_m:.1f} m against the images within {times_s[j] - times_s[i]:.0f} s, at a stated "
-                f"sigma of {float(sigma_m[axis]):.2f} m for that: reprocess its log, or state its true sigmas."
+                f"GNSS/INS drifts by {off_m:.1f} m relative to the images within {times_s[j] - times_s[i]:.0f} s, but states a "
+                f"sigma of {float(sigma_m[axis]):.2f} m for this change: reprocess its log, or state its true sigmas."
             )
             worst = worst.model_copy(
                 update={"verdict": Verdict.HOLD, "value": off_m, "limit": limit_m, "detail": detail}
@@ -356,7 +356,7 @@ def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) ->
     both = both[:, (np.linalg.norm(both, axis=2) > _DRIVEN_M).all(axis=0)]
     count, lengths_m = both.shape[1], np.linalg.norm(both, axis=2, keepdims=True)
     if count < _LEAST_INTERVALS:
-        return hold_if(False, ALIGNMENT, "The vehicle drives too little to tell.", value=None)
+        return hold_if(False, ALIGNMENT, "The vehicle does not drive far enough for this check.", value=None)
     shown, logged = both / lengths_m * np.sign(both[1, :, 2:])  # also of a vehicle that reverses
     turns = shown - logged
     aside, ahead = np.median(turns, axis=0), np.median(logged, axis=0)
@@ -372,13 +372,13 @@ def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) ->
     off_deg = np.degrees(abs(aside[axis]))
     limit_deg = np.degrees(max(_ASIDE_RAD, _ASIDE_SIGMAS * sigmas[axis]))
     held = bool(off_deg > limit_deg)
-    detail = "The cameras look where their alignment with GNSS/INS has them."
+    detail = "The direction of the cameras agrees with their alignment with GNSS/INS."
     if held:
         detail = (
-            f"The images show the vehicle moving {off_deg:.1f} degrees {('aside', 'up or down')[axis]} of where GNSS/INS has it "
-            f"move, at a stated sigma of {np.degrees(sigmas[axis]):.2f}: GNSS/INS drifts by {100 * abs(aside[axis]):.1f} cm per "
-            "metre driven, or the alignment of cameras and GNSS/INS is wrong. Reprocess its log, recalibrate the "
-            "alignment, or state its sigmas (sigmas in drive.yaml)."
+            f"The directions of motion in the images and in GNSS/INS differ by {off_deg:.1f} degrees "
+            f"{('sideways', 'up or down')[axis]}, with a stated sigma of {np.degrees(sigmas[axis]):.2f}: GNSS/INS drifts by "
+            f"{100 * abs(aside[axis]):.1f} cm per metre driven, or the alignment of cameras and GNSS/INS is wrong. Reprocess its "
+            "log, recalibrate the alignment, or state its sigmas (sigmas in drive.yaml)."
         )
     off_deg, limit_deg = np.round([off_deg, limit_deg], 3).tolist()
     return hold_if(held, ALIGNMENT, detail, value=off_deg, limit=limit_deg, unit="degrees")
