@@ -140,12 +140,12 @@ def _show_files(committed: CommittedDrive, files: PublishedFiles, settings: Sett
     served = f"{view}/api/maps/{settings.map_name}/changesets/{changeset_no}/report"
     artifacts.create_link_artifact(
         served if view else files.page.as_uri(),
-        link_text=f"QA report of drive {drive}", key="qa-report", description=f"The file: {as_markdown(files.page)}",
+        link_text=f"Report of drive {drive}", key="qa-report", description=f"File: {as_markdown(files.page)}",
     )  # fmt: skip
     if view:
         artifacts.create_link_artifact(
             f"{view}/#map={settings.map_name}&changeset={changeset_no}",
-            link_text=f"Drive {drive} on the map", key="map", description="The web view",
+            link_text=f"Drive {drive} on the map", key="map", description="Web view",
         )  # fmt: skip
 
 
@@ -181,7 +181,7 @@ def _show_worst_frames(records: DriveRecords, *, whole: bool) -> None:
         encoded = base64.b64encode(pairs_jpeg(rows)).decode()
         artifacts.create_image_artifact(
             f"data:image/jpeg;base64,{encoded}", key="worst-frames",
-            description=f"Drive {as_markdown(records.drive.drive_id)}: the pairs whose rays fit worst, left and right",
+            description=f"Drive {as_markdown(records.drive.drive_id)}: frame pairs with the largest residuals, left and right",
         )  # fmt: skip
 
 

@@ -41,9 +41,7 @@ TRIES = 2
 _POLL_S = 1.0
 Parallel = Annotated[
     int | None,
-    Field(
-        ge=1, le=1000, description="Drives at the same time; as many as there are workers (or 1 without) unless given."
-    ),
+    Field(ge=1, le=1000, description="Drives to run in parallel; default: one per worker, 1 without workers."),
 ]
 Watcher = Callable[["Standing"], None]
 
@@ -101,15 +99,15 @@ def _batch_run_name() -> str:
 
 @flow(name="backfill", flow_run_name=_batch_run_name)
 def backfill(
-    root: Annotated[Path, Field(description="Folder with drives, or with folders of drives, as the workers see it.")],
-    since: Annotated[datetime | None, Field(description="Drives recorded at this time or later.")] = None,
-    until: Annotated[datetime | None, Field(description="Drives recorded before this time.")] = None,
+    root: Annotated[Path, Field(description="Folder with drives, or with folders of drives; its path on the workers.")],
+    since: Annotated[datetime | None, Field(description="Only drives recorded since this time.")] = None,
+    until: Annotated[datetime | None, Field(description="Only drives recorded before this time.")] = None,
     max_parallel: Parallel = None,
     map_name: MapName = None,
     map_srid: MapSrid = None,
     params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
-    recheck: Annotated[bool, Field(description="Compare drives that are on the map by their content as well.")] = False,
-    where: Annotated[dispatch.Where, Field(description="Where drives are worked on.")] = "auto",
+    recheck: Annotated[bool, Field(description="Also compare the content of drives already on the map.")] = False,
+    where: Annotated[dispatch.Where, Field(description="Where to run the drives.")] = "auto",
 ) -> State[Any]:
     """Ingest all drives below a folder that are not on the map yet. Run it again after a stop: it continues."""
     settings = read_settings(map_name)
@@ -121,7 +119,7 @@ def backfill(
                 conn, root, settings=settings, params=params, since=utc(since), until=utc(until), recheck=recheck
             )
         if not plan.todo:  # started for what was pending
-            return Completed(name="NothingNew", message=f"nothing new: {len(plan.lines)} drives are done")
+            return Completed(name="NothingNew", message=f"no new drives; {len(plan.lines)} need no ingest")
         return run_batch(
             database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where,
             queue=dispatch.BACKFILL_QUEUE,
@@ -216,7 +214,7 @@ def _landed(
         begun = latest.get(run.line.header.header_sha256)
         if begun is not None and begun.attempt_id == run.attempt_id and begun.state == "started":
             # It was started. Its lock shows whether it is running, not Prefect's state.
-            crashed = end_crashed(conn, begun, reason or "its process is gone", settings.receipts_folder)
+            crashed = end_crashed(conn, begun, reason or "its process has ended", settings.receipts_folder)
             if crashed is not None:
                 dispatch.mark_crashed(run.flow_run_id, crashed.reason)
                 landed.append((run, crashed, not dispatch.was_cancelled(run)))

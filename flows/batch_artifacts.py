@@ -53,7 +53,7 @@ def show_summary(standing: Standing) -> None:
     if standing.failed:
         rows = [map(as_markdown, (r.drive_id, r.drive_path, r.reason)) for r in standing.failed[:_SHOWN_ROWS]]
         lines += _table("failed, recorded in, reason", rows)
-        lines.append("Run the same backfill again to try the failed drives again; those on the map are skipped.")
+        lines.append("Run the same backfill again to retry the failed drives; drives on the map are skipped.")
     artifacts.create_markdown_artifact(
         "\n".join(lines), key="batch-summary", description=f"{standing.done} of {standing.todo} drives"
     )
@@ -98,7 +98,7 @@ def _write_table(standing: Standing) -> None:
         elif line.action == "skip":
             state, why = "nothing to do", line.why
         else:
-            state, why = ("in work" if line.header.header_sha256 in running else "waiting"), line.why
+            state, why = ("running" if line.header.header_sha256 in running else "waiting"), line.why
         rows.append(
             {
                 "drive": as_markdown(line.header.drive_id),
@@ -109,7 +109,7 @@ def _write_table(standing: Standing) -> None:
                 "why": as_markdown(why),
             }
         )
-    order = ("failed", "crashed", "held", "in work", "waiting", "committed", "known", "nothing to do")
+    order = ("failed", "crashed", "held", "running", "waiting", "committed", "known", "nothing to do")
     rows.sort(key=lambda row: order.index(row["state"]))
     note = f"; the first {_SHOWN_ROWS} are shown" if len(rows) > _SHOWN_ROWS else ""
     artifacts.create_table_artifact(rows[:_SHOWN_ROWS], key="batch-drives", description=f"{len(rows)} drives{note}")
@@ -125,5 +125,5 @@ def sentence(standing: Standing) -> str:
     left = standing.left_s
     rate = f", {standing.pairs_done / standing.seconds:.1f} frame pairs per second" if standing.pairs_done else ""
     when = "" if left is None else f", about {minutes(left)} left"
-    counts = f"{len(standing.ended)} of {standing.todo} drives ({len(standing.failed)} failed), {len(standing.running)} in work"
+    counts = f"{len(standing.ended)} of {standing.todo} drives ({len(standing.failed)} failed), {len(standing.running)} running"
     return counts + rate + when

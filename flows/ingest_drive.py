@@ -75,7 +75,7 @@ def run_by_command(header: DriveHeader, settings: Settings, work: Callable[[], I
 
 @flow(name="ingest-drive", task_runner=task_runner(read_settings()))
 def ingest_drive(
-    drive: Annotated[Path, Field(description="Drive folder, as the worker sees it.")],
+    drive: Annotated[Path, Field(description="Drive folder; its path on the worker.")],
     map_name: MapName = None,
     map_srid: MapSrid = None,
     params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen

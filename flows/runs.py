@@ -28,14 +28,14 @@ GRACE = timedelta(seconds=30)
 #: A run that a worker took and never started.
 PENDING_GRACE = timedelta(minutes=5)
 MAX_RUNS = 3
-_REASON = "its process is gone: no session holds its lock in the database"
+_REASON = "its process has ended: no session holds its lock in the database"
 
 MapName = Annotated[
     str | None,
-    Field(pattern=f"^{MAP_NAME.pattern}$", description="Map to work on; CONETL_MAP_NAME of the worker unless given."),
+    Field(pattern=f"^{MAP_NAME.pattern}$", description="Name of the map; default: CONETL_MAP_NAME of the worker."),
 ]
 MapSrid = Annotated[
-    int | None, Field(gt=0, description="EPSG code of the map; the first drive's UTM zone unless given.")
+    int | None, Field(gt=0, description="EPSG code of the map; default: the UTM zone of the first drive.")
 ]
 
 

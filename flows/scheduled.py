@@ -34,13 +34,11 @@ from flows.runs import MapName, MapSrid, alive, recover
 @flow(name="publish-map", flow_run_name="publish map")
 def publish_map(
     map_name: MapName = None,
-    formats: Annotated[
-        list[str] | None, Field(description=f"Some of {', '.join(FORMATS)}; all of them unless given.")
-    ] = None,
+    formats: Annotated[list[str] | None, Field(description=f"Some of {', '.join(FORMATS)}; default: all.")] = None,
     folder: Annotated[
-        Path | None, Field(description="Where publications go; `exports` of CONETL_HOME unless given.")
+        Path | None, Field(description="Folder for the publication; default: `exports` in CONETL_HOME.")
     ] = None,
-    as_of: Annotated[datetime | None, Field(description="Instant on the road; the latest map unless given.")] = None,
+    as_of: Annotated[datetime | None, Field(description="State of the road at this time; default: latest.")] = None,
 ) -> State[Any]:
     """Write the map in several formats to a new folder, and point `latest` at it.
 
@@ -63,8 +61,8 @@ def publish_map(
     create_link_artifact(
         page.resolve().as_uri(),
         key="qa-report-night",
-        link_text="QA report of the last 24 hours",
-        description=f"The file: {as_markdown(page)}",
+        link_text="Report of the last 24 hours",
+        description=f"File: {as_markdown(page)}",
     )
     message = f"{len(manifests)} files in {published}"
     if held:
@@ -83,26 +81,24 @@ def audit() -> State[Any]:
     rows = [
         {"audit": r.name, "result": "passed" if r.passed else f"{r.row_count} rows", "what": r.purpose} for r in results
     ]
-    create_table_artifact(rows, key="audit", description="The map against its own rules")
+    create_table_artifact(rows, key="audit", description="Consistency of the maps")
     failed = [result for result in results if not result.passed]
     if failed:
         found = [
             {"audit": r.name, **{k: as_markdown(str(v)) for k, v in row.items()}} for r in failed for row in r.rows[:20]
         ]
-        create_table_artifact(
-            found, key="audit-rows", description="Rows that must not exist; the first 20 of each audit"
-        )
-        return Failed(message=f"{', '.join(r.name for r in failed)}: rows that must not exist; see `conetl db audit`")
+        create_table_artifact(found, key="audit-rows", description="Inconsistent rows, the first 20 of each audit")
+        return Failed(message=f"{', '.join(r.name for r in failed)}: inconsistent rows; see `conetl db audit`")
     return Completed(message=f"{len(results)} audits passed")
 
 
 @flow(name="ingest-drop-folder", flow_run_name="new drives")
 def ingest_drop_folder(
     folder: Annotated[
-        Path | None, Field(description="Where drives arrive; CONETL_DROP_FOLDER of the worker unless given.")
+        Path | None, Field(description="Folder in which drives arrive; default: CONETL_DROP_FOLDER of the worker.")
     ] = None,
     quiet_minutes: Annotated[
-        float | None, Field(ge=0, description="Minutes without a change after which a drive counts as complete.")
+        float | None, Field(ge=0, description="A drive is complete after this many minutes without a change.")
     ] = None,
     max_parallel: Parallel = None,
     map_name: MapName = None,
@@ -122,16 +118,14 @@ def ingest_drop_folder(
             plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
         if arriving:
             rows = [
-                {"drive": as_markdown(path.name), "quiet for s": round(quiet, 1), "needed s": quiet_s}
+                {"drive": as_markdown(path.name), "unchanged for s": round(quiet, 1), "needed s": quiet_s}
                 for path, quiet in arriving
             ]
             create_table_artifact(
-                rows, key="arriving", description=f"Still arriving: neither {MARKER} nor quiet for long enough"
+                rows, key="arriving", description=f"Still arriving: no file {MARKER}, and changed too recently"
             )
         if not plan.todo:
-            message = (
-                f"nothing new: {len(complete)} complete drives are done, {len(arriving)} still arriving in {inbox}"
-            )
+            message = f"no new drives: {len(complete)} need no ingest, {len(arriving)} still arriving in {inbox}"
             return Completed(name="NothingNew", message=message)
         return run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where="auto")
 

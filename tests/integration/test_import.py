@@ -721,7 +721,7 @@ def test_the_command_line(conetl, tmp_path, surveyed, monkeypatch):
     classes = [(GOOD[0], SEEN | {"category": "Leitkegel"}), (OTHER, SEEN | {"category": "drum"})]
     other = ("--map", "classes")
     conetl("map", "import", geojson(tmp_path / "classes.geojson", classes), "--map-srid", 32632, *other)
-    assert "1 of 2 objects have a class that no drive confirms or removes: Leitkegel." in notes[0]
+    assert "1 of 2 objects have a class that drives do not confirm or remove: Leitkegel." in notes[0]
     assert "1 Leitkegel, 1 drum" in conetl("map", "show", *other)
     [drum] = json.loads(conetl("map", "show", "--category", "drum", "--json", *other))["features"]
     assert drum["category"] == "drum"

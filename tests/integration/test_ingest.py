@@ -308,18 +308,18 @@ def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(
         print_report(desk.ingest(small_drive, **params))
         return " ".join(capsys.readouterr().out.split())
 
-    assert "does not count" not in said()
+    assert "not in effect" not in said()
     decided = json.loads(desk.ask("map", "revert", "1", "--json"))
     text = said()
-    assert "but it does not count: its changeset 1 was reverted." in text
-    assert "revert that decision with `conetl map revert ID`, and it counts again" in text
+    assert "but not in effect: its changeset 1 was reverted." in text
+    assert "to put it in effect again, revert that decision with `conetl map revert ID`" in text
     desk.ask("map", "revert", decided["decision_id"])
-    assert "does not count" not in said()
-    assert "does not count" not in said(trajectory={"refine": False})
+    assert "not in effect" not in said()
+    assert "not in effect" not in said(trajectory={"refine": False})
     text = said()
-    assert "a later analysis or delivery of the same recording (changeset 2) counts in its place" in text
+    assert "a later analysis or delivery of the same recording (changeset 2) replaced it" in text
     desk.ask("map", "revert", "2")
-    assert "does not count" not in said()
+    assert "not in effect" not in said()
 
 
 def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: Path, tmp_path: Path) -> None:

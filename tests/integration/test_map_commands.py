@@ -84,7 +84,7 @@ def test_decisions_through_the_command_line(conetl, surveyed):
 
     reverted = conetl("map", "revert", 3, "--note", "wrong GNSS")
     assert "their changes are kept" in reverted
-    assert "does not count" in conetl("map", "log")
+    assert "not in effect" in conetl("map", "log")
     assert "already" in conetl("map", "revert", 3, code=2)
     conetl("db", "audit")
 
@@ -108,7 +108,7 @@ def test_the_picture_of_a_time_of_changes_and_of_a_place_in_degrees(conetl, conn
         (("--bbox", "99,0,99.001,0.001"), "does not exist in the map's CRS"),
         (("--size", "9x9"), "millimetres"),
         (("--changes", "1", "2", "--at", "2026-03-02"), "omit --at"),
-        (("--at", "2020-01-01"), "no cone stands"),
+        (("--at", "2020-01-01"), "the map has no cones"),
     ):
         out.unlink(missing_ok=True)
         assert text in conetl("map", "picture", out, *words, code=2)

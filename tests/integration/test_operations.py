@@ -346,7 +346,7 @@ def test_the_desk_sees_it_in_prefect(desk: Desk) -> None:
         page.get_by_text("Flow Runs").first.wait_for()
         for name, run, words in (
             ("backfill", backfill, ["batch-progress", "batch-summary", "3 drives"]),
-            ("drive", drive, ["Plan view of drive", "the pairs whose rays fit worst"]),
+            ("drive", drive, ["Plan view of drive", "frame pairs with the largest residuals"]),
         ):
             go_to(page, f"/runs/flow-run/{run['id']}", run["name"])
             page.get_by_text("Artifacts").first.click()

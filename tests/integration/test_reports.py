@@ -123,7 +123,7 @@ def test_alerts(shown: Any, latest: CommittedChangeset) -> None:
     facts = read_drive_facts(shown, latest, map_name="default")
     told = " ".join(f.text for f in alerts(facts))
     assert "1 cone removed from the map: no. 1" in told
-    assert "The trajectory is the logged one" in told and "Calibration: <b>turned</b>" in told
+    assert "The trajectory was not refined" in told and "Calibration: <b>turned</b>" in told
     assert "Clean <b>the lens</b>." in told
     confirmed = tuple(c for c in facts.changes if c["kind"] is DeltaKind.CONFIRMED)
     calm = replace(facts, header=facts.header | {"facts": {}}, changes=confirmed, checks=())

@@ -40,7 +40,7 @@ def demo(
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Ingest the sample drives into the map `demo` and compare the map with the truth."""
+    """Ingest the sample drives into the map `demo` and compare the map with the ground truth."""
     started = time.monotonic()
     drives = sorted(path for path in samples.iterdir() if path.is_dir()) if samples.is_dir() else []
     if not drives:
@@ -84,7 +84,7 @@ def demo(
         )
         return
     out.print(
-        "[bold]Cones compared with the truth[/], in metres (position: foot; range: from the nearest point of the drive path)"
+        "[bold]Cones compared with the ground truth[/], in metres (position: foot; range: from the nearest point of the path)"
     )
     print_table("", truth.TABLE_3_COLUMNS, truth.table_3_rows(lines, missing="not on the map"), numbers_from=2)
     found = [line for line in lines if line.feature is not None]

@@ -233,7 +233,7 @@ def print_report(report: IngestReport) -> None:
         elif report.on_hold is not None:
             state = ", but on hold (see `conetl drive held`)"
         else:
-            state = f", but it does not count: {report.not_counted}"
+            state = f", but not in effect: {report.not_counted}"
         ui.out.print(f"{drive}: nothing to do, {known}{state}.")
         return
     categories = {change.category for change in report.changes}

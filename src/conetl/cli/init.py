@@ -55,7 +55,7 @@ _COMMENTS = {
     "images": "the videos or folders of images",
     "trajectory": "the GNSS/INS log",
     "mount": "left camera relative to the antenna or IMU; if its angles may be off by 1 degree: sigmas: {pitch_deg: 1}",
-    "sigmas": "of the trajectory, whose file contains none",
+    "sigmas": "of the trajectory, because its file contains none",
     "clock": "of the images relative to the trajectory",
 }
 
@@ -156,8 +156,8 @@ def init(
         driven = summarise(found.drive, found.rejections)
         along_m = _SIGMA_OF_A_SECOND_S * driven.length_m / max(driven.duration_s, _SIGMA_OF_A_SECOND_S)
         text += (
-            f"\nThe time of the first left frame is stated to the second: its sigma is taken as {_SIGMA_OF_A_SECOND_S} s, and "
-            f"that of positions along the road becomes {along_m:.1f} m. If it is exact, state milliseconds, like 11:00:00.000."
+            f"\nThe time of the first left frame is given in whole seconds, so its sigma is {_SIGMA_OF_A_SECOND_S} s, and that "
+            f"of positions along the road becomes {along_m:.1f} m. If it is exact, state milliseconds, like 11:00:00.000."
         )
     _write(root, settings, new_rig)
     start_ns, sigma_s = found.timing.start_ns, found.timing.clock.sigma_s

@@ -31,7 +31,7 @@ def inspect(
     drive: Annotated[Path, typer.Argument(help="Drive folder, bag folder, .mcap or .bag file.")],
     page: Annotated[
         Path | None,
-        typer.Option(help="HTML page to write: all results, and an image of the drive path with one image pair."),
+        typer.Option(help="HTML page to write, with all results, the drive path and one image pair."),
     ] = None,
     map_srid: ui.MapSridOption = None,
     as_json: ui.JsonOption = False,

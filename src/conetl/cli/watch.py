@@ -29,9 +29,9 @@ _PARTS = (
     "image written -> committed",
     "waiting",
     "detect",
-    "match, locate, tracks",
+    "match, position, track",
     "commit",
-    "processor time on its way",
+    "processor time",
 )
 
 

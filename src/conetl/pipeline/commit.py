@@ -97,12 +97,12 @@ def _why_not_counted(conn: Connection, known: CommittedChangeset) -> str:
     later = replaced_by_delivery(conn, known.changeset_id)
     if later is None:
         return (
-            f"its changeset {known.changeset_no} was reverted. `conetl map decisions` shows by whom and why; revert that "
-            "decision with `conetl map revert ID`, and it counts again"
+            f"its changeset {known.changeset_no} was reverted. `conetl map decisions` shows by whom and why; to put it in effect "
+            "again, revert that decision with `conetl map revert ID`"
         )
     return (
-        f"a later analysis or delivery of the same recording (changeset {later}) counts in its place. If this one is to count "
-        f"instead, `conetl map revert {later}`"
+        f"a later analysis or delivery of the same recording (changeset {later}) replaced it. To use this one instead, run "
+        f"`conetl map revert {later}`"
     )
 
 

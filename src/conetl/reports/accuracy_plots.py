@@ -111,7 +111,7 @@ def error_plan(
         )  # fmt: skip
         figures.draw_arrow(ax, at, at + error, figures.ORANGE, lw=1.5, shrinkA=0, shrinkB=0)
     ax.scatter(
-        truth[found, 0], truth[found, 1], s=10, color=figures.BLACK, label=f"cones of the truth ({found.sum()} found)"
+        truth[found, 0], truth[found, 1], s=10, color=figures.BLACK, label=f"surveyed cones ({found.sum()} found)"
     )
     if (~found).any():
         label = f"missed ({(~found).sum()})"

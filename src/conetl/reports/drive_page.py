@@ -143,8 +143,8 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
     gone = kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED]
     found = kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.MOVED]
     if gone > max(found, 3):
-        yield Alert(True, f"{gone} {facts.noun}s of the map were not observed although visible, and only {found} were found "
-                          "again. Possible causes: a closed road, another road, or a wrong trajectory.")  # fmt: skip
+        yield Alert(True, f"{gone} {facts.noun}s of the map were not observed although visible, and only {found} were "
+                          "observed. Possible causes: a closed road, another road, or a wrong trajectory.")  # fmt: skip
     elif missed := [c for c in facts.changes if c["kind"] is DeltaKind.MISSED]:
         yield Alert(
             False, f"{_counted(missed, facts)} not observed although visible, still on the map: {_numbers(missed)}."
@@ -166,7 +166,7 @@ def _alerts(facts: DriveFacts) -> Iterator[Alert]:
         yield Alert(False, f"{_counted(removed, facts)} removed from the map: {_numbers(removed)}. Check the images.")
     run = facts.header["facts"]
     if str(run.get("trajectory_outcome", "refined")) not in _NORMAL_TRAJECTORIES:
-        yield Alert(False, f"The trajectory is the logged one: {run.get('trajectory', '')}.")
+        yield Alert(False, f"The trajectory was not refined: {run.get('trajectory', '')}.")
     if str(run.get("calibration_outcome", "insignificant")) not in _NORMAL_CALIBRATIONS:
         yield Alert(False, f"Calibration: {run.get('calibration', '')}.")
 

@@ -70,7 +70,7 @@ def _panel(ax: Axes, zone: WorkZone, findings: Sequence[Finding], paths: Sequenc
     ax.set_ylim(
         max(float(np.min(inside)), float(o.min()) - 6) - 1.5, min(float(np.max(inside)), float(o.max()) + 6) + 1.8
     )
-    ax.set_ylabel("offset, left is up (m)")
+    ax.set_ylabel("offset, positive to the left (m)")
     ax.set_xlabel("along the road in the direction of travel (m)" if layout.direction_known else "along the row (m)")
     source = {"lanes": "a lane line", "drives": "the drive path", "cones": "the cones themselves"}[layout.axis_source]
     ax.set_title(

@@ -73,7 +73,7 @@ class PlanContent(NamedTuple):
         at_m = np.reshape([*(mark.xy_m for mark in self.marks), *olds], (-1, 2))
         places = np.concatenate([at_m, *(line[:, :2] for line in lines), *self.paths_m])
         if not len(places):
-            raise InputError("no cone stands on the map at that time: choose another time, or an area with --bbox")
+            raise InputError("the map has no cones at that time: choose another time, or an area with --bbox")
         low, high = places.min(axis=0), places.max(axis=0)
         margin = max(_MARGIN * float((high - low).max()), 3.0)
         half = np.maximum((high - low) / 2 + margin, _MIN_SPAN_M / 2)

@@ -133,7 +133,7 @@ def test_vector_formats(samples, tmp_path, suffix, begin):
 
 
 def test_what_cannot_be_drawn_or_written_is_refused(samples, tmp_path):
-    with pytest.raises(InputError, match="no cone stands"):
+    with pytest.raises(InputError, match="the map has no cones"):
         content([])._replace(paths_m=()).extent()
     one = content([cone(samples, "a", 0, 0)])
     (tmp_path / "file").write_text("in the way")

@@ -220,9 +220,7 @@ def _print(checked: CheckedMap, name: str, srid: int) -> None:
     ui.print_table("", ("point", "feature", "east m", "north m", "up m", "3D m"), rows, numbers_from=2)
     used = sum(r.feature is not None for r in checked.residuals)
     if checked.rmse_m is None or checked.mean_m is None:
-        ui.say(
-            "No cone of the map stands on a check point: is the CRS the right one (--crs), or the height system (--heights)?"
-        )
+        ui.say("No cone of the map is at a check point: check the CRS (--crs) and the height system (--heights).")
         return
     ui.say(f"{used} of {ui.counted(len(checked.residuals), 'point')} with a cone. RMSE: "
         + ", ".join(f"{axis} {value:.3f}" for axis, value in zip(_AXES, checked.rmse_m, strict=True)) + " m.")  # fmt: skip
@@ -259,7 +257,7 @@ def picture(
     if output.suffix.lower() not in SUFFIXES:
         raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
     if changes is not None and (at is not None or known_at is not None):
-        raise InputError("--changes already names both states: omit --at and --known-at")
+        raise InputError("--changes already gives both states: omit --at and --known-at")
     valid_at, known = ui.parse_instant(at), ui.parse_instant(known_at)
     size_mm = ui.parse_size("--size", size, "millimetres", 60, 1200, "240x160")
     with open_map(map_name) as (conn, info):

@@ -189,18 +189,18 @@ def import_(
             text = f"{file} was exported from this map: no changes."
     if done.same_place:
         note(
-            f"{done.same_place} of {counted(total, noun)} stand exactly where objects of the map stand. If the file was exported "
-            "from this map, its evidence now counts twice: undo the import with `conetl map revert`"
+            f"{done.same_place} of {counted(total, noun)} are exactly at positions of objects on the map. If the file was "
+            "exported from this map, its evidence now counts twice: undo the import with `conetl map revert`"
         )
     if done.far:
         note(
-            f"{done.far} of {counted(total, noun)} stand more than 1 km from everything on the map {settings.map_name}: check "
+            f"{done.far} of {counted(total, noun)} are more than 1 km from everything on the map {settings.map_name}: check "
             "the CRS of the file and of the map. If one is wrong, undo the import with `conetl map revert`"
         )
     others = Counter(one.feature.category for one in imported.statements if one.feature.category not in FEATURE_CLASSES)
     if others:
         note(
-            f"{others.total()} of {counted(total, 'object')} have a class that no drive confirms or removes: "
+            f"{others.total()} of {counted(total, 'object')} have a class that drives do not confirm or remove: "
             f"{', '.join(sorted(others))}. conetl detects {', '.join(FEATURE_CLASSES)}"
         )
     if done.committed:

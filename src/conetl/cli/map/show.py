@@ -166,7 +166,7 @@ def _others(changeset: CommittedChangeset) -> str:
 
 
 def _state_of(changeset: CommittedChangeset) -> str:
-    return "" if changeset.counts else "on hold" if changeset.hold else "does not count"
+    return "" if changeset.counts else "on hold" if changeset.hold else "not in effect"
 
 
 def _frames(entry: Mapping[str, Any]) -> str:

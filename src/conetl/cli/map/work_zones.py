@@ -48,7 +48,8 @@ class Rules(Record):
 MaxAgeOption = Annotated[
     str | None,
     typer.Option(
-        "--max-age", help="WZDx: a zone surveyed longer ago is `planned`, its impact unknown: 7d, 36h; default: 7d."
+        "--max-age",
+        help="WZDx: publish zones surveyed longer ago as `planned`, with unknown impact: 7d, 36h; default: 7d.",
     ),
 ]
 

@@ -35,7 +35,7 @@ def calibrate(
         list[Path],
         typer.Argument(
             metavar="FOLDER | LEFT.mp4 RIGHT.mp4",
-            help="Folder of the images, with left/ and right/ (or see --pairing) or two videos; or the videos themselves.",
+            help="Folder with left/ and right/ (or see --pairing), or with two videos; or the videos themselves.",
         ),
     ],
     board: Annotated[
@@ -49,15 +49,13 @@ def calibrate(
     ] = "folders",
     left_pattern: Annotated[str | None, typer.Option(help="Names of the left images, e.g. 'left_*.png'.")] = None,
     right_pattern: Annotated[str | None, typer.Option(help="Names of the right images, e.g. 'right_*.png'.")] = None,
-    layout: Annotated[
-        Layout | None, typer.Option(help="One video that holds both images: where left and right are in each frame.")
-    ] = None,
+    layout: Annotated[Layout | None, typer.Option(help="Arrangement of both images in one video.")] = None,
     offset_s: Annotated[
         float | None,
         typer.Option(
             min=-3600,
             max=3600,
-            help="Seconds to add to the times of the right video; default: from the motion in both.",
+            help="Seconds to add to the times of the right video; default: estimated from the motion in both.",
         ),
     ] = None,
     lens: Annotated[

@@ -99,7 +99,9 @@ def detect(
         "written": str(output),
     }
     read = ui.counted(len(paths) - len(refused), "image")
-    text = f"{ui.counted(len(found), 'detection')} in {read}, {usable} of score {USED_SCORE} and more -> {output}"
+    text = (
+        f"{ui.counted(len(found), 'detection')} in {read}, {usable} with a score of at least {USED_SCORE} -> {output}"
+    )
     ui.answer(as_json, facts, text)
     if draw is not None and not as_json:
         ui.say(f"annotated images -> {draw}")

@@ -63,7 +63,7 @@ def evaluate(
     ] = 20.0,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Compare the cones of drives with surveyed truth: errors of each cone, errors over range, and consistency of the sigmas.
+    """Compare the cones of drives with surveyed ground truth: errors of each cone, over range, and consistency of the sigmas.
 
     With --category lane_marking it compares lane markings with truth_markings.geojson of the drive. Several drives are evaluated
     separately and pooled: by chance, one value in twenty is outside its 95 % band. Writes nothing to the map; needs no database.
@@ -126,7 +126,7 @@ def _truths_of(
     only_lines = set(categories) <= set(LINE_CLASSES)
     if only_lines and truth is not None:
         raise InputError(
-            f"--truth names surveyed objects, and the true lane markings are {TRUTH_FILE} of each drive: omit it, or search for "
+            f"--truth names surveyed objects; the true lane markings are in {TRUTH_FILE} of each drive: omit it, or search for "
             "objects too, with --category"
         )
     truths: dict[Path, tuple[Path, list[TruthCone], int | None]] = {}
@@ -190,13 +190,13 @@ def _summary(results: AnalysedDrive, evaluation: DriveEvaluation, within_m: floa
         found = lines.truth_m * (lines.completeness or 0.0)
         sentences.append(
             f"{found:.0f} of {lines.truth_m:.0f} m of lane markings found, "
-            f"{lines.found_m * (1.0 - (lines.correctness or 0.0)):.0f} m false ones."
+            f"{lines.found_m * (1.0 - (lines.correctness or 0.0)):.0f} m of false ones."
         )
     return sentences
 
 
 def _print(truth: Path, evaluation: DriveEvaluation, summary: Sequence[str], page: Path) -> None:
-    ui.out.print(f"[bold]{evaluation.drive_id}[/] against {truth}")
+    ui.out.print(f"[bold]{evaluation.drive_id}[/] compared with {truth}")
     _print_tables(evaluation.tables())
     ui.say("\n" + "\n".join(summary))
     ui.say(f"\n{page}: everything on one page\n")

@@ -19,7 +19,7 @@ from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, WRITERS, read_rig_and_fo
 SizeOption = Annotated[
     str | None,
     typer.Option(
-        "--image-size", help="Image size like 1242x375, if the file (OpenCV, MATLAB) has none, or (ZED) several."
+        "--image-size", help="Image size like 1242x375, if the file has none (OpenCV, MATLAB) or several (ZED)."
     ),
 ]
 UnitOption = Annotated[
@@ -27,7 +27,8 @@ UnitOption = Annotated[
     typer.Option("--unit", help="Unit of the baseline in an OpenCV, MATLAB or Metashape file: m, cm, mm, in."),
 ]
 PairOption = Annotated[
-    str | None, typer.Option("--pair", help="Names of the left and right camera, if the file has more: LEFT,RIGHT.")
+    str | None,
+    typer.Option("--pair", help="Names of the left and right camera, if the file has more than two: LEFT,RIGHT."),
 ]
 _DECIMALS = {"_px": 3, "_rad": 6, "_m": 5}
 
@@ -81,7 +82,7 @@ def convert(
     pair: PairOption = None,
     scale_to: Annotated[
         str | None,
-        typer.Option(help="Size of your images like 640x400, if they are scaled-down ones of the calibrated size."),
+        typer.Option(help="Size of your images like 640x400, if they were scaled down after the calibration."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:

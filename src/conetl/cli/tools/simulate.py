@@ -36,7 +36,7 @@ def simulate(
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Render a stereo drive through a work zone with known truth (requires the extra `simulate`)."""
+    """Render a stereo drive through a work zone with ground truth (requires the extra `simulate`)."""
     from conetl.simulation.simulate import simulate_drive
 
     if base:

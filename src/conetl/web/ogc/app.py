@@ -155,7 +155,7 @@ def _definition(app: FastAPI) -> dict[str, Any]:
 def _add_error_handlers(app: FastAPI) -> None:
     """Every error is `{"code": ..., "detail": ...}`, as the standard and the rest of the API have it."""
     too_long = f"The query took longer than {STATEMENT_TIMEOUT}: request a smaller box or fewer items."
-    not_ready = _error(503, "DatabaseNotReady", "The database lacks conetl's present schema: run `conetl db migrate`.")
+    not_ready = _error(503, "DatabaseNotReady", "The database schema is not up to date: run `conetl db migrate`.")
     handlers: dict[type[Exception], _Handler] = {
         BadParameterError: _error(400, "InvalidParameterValue"),
         TiPgError: _error(400, "InvalidParameterValue"),
