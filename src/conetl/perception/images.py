@@ -301,14 +301,14 @@ def read_hashed_bytes(path: Path, sha256: str) -> bytes:
         except ImageFileError as error:
             raise _changed(path, error) from error
         if hashlib.sha256(data).hexdigest() != sha256:
-            raise _changed(path, "its bytes are others")
+            raise _changed(path, "its content differs")
         remember(path, sha256, data)
     return data
 
 
 def _changed(path: Path, why: object) -> StorageError:
     return StorageError(
-        f"{path}: the image changed while it was worked on ({why}). Run the same command again when nobody writes to the drive. "
+        f"{path}: the image changed while conetl read it ({why}). Run the same command again when nothing writes to the drive. "
         "Nothing was written."
     )
 

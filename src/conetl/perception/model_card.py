@@ -20,7 +20,7 @@ DEFAULT_MODEL = "conetl-road-10.onnx"
 _ULTRALYTICS_LAYOUT = "RGB float32 NCHW 0..1"
 #: Warning for a model without `evidence` in its sidecar.
 NOT_MEASURED = (
-    "the model's sidecar does not say what its scores mean (key `evidence`): existence probabilities rest on a general guess; "
+    "the model's sidecar does not state what its scores mean (key `evidence`), so existence probabilities use default values; "
     "training/calibrate_scores.py measures it (docs/how-to/models.md)"
 )
 

@@ -61,7 +61,7 @@ def read_frame(frame: FrameRef, sha256: str = "", *, grey: bool = False) -> Imag
     decoded = _decoders.read(frame)
     if sha256 and frame_sha256(decoded.packet_sha256, frame.region) != sha256:
         raise StorageError(
-            f"{frame.path}: the video changed while it was worked on. Run the same command again when nobody writes to the "
+            f"{frame.path}: the video changed while conetl read it. Run the same command again when nothing writes to the "
             "drive. Nothing was written."
         )
     return _pixels(decoded.frame, frame.region, grey=grey, left_sited=decoded.left_sited)

@@ -46,7 +46,7 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
     found = drive_format(root)
     if found not in (None, "kitti", "plain"):
         raise InputError(
-            f"{folder}: a drive of the format '{found}' cannot be watched, but KITTI raw and plain folders can: "
+            f"{folder}: a drive of the format '{found}' cannot be watched, only KITTI raw and plain folders: "
             "ingest it when it is complete"
         )
     if found == "plain":

@@ -35,7 +35,7 @@ def read_surveyed_points(
     table = read_table(path)
     source = crs or (table.crs.to_wkt() if table.crs is not None else None)
     if source is None:
-        raise InputError(f"{path}: states no coordinate reference system; give its crs (--crs), like EPSG:25832")
+        raise InputError(f"{path}: does not state a coordinate reference system; give its crs (--crs), like EPSG:25832")
     xyz = _with_heights(table)
     _require_finite(path, xyz, f"a point needs east, north and a height ({', '.join(_HEIGHTS)})")
     settings = TrajectoryFile(crs=source, heights=heights)
@@ -73,7 +73,9 @@ def _with_heights(table: MapTable) -> Floats:
 def _sigmas(table: MapTable, sigma_m: float | None, path: Path) -> Floats:
     """(N, 3). Raises InputError."""
     if sigma_m is None and not all(name in table.columns for name in _SIGMAS):
-        raise InputError(f"{path}: states no sigmas of the survey ({', '.join(_SIGMAS)}); give one sigma_m (--sigma-m)")
+        raise InputError(
+            f"{path}: does not state the sigmas of the survey ({', '.join(_SIGMAS)}); give one sigma_m (--sigma-m)"
+        )
     stated = [np.full(len(table), sigma_m) if sigma_m is not None else _numbers(table, name) for name in _SIGMAS]
     found = np.column_stack(stated)
     if not ((found > 0) & np.isfinite(found)).all():

@@ -116,7 +116,7 @@ def fuse_group(
     """The track of one group of positions, or its rejection; in_use: boxes of all groups."""
     limits, rig = data.params.track, data.rig
     if len(group) < limits.min_observations:
-        wanted = f"expected at least {limits.min_observations}; one or two boxes may be anything"
+        wanted = f"expected at least {limits.min_observations}; one or two boxes prove nothing"
         return _reject(RejectionReason.TOO_FEW_OBSERVATIONS, group, f"{len(group)} positions, {wanted}")
     nearest_m = min(p.range_m for p in group)
     if nearest_m > limits.max_range_m:

@@ -111,7 +111,7 @@ class Archive:
         self.min_zoom, self.max_zoom = named["min_zoom"], named["max_zoom"]
         if packed != (Compression.GZIP, Compression.NONE) or self.max_zoom > 30:
             raise InputError(
-                f"{path} is packed in a way that is not supported: expected directories with gzip, tiles without"
+                f"{path} uses a compression that is not supported: expected gzip for directories, none for tiles"
             )
         self.media_type = _MEDIA_TYPES[named["tile_type"]]
         self.tile(self.min_zoom, 0, 0)  # reads the root directory

@@ -31,7 +31,7 @@ _MAX_DECISIONS = 1_000
 #: How long a person waits for an ingest that has locked the map.
 _LOCK_TIMEOUT_S = 15.0
 _ERRORS: dict[int | str, dict[str, Any]] = {
-    409: {"model": m.Conflict, "description": "The feature changed meanwhile, or this was decided already."},
+    409: {"model": m.Conflict, "description": "The feature has changed, or this was already decided."},
     401: {"model": m.Problem, "description": "The writer token is missing or wrong."},
     403: {"model": m.Problem, "description": "The server is read-only, or the request comes from another page."},
     411: {"model": m.Problem, "description": "Content-Length is missing."},

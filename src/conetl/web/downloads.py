@@ -27,7 +27,7 @@ _MEDIA_TYPES = {
 _NUMBERS = ",".join([r"-?\d{1,9}(?:\.\d{1,6})?"] * 4)
 Box = Annotated[
     str | None,
-    Query(pattern=f"^{_NUMBERS}$", description="West, south, east, north in the map's CRS; everywhere without it."),
+    Query(pattern=f"^{_NUMBERS}$", description="West, south, east, north in the map's CRS; default: the whole map."),
 ]
 Text = Annotated[str | None, Query(max_length=200)]
 

@@ -24,7 +24,7 @@ from conetl.web.parameters import ChangesetNo, Index, MapName, Reader, cut, orig
 router = APIRouter(prefix="/maps/{map_name}")
 _MAX_PASSES = 30
 _IMAGE: dict[str, Any] = {"response_class": Response, "responses": {200: {"content": {"image/jpeg": {}}}}}
-Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Of the feature; by default its newest one.")]
+Version = Annotated[int | None, Query(ge=1, le=2**31 - 1, description="Version of the feature; default: the latest.")]
 #: The report is one file that contains its styles and images, and runs nothing.
 _REPORT_POLICY = (
     "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'; "
@@ -33,7 +33,7 @@ _REPORT_POLICY = (
 Context = Annotated[
     float,
     Query(
-        ge=1.0, le=100.0, allow_inf_nan=False, description="Width and height of the crop in those of the box; 100 shows all."
+        ge=1.0, le=100.0, allow_inf_nan=False, description="Width and height of the crop in units of the box; 100 shows all."
     ),
 ]  # fmt: skip
 
@@ -87,7 +87,7 @@ def frame_image(
     frame_index: Index,
     side: Literal["left", "right"],
     request: Request,
-    feature_id: Annotated[UUID | None, Query(description="Show the positions of this feature sharp as well.")] = None,
+    feature_id: Annotated[UUID | None, Query(description="Also show the positions of this feature sharp.")] = None,
 ) -> Response:
     """JPEG of a whole rectified image; pixelated except around detections and the feature, unless the server shows all."""
     pool: ReaderPool = request.app.state.pool

@@ -101,7 +101,7 @@ def feature_history(map_name: MapName, feature_id: UUID, conn: Reader, known_at:
     if not history:
         raise HTTPException(
             404,
-            f"The map {map_name} has no feature {feature_id}, or no longer: the drive that added it may be reverted.",
+            f"The map {map_name} has no feature {feature_id}. Perhaps the drive that added it was reverted.",
         )
     return m.FeatureHistory(feature_id=feature_id, origin_m=origin, history=history)
 

@@ -13,15 +13,15 @@ from conetl.model.markings import MarkingColour, MarkingPattern
 from conetl.reports.drive_passes import DrivePass
 
 Cov2 = tuple[float, float, float]
-"""xx, xy, yy on the ground."""
+"""xx, xy, yy of the horizontal position."""
 ChangeKind = DeltaKind | Literal["unchanged"]
-"""What a drive did to a feature; between two instants, `unchanged` for the same version."""
+"""Change of a feature by a drive; between two instants, `unchanged` if both have the same version."""
 
 
 class Listing(Record):
     origin_m: Vec3
     truncated: bool
-    """True if the map has more than one answer can hold."""
+    """True if the response contains only a part of the items."""
 
 
 class MapItem(Record):
@@ -49,7 +49,7 @@ class Maps(Record):
 
 
 class MapProjection(Record):
-    """Polynomials between the map's CRS and WGS 84 within a square, exact to 1 cm.
+    """Polynomials between the map's CRS and WGS 84 within a square, accurate to 1 cm.
 
     With u, v = ((x, y) - centre_m) / radius_m, to_degrees gives ((lon, lat) - (lon_deg, lat_deg)) * unit_per_degree; to_metres is
     its inverse. Coefficients of u^i v^j with i + j <= degree, in the order of i, then j.
@@ -63,11 +63,11 @@ class MapProjection(Record):
     lat_deg: float
     degree: int
     unit_per_degree: list[float]
-    """Of longitude and latitude."""
+    """For longitude and for latitude."""
     to_degrees: list[list[float]]
     """Two lists: the coefficients of longitude and of latitude."""
     to_metres: list[list[float]]
-    """Two lists: those of x and of y."""
+    """Two lists: the coefficients of x and of y."""
 
 
 class TimelineItem(ChangesetFacts):
@@ -98,13 +98,13 @@ class FeatureState(Record):
     observation_count: int
     last_seen_at: datetime
     changeset_no: int
-    """Of the changeset that wrote this version; in a history, of the drive."""
+    """Number of the changeset that wrote this version; in a history, of the changeset of the drive."""
 
 
 class Feature(FeatureState):
     feature_id: UUID
     sigma_m: float
-    """Along the major axis of the horizontal error ellipse."""
+    """Standard deviation along the major axis of the horizontal error ellipse."""
 
 
 class MarkingShape(Record):
@@ -119,7 +119,7 @@ class MarkingShape(Record):
     dash_m: float | None
     gap_m: float | None
     sigma_lateral_m: float
-    """Across the line, of the vertex with the largest one."""
+    """Largest standard deviation across the line, of all vertices."""
 
 
 class Stretch(Feature):
@@ -151,15 +151,15 @@ class Changes(Listing):
 
 
 class HistoryItem(FeatureState):
-    """What one drive did to a feature: the version after it, and the evidence up to it."""
+    """Change of a feature by one drive: the version after the drive, and the evidence up to it."""
 
     cov_m2: Cov3
     cone_height_sigma_m: float
     first_seen_at: datetime
     seen_count: int
-    """Drives that observed it."""
+    """Number of drives that observed it."""
     missed_count: int
-    """Drives that did not observe it although it was visible."""
+    """Number of drives that did not observe it although it was visible."""
     drive_id: str
     drive_uuid: UUID
     captured_from: datetime
@@ -169,14 +169,14 @@ class HistoryItem(FeatureState):
     committed_at: datetime
     shift_m: float | None
     other_feature_id: UUID | None
-    """Of a split, the feature that was both; of a merger, the one that remains."""
+    """For a split, the feature that was split; for a merger, the feature that remains."""
     frames_empty: int | None
-    """Frame pairs of this drive without an observation although the feature was visible; None if unknown."""
+    """Number of frame pairs of this drive in which the feature was visible but not observed; null if unknown."""
     map_xyz_m: Vec3
     """Easting, northing, ellipsoidal height."""
     sighting_count: int
     marking: MarkingShape | None
-    """Of a lane marking; None of point objects."""
+    """Shape of a lane marking; null for point objects."""
     why: str
     """What happened, in one sentence with numbers."""
 
@@ -185,7 +185,7 @@ class FeatureHistory(Record):
     feature_id: UUID
     origin_m: Vec3
     history: list[HistoryItem]
-    """In the order of the drives on the road."""
+    """In the order of recording."""
 
 
 class Box(Record):
@@ -259,13 +259,13 @@ class Decided(Record):
     decided_at: datetime
     versions_written: int
     replayed: int
-    """Drives that were compared with the map again."""
+    """Number of drives that were compared with the map again."""
     also_changed: list[UUID]
-    """Of a reverted changeset: features that later drives changed too; their observations are kept."""
+    """For a reverted changeset, features that later drives changed too; the observations of those drives are kept."""
     hold_changes: list[str]
-    """Drives that it put on hold or released, a sentence each."""
+    """One sentence for each drive that it put on hold or released."""
     report_problem: str | None
-    """Why a QA report on disk could not be written again; null if nothing failed. The decision is stored in any case."""
+    """Why a report on disk could not be rewritten; null if all were. The decision is stored in any case."""
 
 
 class FoundDrive(Record):
@@ -280,11 +280,11 @@ class FoundPosition(Record):
     """Name of a place, or how a coordinate pair was read."""
     xy_m: tuple[float, float]
     lat_lon_deg: tuple[float, float] | None
-    """None outside the area of the map's CRS."""
+    """Null outside the area of the map's CRS."""
 
 
 class SearchResult(Record):
-    """What a searched text may mean."""
+    """All matches of a search text."""
 
     feature_ids: list[UUID]
     drives: list[FoundDrive]
@@ -323,7 +323,7 @@ class BaseLine(Record):
     kind: str
     subtype: str | None
     xyz_m: list[float]
-    """x, y, z of one vertex after the other."""
+    """x, y, z of all vertices, one vertex after the other."""
 
 
 class BaseLines(Listing):
@@ -335,9 +335,9 @@ class ProvisionalFeature(Record):
 
     drive_id: str
     feature_index: int
-    """Number within its drive; it stays the same while the drive is watched."""
+    """Number within its drive; it does not change while the drive is watched."""
     is_watched: bool
-    """False: its watch has ended, and its drive is not ingested yet."""
+    """False if the watch has ended and the drive is not ingested yet."""
     xyz_m: Vec3
     cov_m2: Cov2
     cone_height_m: float
@@ -345,7 +345,7 @@ class ProvisionalFeature(Record):
     observation_count: int
     last_seen_at: datetime
     near_feature_id: UUID | None
-    """The standing feature nearby that it may be."""
+    """A feature of the map nearby that may be the same object."""
 
 
 class ProvisionalFeatures(Listing):
@@ -355,14 +355,14 @@ class ProvisionalFeatures(Listing):
 class Passes(Listing):
     feature_id: UUID
     version: int
-    """Whose position it is."""
+    """Version of the feature that has this position."""
     passes: list[DrivePass]
     """Latest drive first."""
 
 
 class FrameBox(Box):
     match_index: int | None
-    """null: without a stereo match."""
+    """Null if there is no stereo match."""
     range_m: float | None
 
 
@@ -401,20 +401,20 @@ class Measured(Record):
 
     name: str
     figures: str
-    """What was measured, its sigma and its limit; empty if the recording does not show it."""
+    """Measured value, its sigma and its limit; empty if nothing could be measured."""
     detail: str
 
 
 class ReviewItem(Record):
-    """What a person should review. Of held drives `feature_id`, `xyz_m` and `version` are null."""
+    """An item to review. For drives on hold, `feature_id`, `xyz_m` and `version` are null."""
 
     kind: Literal["held", "removal", "move", "doubtful"]
     changeset_no: int
     changeset_id: UUID | None
-    """Of a held drive."""
+    """Only for a drive on hold."""
     drive_id: str
     at: datetime
-    """Since when a drive is on hold, or a change was true on the road."""
+    """Time at which the drive was put on hold, or from which the change was true on the road."""
     why: str
     checks: list[Measured]
     feature_id: UUID | None
@@ -426,13 +426,13 @@ class ReviewItem(Record):
 class Review(Record):
     origin_m: Vec3
     counts: dict[str, int]
-    """Items by kind."""
+    """Number of items by kind."""
     items: list[ReviewItem]
-    """Held drives first, then removals (latest first), moves (largest first), doubtful cones (least certain first)."""
+    """Drives on hold first, then removals (latest first), moves (largest first), doubtful cones (least certain first)."""
 
 
 class Problem(Record):
-    """Every error."""
+    """Body of every error response."""
 
     detail: str
 
@@ -441,4 +441,4 @@ class Conflict(Problem):
     """A decision about a state that has changed."""
 
     now: HistoryItem | None
-    """The feature's newest state; None if it is gone or the decision was not about a feature."""
+    """Latest state of the feature; null if it no longer exists or the decision was not about a feature."""

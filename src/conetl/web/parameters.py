@@ -53,7 +53,7 @@ MapName = Annotated[str, Path(pattern=r"^[a-z0-9_-]{1,40}$", description="Name o
 _Utc = Annotated[datetime, AfterValidator(_utc)]
 Instant = Annotated[
     _Utc | None, BeforeValidator(dated),
-    Query(description="ISO 8601; UTC if it names no zone. By default the latest."),
+    Query(description="ISO 8601; UTC unless it states an offset. Default: the latest."),
 ]  # fmt: skip
 ChangesetNo = Annotated[int, Path(ge=1, le=2**62)]
 Index = Annotated[int, Path(ge=0, le=2**31 - 1)]
@@ -73,7 +73,7 @@ def origin_of(conn: Connection, map_name: str) -> Vec3:
     """Origin of a map; answers 404 if the map is missing or empty."""
     origin = read_origin(conn, map_name)
     if origin is None:
-        raise HTTPException(404, f"There is no map {map_name}, or it is empty: fill it with `conetl ingest DRIVE`.")
+        raise HTTPException(404, f"There is no map {map_name}, or it is empty: add a drive with `conetl ingest DRIVE`.")
     return origin
 
 
@@ -119,7 +119,7 @@ def parse_box(text: str) -> Degrees:
         raise BadParameterError(f"bbox={text!r} should be four finite numbers: west,south,east,north.")
     west, south, east, north = numbers if len(numbers) == 4 else (numbers[0], numbers[1], numbers[3], numbers[4])
     if max(abs(west), abs(east)) > 180 or max(abs(south), abs(north)) > 90 or south > north:
-        raise BadParameterError(f"bbox={text!r} exceeds -180,-90,180,90, or its south is north of its north.")
+        raise BadParameterError(f"bbox={text!r} exceeds -180,-90,180,90, or south is greater than north.")
     return west, south, east, north
 
 

@@ -233,7 +233,7 @@ def test_other_names_are_no_frames(name: str) -> None:
 def test_a_video_that_changed_is_noticed(tmp_path: Path) -> None:
     path = write_video(tmp_path / "a.mp4", numbered(5))
     other = index_video(write_video(tmp_path / "b.mp4", numbered(9)[4:]))
-    with pytest.raises(StorageError, match="changed while it was worked on"):
+    with pytest.raises(StorageError, match="changed while conetl read it"):
         read_frame(FrameRef(path, other.pts[0]), other.sha256(0))
 
 

@@ -190,7 +190,7 @@ def test_ros_cameras_calibrated_one_by_one_need_extrinsics(tmp_path: Path) -> No
         content["rectification_matrix"]["data"] = np.eye(3).reshape(-1).tolist()
         content["projection_matrix"]["data"][3] = 0.0
         (tmp_path / f"{side}.yaml").write_text(yaml.safe_dump(content))
-    with pytest.raises(InputError, match="calibrated one by one"):
+    with pytest.raises(InputError, match="calibrated separately"):
         read_rig(tmp_path)
     relative = {"R": R.T.tolist(), "t_m": (-R.T @ T).tolist()}
     (tmp_path / "extrinsics.yaml").write_text(yaml.safe_dump({"left_SE3_right": relative}))

@@ -43,7 +43,7 @@ def test_a_folder_with_one_bag_is_a_drive(tmp_path: Path) -> None:
     assert (drive.drive_id, len(drive.frame_pairs)) == ("run", len(FRAMES))
     (folder / "drive.yaml").unlink()
     shutil.copy(file, folder / "2026-03-02-10-05-00.bag")
-    with pytest.raises(DriveFolderError, match=r"holds 2 drives \(2026-03-02-10-00-00.bag"):
+    with pytest.raises(DriveFolderError, match=r"contains 2 drives \(2026-03-02-10-00-00.bag"):
         read(folder)
 
 

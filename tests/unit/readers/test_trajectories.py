@@ -251,10 +251,10 @@ def test_dates_and_times_in_two_columns(names: str, tmp_path: Path) -> None:
         (["time,lat,alt", "1707297300,49,110"], {"format": "table"}, r"columns for a position \(lat, .* found time, lat, alt"),
         (["when,lat,lon,alt", "1707297300,49,8,110"], {"format": "table"}, "a column for a time, found when"),
         (["gps_time,lat,lon,alt", "2024-02-07 09:15:18,49,8,110"], {}, "GPS time, which is some seconds ahead"),
-        (["local_time,lat,lon,alt", "2024-02-07 10:15:00,49,8,110"], {}, "local time of which zone"),
+        (["local_time,lat,lon,alt", "2024-02-07 10:15:00,49,8,110"], {}, "the time zone of this local time is unknown"),
         (["Messzeit (lokal),lat,lon,alt", "2024-02-07 10:15:00,49,8,110"], {"columns": {"time": "Messzeit (lokal)"}},
-         "local time of which zone"),
-        (["time,lat,lon,alt", "33300,49,8,110"], {}, "does not say of which"),
+         "the time zone of this local time is unknown"),
+        (["time,lat,lon,alt", "33300,49,8,110"], {}, "does not state which"),
         (["time,lat,lon,alt", "33300,49,8,110"], {"date": date(2024, 2, 7)}, "GPS time, which"),
         (["time,lat,lon,alt", "07/02/2024 09:15:00,49,8,110"], {}, "two ways"),
         (["time,lat,latitude,lon,alt", "1707297300,49,49,8,110"], {}, "may both be the lat"),
@@ -350,7 +350,7 @@ def test_quality_of_rtklib(tmp_path: Path) -> None:
         read_trajectory(path)
     path = files.write_rtklib(tmp_path)
     path.write_text(path.read_text().replace("WGS84/ellipsoidal", "WGS84/geodetic"))
-    with pytest.raises(InputError, match="above the sea"):
+    with pytest.raises(InputError, match="above sea level"):
         read_trajectory(path)
 
 

@@ -343,7 +343,7 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
     for number, (text, message) in enumerate(
         {
             "images: {layout: left-right, left: left.mp4, start: '2026-03-02 10:00:00'}": "480 x 320 pixels, but the calibration",
-            start + ", left: front.mp4}": "the left camera's images are not clear",
+            start + ", left: front.mp4}": "the left camera's images cannot be identified",
             "images: {from_s: 5, to_s: 2}": "to_s 2 is not after from_s 5",
             "images: {start: yesterday, right_offset_s: 0}": "drive.yaml: images.start: expected a time stamp",
             start + "}\ntrajectory: {file: rover.pos}": "rover.pos",
@@ -362,7 +362,7 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
     still = copied(folder, tmp_path / "still", "right.mp4", settings="images: {start: '2026-03-02 09:41:07'}")
     image, times = np.full((320, 960, 3), 90, np.uint8), [pair.captured_at_ns for pair in sample.frame_pairs]
     video_drives.write_frames(still / "right.mp4", [image] * COUNT, times, "libx264", {})
-    with pytest.raises(DriveFolderError, match=r"do not show how right\.mp4 and left\.mp4 are shifted in time"):
+    with pytest.raises(DriveFolderError, match=r"the time shift between right\.mp4 and left\.mp4 cannot be estimated"):
         read_drive(still)
 
 
@@ -373,7 +373,7 @@ def test_a_mount_takes_the_place_of_the_pose_in_the_rig(folder: Path, tmp_path: 
     )
     copy = copied(folder, tmp_path, "rig.yaml", settings=(folder / "drive.yaml").read_text())
     write_rig_yaml(Rig.model_validate(free), copy / "rig.yaml")
-    with pytest.raises(InputError, match="where the cameras are on the vehicle is unknown"):
+    with pytest.raises(InputError, match="the mount of the cameras is unknown"):
         read_drive(copy)
     with (copy / "drive.yaml").open("a") as file:
         file.write("mount: {forward_m: 1.5, left_m: 0.2, up_m: 0.4, pitch_deg: 10, yaw_deg: 5}\n")
@@ -528,7 +528,7 @@ def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path,
     assert "--trajectory: " in said and "none was recognised; there is Fahrt.csv" in said
     known += ["--trajectory", "Fahrt.csv"]
     said = str(init(copy, *known).exception)
-    assert "--columns: Which column is what" in said and "found Messzeit, geogr. Breite, " in said, said
+    assert "--columns: Which columns contain what" in said and "found Messzeit, geogr. Breite, " in said, said
     assert "drive.yaml" not in said, said
     made = init(copy, *known, "--columns", "Messzeit,2")
     assert "--columns 'Messzeit,2': expected names as in time=Zeit" in str(made.exception)
@@ -555,7 +555,7 @@ def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path,
         copy, *known, "--force", "--time", "Asia/Tokyo", "--columns", columns[1].replace("Messzeit", "1")
     )  # fmt: skip
     assert made.exit_code == 2 or isinstance(made.exception, ConetlError), made.output
-    assert "Fahrt.csv is of 2026-03-02 00:41:07 to 2026-03-02 00:41:" in str(made.exception), made.exception
+    assert "Fahrt.csv covers 2026-03-02 00:41:07 to 2026-03-02 00:41:" in str(made.exception), made.exception
 
 
 def test_init_says_what_is_wrong_with_an_answer_before_it_asks_again(folder: Path, tmp_path: Path) -> None:
@@ -565,16 +565,16 @@ def test_init_says_what_is_wrong_with_an_answer_before_it_asks_again(folder: Pat
     answers = ["0.02", "EPSG:25832", "{date", "date=Tag", "date=Messtag"]
     made = init_on_terminal(copy, answers, "--trajectory", "log.csv")
     wanted = (
-        "does not say of which coordinate reference system",
+        "does not state their coordinate reference system",
         "In which coordinate reference system are its positions",
         "0.02: drive.yaml: trajectory.crs: '0.02' is not known to PROJ",
         "In which coordinate reference system are its positions",
         "no usable pose: line 2: expected a time stamp like",
-        "Which column is what",
+        "Which columns contain what",
         ": '{date': this is not JSON",
-        "Which column is what",
+        "Which columns contain what",
         "has no column 'Tag', which trajectory.columns names; its columns are Messtag, Zeit",
-        "Which column is what",
+        "Which columns contain what",
         "trajectory log.csv (table): 5 records",
         "How accurate are its positions",
     )
@@ -585,7 +585,7 @@ def test_init_says_what_is_wrong_with_an_answer_before_it_asks_again(folder: Pat
         at += len(text)
     assert "--crs" not in made.stdout and "--columns" not in made.stdout, "the options were not typed"
     said = str(init(copy, "--trajectory", "log.csv", "--crs", "EPSG:25832").exception)
-    assert "--columns: Which column is what" in said and "found '09:15:00'" in said, said
+    assert "--columns: Which columns contain what" in said and "found '09:15:00'" in said, said
 
 
 def test_init_says_how_to_go_on_without_an_answer(folder: Path, tmp_path: Path) -> None:
@@ -608,7 +608,7 @@ def test_heights_of_unknown_reference_are_asked_for_and_named(
     log = write_gpx(copy, video_drives.known_of(sample), geoid=False)
     known = ["--start", start_of(sample), "--right-offset", "0", "--sigma", "0.02", "--force"]
     remark = (
-        f"{log}: does not say whether its heights are above sea level or the ellipsoid: vertical sigma 100 m. Put "
+        f"{log}: does not state whether its heights are above sea level or the ellipsoid: vertical sigma 100 m. Put "
         "into drive.yaml, below trajectory, heights: 'EPSG:5773' (sea level, EGM96) or heights: ellipsoidal"
     )
     made = init(copy, *known)  # which nobody has to answer
@@ -770,7 +770,7 @@ def test_a_start_without_a_fraction_of_a_second_is_uncertain(folder: Path, tmp_p
         copy = copied(folder, tmp_path / str(sigma_s))
         made = init(copy, "--start", start, "--right-offset", "0")
         assert made.exit_code == 0, made.exception
-        assert ("sigma is taken as 0.29 s" in made.output) is (sigma_s is not None)
+        assert ("its sigma is 0.29 s" in made.output) is (sigma_s is not None)
         assert read_drive(copy)[0].clock_sigma_s == sigma_s
         if sigma_s:
             first, last = (read_drive(copy)[0].frame_pairs[k] for k in (0, -1))
@@ -808,7 +808,7 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
     made = init(copy, "--right-offset", "0")
     assert "hours with the video) to search" in str(made.exception)
     for option, value, says in (
-        ("--start", "2026-03-02 22:41:07.250", "the video of another time; state --start with its offset"),
+        ("--start", "2026-03-02 22:41:07.250", "the video is of another time; state --start with its offset"),
         ("--mount", "1,07,-0,26,0,73", "07 looks like the end of a number with a decimal comma"),
         ("--mount", "1,07;-0,26;0,73;x", "expected 3 to 6 numbers"),
         ("--start", "noon", "--start: expected a time stamp"),
@@ -926,7 +926,7 @@ def test_init_says_which_pairs_have_a_pose(folder: Path, tmp_path: Path, sample:
     assert "pose missing: 4, the first: drive.csv ended 0." in made.output
     late = start.replace("2026", "2025")
     made = init(copy, "--right-offset", "0", "--force", "--start", late)
-    assert "drive.csv is of 2026-03-02 09:41:07 to 2026-03-02 09:41:08 UTC" in str(made.exception)
+    assert "drive.csv covers 2026-03-02 09:41:07 to 2026-03-02 09:41:08 UTC" in str(made.exception)
     made = init(copy, "--right-offset", "0", "--force", "--from", "900")
     assert made.exit_code == 1 and "was written, but the drive cannot be read yet" in made.output, made.output
     assert "kept from drive.yaml: images (left, right" in made.output
@@ -954,7 +954,7 @@ def test_links_and_pipes_are_no_videos(folder: Path, tmp_path: Path) -> None:
         read_drive(copy)
     (copy / "left.mp4").unlink()
     os.mkfifo(copy / "left.mp4")
-    with pytest.raises(DriveFolderError, match="the left camera's images are not clear"):
+    with pytest.raises(DriveFolderError, match="the left camera's images cannot be identified"):
         read_drive(copy)
     with pytest.raises(InputError, match="this is not a file"):
         video_facts(copy / "left.mp4")

@@ -122,7 +122,7 @@ def read_lane_lines(path: Path, *, srid: int) -> list[LaneLine]:
     if not lines:
         raise InputError(f"lanes {path}: there is no line of the types {', '.join(sorted(LANELET2_BOUNDARIES))}")
     if file.crs is None:
-        raise InputError(f"lanes {path}: there is no coordinate reference system that can be used")
+        raise InputError(f"lanes {path}: it has no usable coordinate reference system")
     to_map = Transformer.from_crs(file.crs, f"EPSG:{srid}", always_xy=True)
     found = []
     for line in lines:

@@ -88,7 +88,7 @@ def _require_plausible_sigmas(drive: Drive) -> None:
     stated_m = median(max(pair.pose.sigma_enu_m[:2]) for pair in drive.frame_pairs)
     if stated_m < _LEAST_SIGMA_M:
         raise InputError(
-            f"{drive.source_path}: the sigma of the positions is {stated_m:.2g} m (median), but no GNSS/INS knows a vehicle "
+            f"{drive.source_path}: the sigma of the positions is {stated_m:.2g} m (median), but no GNSS/INS is accurate "
             f"to {_LEAST_SIGMA_M:g} m: is it a variance (m²), or in another unit? State the sigma in drive.yaml, for example "
             f"'sigmas: {{horizontal_m: {stated_m**0.5 or 0.02:.2g}}}'"
         )
@@ -120,15 +120,15 @@ def _not_a_drive(path: Path) -> InputError:
         return InputError(f"{path}: this is a file; give the folder of one drive, or a .mcap or .bag file")
     children = sorted(child for child in path.iterdir() if not child.name.startswith("."))
     if not children:
-        return InputError(f"{path}: the folder is empty; a drive holds image_02, image_03, oxts and the calibration")
+        return InputError(f"{path}: the folder is empty; a drive contains image_02, image_03, oxts and the calibration")
     if recordings := [child for child in children if child.suffix.lower() in (".svo2", ".svo")]:
         return _of_zed(recordings[0], path)
     drives = [child.name for child in children if drive_format(child)]
     if len(drives) == 1:
-        return InputError(f"{path}: this folder holds one drive ({drives[0]}): conetl ingest {path / drives[0]}")
+        return InputError(f"{path}: this folder contains one drive ({drives[0]}): conetl ingest {path / drives[0]}")
     if drives:
         return InputError(
-            f"{path}: this folder holds {len(drives)} drives ({', '.join(drives[:3])}{', ...' if len(drives) > 3 else ''}); "
+            f"{path}: this folder contains {len(drives)} drives ({', '.join(drives[:3])}{', ...' if len(drives) > 3 else ''}); "
             f"name one of them, or all: conetl ingest {path}/*"
         )
     if sum(child.is_dir() and bool(image_files(child)) for child in children) > 1:

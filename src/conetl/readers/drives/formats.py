@@ -167,7 +167,7 @@ def own_rig(path: Path, pair: Pair | None) -> tuple[Rig, Floats] | None:
 def no_rig(folder: Path) -> InputError:
     """The error of a drive whose format has no calibration but a rig.yaml."""
     return InputError(
-        f"{folder}: {RIG_YAML} is missing: 'conetl init {folder}' makes it from the calibration of another program, "
+        f"{folder}: {RIG_YAML} is missing: 'conetl init {folder}' writes it from the calibration of another program, "
         "'conetl calibrate' from images of a board"
     )
 

@@ -196,7 +196,7 @@ def _numbered(paths: Iterable[Path]) -> dict[int, list[Path]]:
 def _stamps(root: Path, name: str, settings: DriveYaml, content: ContentHash) -> dict[int, int | str]:
     """Times of a timestamps.txt, see `parse_timestamps`. Raises InputError."""
     if not (root / name).is_file():
-        raise InputError(f"{root}: {name} is missing; it holds one line with a time stamp for each frame number")
+        raise InputError(f"{root}: {name} is missing; expected one line with a time stamp for each frame number")
     data = (root / name).read_bytes()
     content.add(name, data)
     return parse_timestamps(data.decode("utf-8", errors="replace"), settings.timestamps_timezone)
@@ -299,5 +299,5 @@ def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.
     if apart > MAX_CLOCK_DIFFERENCE_NS:
         raise PairError(
             RejectionReason.TIMESTAMP_INVALID,
-            f"image and pose are {apart * 1e-9:.3f} s apart by their time stamps, allowed 0.5 s: another clock or zone",
+            f"image and pose are {apart * 1e-9:.3f} s apart by their time stamps, allowed 0.5 s: clocks or time zones differ",
         )

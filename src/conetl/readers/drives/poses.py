@@ -70,7 +70,7 @@ def wild_fixes(times_ns: Sequence[int], positions_m: Floats) -> dict[int, str]:
     while at_index >= 0:
         kept.add(at_index)
         at_index = int(before[at_index])
-    text = f"the position can only be reached or left at more than {MAX_SPEED_M_S:g} m/s: a wild fix"
+    text = f"the position implies a speed above {MAX_SPEED_M_S:g} m/s: a GNSS outlier"
     return {i: text for i in range(len(times)) if i not in kept}
 
 

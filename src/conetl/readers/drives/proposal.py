@@ -38,7 +38,7 @@ _TAKEN = {
 _LEADING_ZERO = re.compile(r"-0|-?0\d+")
 #: Keys that a trajectory may need: the error of its reader says how to state them in drive.yaml.
 _UNSTATED = {
-    "columns": "Which column is what, by name or number, like time=Zeit,lat=B,lon=L,height=H,roll=R,pitch=P,heading=K?",
+    "columns": "Which columns contain what (name or number), like time=Zeit,lat=B,lon=L,height=H,roll=R,pitch=P,heading=K?",
     "date": "On which day was it recorded, like 2026-03-02?",
     "time": "In which time system are its times: utc, gps, or a time zone like Europe/Berlin?",
     "crs": "In which coordinate reference system are its positions, like EPSG:25832?",
@@ -307,8 +307,8 @@ def outside_log(root: Path, settings: Mapping[str, Any]) -> str | None:
         return None
     first, last = (f"{utc_from_ns(int(t)):%Y-%m-%d %H:%M:%S}" for t in times_ns[[0, -1]])
     return (
-        f"--start {images['start']}: {log['file']} is of {first} to {last} UTC, the video of another time; state --start with "
-        "its offset from UTC, like 2026-03-02 11:00:00.250+01:00, or the time zone of the log with --time"
+        f"--start {images['start']}: {log['file']} covers {first} to {last} UTC, but the video is of another time; state --start "
+        "with its offset from UTC, like 2026-03-02 11:00:00.250+01:00, or the time zone of the log with --time"
     )
 
 
@@ -398,8 +398,8 @@ def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: t
         proposal.found.append(_mounted(values))
     elif rigs.body_is_left_camera(rig):
         text = (
-            "Left camera from the antenna or IMU of the log: metres forward, left (right is negative), up, degrees it looks "
-            "down, like 1.2,0.3,-0.2,3"
+            "Left camera from the antenna or IMU of the log: metres forward, left (right is negative), up, then degrees of "
+            "downward tilt, like 1.2,0.3,-0.2,3"
         )
         proposal.questions.append(Question("mount", text))
     return None if path == root / RIG_YAML else rig

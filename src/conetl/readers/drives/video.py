@@ -140,7 +140,7 @@ def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None 
         return rig_on_body(rig, _body_SE3_left(settings.mount), settings, path)
     if rigs.body_is_left_camera(rig):
         raise InputError(
-            f"{path}: where the cameras are on the vehicle is unknown. Put into {DRIVE_YAML}, as seen from the IMU or antenna "
+            f"{path}: the mount of the cameras is unknown. Put into {DRIVE_YAML}, as seen from the IMU or antenna "
             "whose trajectory was recorded: 'mount: {forward_m: 1.2, left_m: 0.3, up_m: -0.2, pitch_deg: 3}'"
         )
     return rig_on_body(rig, rigs.body_SE3_camera(rig, "left"), settings, path)
@@ -174,7 +174,7 @@ def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> li
         if found != (stored.width_px, stored.height_px):
             raise InputError(
                 f"{source}: the {side} image has {found[0]} x {found[1]} pixels, but the calibration is for {stored.width_px} x "
-                f"{stored.height_px}; use the calibration of these images; where one file holds both, name "
+                f"{stored.height_px}; use the calibration of these images; if one file contains both, set "
                 f"'images.layout' in {DRIVE_YAML}"
             )
         paths = [Path(str(FrameRef(source, pts, region))) for pts in video.pts]
@@ -197,8 +197,8 @@ def _sources(root: Path, settings: Images) -> list[Path]:
             source = inside(root, candidates[0].name, str(root))
         if source is None or not (source.is_dir() or source.is_file()):
             raise InputError(
-                f"{root}: the {side} camera's images are not clear (videos: {', '.join(v.name for v in videos) or 'none'}). "
-                f"Name them in {DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, "
+                f"{root}: the {side} camera's images cannot be identified (videos: {', '.join(v.name for v in videos) or 'none'}"
+                f"). Name them in {DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, "
                 "layout: left-right}' for one file with both"
             )
         found.append(source)

@@ -132,8 +132,8 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         raise _unknown_start(
             root,
             left,
-            f"the images do not show when {left.name} was recorded: too few turns and changes of speed, or {track.name} is of "
-            "another time",
+            f"the recording time of {left.name} cannot be estimated from the images: too few turns and changes of speed, or "
+            f"{track.name} is of another time",
         ) from error
     offset_ns = round(found.offset_s * 1e9)
     moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
@@ -293,7 +293,7 @@ def _right_offset_s(left: CameraImages, right: CameraImages, settings: Images) -
         raise UnknownTimeError(
             "right-offset",
             left.video.path.parent,
-            f"the images do not show how {right.name} and {left.name} are shifted in time",
+            f"the time shift between {right.name} and {left.name} cannot be estimated from the images",
             f"Put 'images: {{right_offset_s: 0}}' into {DRIVE_YAML} if both begin with the same trigger, else what to add to the "
             "right file's times",
         )
@@ -365,8 +365,9 @@ def image_clock(
         first = motions[-1].second_frame_index
     raise InputError(
         f"{track.name}: the offset between the clocks of images and trajectory cannot be determined within "
-        f"+-{settings.search_s:g} s: the drive shows too few turns and changes of speed, or images and trajectory are not of the "
-        "same time. State it in drive.yaml: 'clock: {offset_s: ..., sigma_s: ...}', the seconds to add to the times of the images"
+        f"+-{settings.search_s:g} s: the drive has too few turns and changes of speed, or images and trajectory were not "
+        "recorded at the same time. State it in drive.yaml: 'clock: {offset_s: ..., sigma_s: ...}', the seconds to add to the "
+        "times of the images"
     )
 
 

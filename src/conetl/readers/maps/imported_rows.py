@@ -74,7 +74,7 @@ class _Row(BaseModel):
             self.sigma_e_m, self.sigma_n_m, self.sigma_u_m, self.cov_en_m2, self.cov_eu_m2, self.cov_nu_m2,
         )  # fmt: skip
         if np.linalg.eigvalsh([[e * e, en, eu], [en, n * n, nu], [eu, nu, u * u]])[0] <= 0:
-            raise ValueError("the sigmas and covariances make no covariance matrix (it is not positive definite)")
+            raise ValueError("the sigmas and covariances do not form a covariance matrix (it is not positive definite)")
         return (e * e, en, eu, n * n, nu, u * u)
 
 
@@ -166,7 +166,7 @@ class _Rows:
                 feature_id = UUID(str(text))
             except ValueError:
                 raise self.fail(
-                    index, f"feature_id is {shown(text)}, which is not a UUID (--new-ids makes new ones)"
+                    index, f"feature_id is {shown(text)}, which is not a UUID (--new-ids creates new ones)"
                 ) from None
             if feature_id in first:
                 raise self.fail(index, f"feature_id {feature_id} is in row {first[feature_id] + 1} already")
@@ -178,9 +178,7 @@ class _Rows:
         seen = [self.instant_ns(index, self.values(index), "last_seen_at", None) for index in range(len(self.table))]
         known: list[int] = [instant for instant in seen if instant is not None]
         if not known:
-            raise InputError(
-                f"{self.table.path} has no times of its cones: give the time of the survey (--surveyed-at)"
-            )
+            raise InputError(f"{self.table.path} does not state times: give the time of the survey (--surveyed-at)")
         return max(known)
 
     def statement(self, index: int, feature_id: UUID, xyz_m: Floats, stated_ns: int) -> ImportedFeature:
@@ -266,7 +264,7 @@ def _file_crs(table: MapTable, stated: str | None) -> CRS:
         wanted = None if stated is None else parse_crs(stated)
     crs = table.crs or wanted
     if crs is None:
-        raise InputError(f"{table.path} states no CRS of its coordinates: give it with --crs EPSG:...")
+        raise InputError(f"{table.path} does not state the CRS of its coordinates: give it with --crs EPSG:...")
     if table.crs is not None and wanted is not None and not _same(table.crs, wanted):
         raise InputError(f"{table.path} has the CRS {table.crs.name}, but --crs is {wanted.name}: which is right?")
     flat = crs.sub_crs_list[0] if crs.is_compound else crs
@@ -285,7 +283,7 @@ def _map_srid(table: MapTable, crs: CRS, map_srid: int | None) -> int:
         return map_srid
     if crs.is_projected and (srid := crs.to_epsg()) is not None:
         return int(srid)
-    raise InputError(f"{table.path} makes a new map: state its CRS (--map-srid){_zone_hint(table, crs)}")
+    raise InputError(f"{table.path} would create a new map: state its CRS (--map-srid){_zone_hint(table, crs)}")
 
 
 def _zone_hint(table: MapTable, crs: CRS) -> str:
@@ -331,7 +329,7 @@ def _positions(table: MapTable, crs: CRS, srid: int, params: ImportParams) -> Fl
     heights = xyz[:, 2]
     require(
         (heights >= MIN_HEIGHT_M) & (heights <= MAX_HEIGHT_M),
-        lambda i: f"a height of {heights[i]:g} m is not on this earth's roads",
+        lambda i: f"a height of {heights[i]:g} m is not plausible for a road",
     )
     return np.stack([east, north, heights], axis=1)
 

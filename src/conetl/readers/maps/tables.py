@@ -191,7 +191,7 @@ def _read_parquet(path: Path) -> MapTable:
         groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
         _check_claim(path, metadata.num_rows, "rows", metadata.num_columns)
         if sum(group.total_byte_size for group in groups) > MAX_BYTES:
-            raise InputError(f"{path} states more than {MAX_BYTES >> 30} GiB: that is not a cone map")
+            raise InputError(f"{path} states more than {MAX_BYTES >> 30} GiB, too much for a cone map")
         geo = json.loads((metadata.metadata or {}).get(b"geo", b"null"))
         if not isinstance(geo, dict):
             raise InputError(f"{path} is not a GeoParquet file: it has no `geo` metadata")
@@ -269,7 +269,7 @@ def _read_csv(path: Path) -> MapTable:
     except (OSError, UnicodeError, csv.Error) as error:
         raise InputError(f"{path} cannot be read as CSV ({first_line(error)})") from error
     if len(set(names)) != len(names):
-        raise InputError(f"{path}: a column name is twice in the header")
+        raise InputError(f"{path}: the header contains a column name twice")
     columns = {
         name: [text.strip() or None for text in values]
         for name, values in zip(names, zip(*lines, strict=True), strict=False)

@@ -162,7 +162,7 @@ def camera_from_matrix(node: Node, k: Floats, size: Size, lens: Lens) -> Camera:
     if not (fx > 0 and fy > 0):
         raise node.bad(f"must have positive focal lengths, found {fx:g} and {fy:g}")
     if abs(k[0, 1]) > _SKEW_SHARE * fx:
-        raise node.bad(f"has a skew of {k[0, 1]:g}; conetl's cameras have square axes, calibrate without skew")
+        raise node.bad(f"has a skew of {k[0, 1]:g}; conetl does not model skew, calibrate without it")
     if not np.allclose([k[1, 0], *k[2]], [0.0, 0.0, 0.0, 1.0], atol=1e-9 * fx):
         raise node.bad("must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     width, height = size

@@ -64,7 +64,7 @@ def read_kitti_rig(
     if absent and (body_required or len(absent) == 1):
         raise InputError(
             f"{cam_to_cam.parent}: {' and '.join(absent)} missing. Poses are those of the IMU, so the chain IMU -> velodyne -> "
-            "camera is needed; KITTI delivers all three calib_*.txt files together, put them side by side"
+            "camera is needed; KITTI delivers all three calib_*.txt files together; put them into the same folder"
         )
     links = [] if absent else [read_numbers(path, {"R": 9, "T": 3}) for path in chain]
     if rig_id is None:

@@ -90,7 +90,7 @@ def rig_of_camera_infos(left_info: Node, right_info: Node) -> Rig:
         )
     if right_p[0, 3] == 0.0:
         raise projection.bad(
-            "has no baseline (row 1, column 4 is 0): the two cameras were calibrated one by one. Calibrate them as a stereo "
+            "has no baseline (row 1, column 4 is 0): the two cameras were calibrated separately. Calibrate them as a stereo "
             f"pair, or put an {EXTRINSICS} with left_SE3_right beside them"
         )
     if not right_p[0, 0] > 0:

@@ -75,7 +75,7 @@ def unknown_heights(path: Path, settings: TrajectoryFile) -> str | None:
     if (settings.format or trajectory_format(path)) != "gpx" or gpx.states_geoid(path):
         return None
     return (
-        f"{path}: does not say whether its heights are above sea level or the ellipsoid: vertical sigma "
+        f"{path}: does not state whether its heights are above sea level or the ellipsoid: vertical sigma "
         f"{UNSTATED_HEIGHT_SIGMA_M:g} m. Put into drive.yaml, below trajectory, heights: 'EPSG:5773' "
         "(sea level, EGM96) or heights: ellipsoidal"
     )

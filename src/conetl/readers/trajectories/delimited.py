@@ -155,7 +155,7 @@ def check_yaw(path: Path, found: RecordedTrajectory, column: str) -> None:
     as_yaw, as_heading = (np.median(np.abs(np.angle(np.exp(1j * (a - course))))) for a in (yaw, np.pi / 2 - yaw))
     if as_yaw > np.pi / 4 and as_heading < np.pi / 9:
         raise InputError(
-            f"{path}: by the path that was driven, the column {shown(column)} counts clockwise from north, as a "
+            f"{path}: compared with the drive path, the column {shown(column)} counts clockwise from north, as a "
             f"heading does; a yaw counts counter-clockwise from east. Put trajectory: {{columns: {{heading: {column[:60]}}}}}"
         )
 

@@ -135,13 +135,13 @@ def _needs_transformation(reading: Reading, settings: TrajectoryFile, path: Path
     """Raises InputError where the settings lack what the file requires."""
     if reading.axes == "projected" and settings.crs is None:
         raise InputError(
-            f"{path}: has easting and northing, but does not say of which coordinate reference system: put "
+            f"{path}: has easting and northing, but does not state their coordinate reference system: put "
             "trajectory: {crs: 'EPSG:25832'} into drive.yaml"
         )
     stated = settings.heights is not None or (settings.crs is not None and _crs(settings.crs, "crs").is_compound)
     if reading.heights == "sea level" and not stated:
         raise InputError(
-            f"{path}: its heights are above the sea, the map's are above the WGS 84 ellipsoid: put the geoid into drive.yaml, "
+            f"{path}: its heights are above sea level, the map's are above the WGS 84 ellipsoid: put the geoid into drive.yaml, "
             "trajectory: {heights: 'EPSG:5773'} (EGM96), or export ellipsoidal heights"
         )
     geoid = settings.heights not in {None, "ellipsoidal"}

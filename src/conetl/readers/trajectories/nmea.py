@@ -36,7 +36,7 @@ LATE_NS = 60 * SECOND_NS
 """Sentences of one day come no later among those of the next; a later time of day after a gap is of the same day."""
 _NO_FIX = {
     0: "there was no fix",
-    6: "an estimate without satellites, and no GST says how good",
+    6: "an estimate without satellites, and no GST states its accuracy",
     7: "manual input",
     8: "a simulation",
 }

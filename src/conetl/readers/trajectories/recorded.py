@@ -227,6 +227,6 @@ def of_images(between_ns: tuple[int, int] | None, found_ns: Sequence[int]) -> st
     )
     return (
         f" between {first} and {last} UTC, the time of the images; its own are from {own_first} to {own_last} UTC. Are its times "
-        "local ones (trajectory.time: Europe/Berlin) or GPS time, or are those of the images wrong (of videos: images.start; "
-        "local ones: timestamps_timezone: Europe/Berlin)?"
+        "local times (trajectory.time: Europe/Berlin) or GPS time, or are the times of the images wrong (for videos: "
+        "images.start; for local times: timestamps_timezone: Europe/Berlin)?"
     )

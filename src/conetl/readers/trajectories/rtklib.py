@@ -49,12 +49,12 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     if at is None:
         raise InputError(
             f"{path}: there is no line like '%  GPST  latitude(deg) longitude(deg)  height(m)  Q ...', without which times and "
-            "coordinates may mean anything; write the solution with its header (out-outhead=on)"
+            "coordinates are ambiguous; write the solution with its header (out-outhead=on)"
         )
     header = lines[at]
     if "baseline" in header:
         raise InputError(
-            f"{path}: holds vectors from a base (e/n/u-baseline), not positions; set out-solformat to llh and convert it again"
+            f"{path}: contains vectors from a base (e/n/u-baseline), not positions; set out-solformat to llh and convert it again"
         )
     note = " ".join(line for line in lines[:at] if line.startswith("%"))
     data = next((line for line in lines[at + 1 :] if line.strip() and not line.startswith("%")), "")
@@ -92,7 +92,7 @@ def _by_quality(values: Mapping[str, Floats], found: Records) -> Records:
     quality = values.get("quality")
     if quality is None:
         return found
-    wrong = dict.fromkeys(np.flatnonzero(~(quality >= 1)).tolist(), "Q says that there is no solution") | found.wrong
+    wrong = dict.fromkeys(np.flatnonzero(~(quality >= 1)).tolist(), "Q states that there is no solution") | found.wrong
     single = quality == 5
     sigma = found.sigma.copy()
     sigma[single, :3] = np.fmax(sigma[single, :3], SINGLE_SIGMA_M)

@@ -144,12 +144,12 @@ def _clock(
             clock.kind == "unix" or all(OFFSET.search(word) for word in words if word)
         ):
             raise InputError(
-                f"{path}: column {column.name!r}: local time of which zone? Put for example "
+                f"{path}: column {column.name!r}: the time zone of this local time is unknown. Put for example "
                 "trajectory: {time: Europe/Berlin} into drive.yaml"
             )
         elif layout.scale == "?" or clock.kind == "day":
             raise InputError(
-                f"{path}: column {column.name!r}: GPS time, which is some seconds ahead of UTC, or UTC? Put "
+                f"{path}: column {column.name!r}: is this GPS time, which is some seconds ahead of UTC, or UTC? Put "
                 "trajectory: {time: gps} or {time: utc} into drive.yaml"
             )
     return clock._replace(order=layout.order)

@@ -67,7 +67,7 @@ def clock_problem(time_ns: int, earliest_ns: int = EARLIEST_NS) -> str | None:
         year = np.datetime64(earliest_ns, "ns").astype("datetime64[Y]")
         return f"is before {year}: the clock was not set, or its GPS week rolled over (1024 weeks too early)"
     if time_ns > time.time_ns() + MAX_AHEAD_NS:
-        return "is more than a day in the future: another clock"
+        return "is more than a day in the future: the clock was wrong"
     return None
 
 
@@ -75,7 +75,7 @@ def misplaced(stamps_ns: Mapping[int, int]) -> dict[int, str]:
     """What is wrong with the times of some frames, by number: the clock, else the order; as `clock_problem`."""
     wrong = wrong_clocks(stamps_ns)
     for number in out_of_order({number: stamp for number, stamp in stamps_ns.items() if number not in wrong}):
-        wrong[number] = "does not rise with the order of recording"
+        wrong[number] = "is not in the order of recording"
     return wrong
 
 
@@ -88,7 +88,7 @@ def wrong_clocks(stamps_ns: Mapping[int, int]) -> dict[int, str]:
         apart = {n: abs(stamp - middle) for n, stamp in others.items() if abs(stamp - middle) > MAX_FROM_MEDIAN_NS}
         ends = f"{min(apart, default=0)} to {max(apart, default=0)}"
         for number, apart_ns in apart.items():
-            wrong[number] = f"is {apart_ns / DAY_NS:.1f} days from most others of the drive: another clock"
+            wrong[number] = f"is {apart_ns / DAY_NS:.1f} days from most other times of the drive: the clock was wrong"
             if len(apart) > 1:
                 wrong[number] += (
                     f", or frame pairs {ends} are of another recording: split them into folders of their own"
@@ -268,7 +268,7 @@ def _clock_of_day(seconds: float, scale: str, digits: int, day: date | None) -> 
     """The clock of seconds of the GPS week that holds a day, or of that day. Raises ValueError."""
     if day is None:
         raise ValueError(
-            f"{seconds:.3f} is a time of a week or of a day, and the file does not say of which: put "
+            f"{seconds:.3f} is a time of a week or of a day, but the file does not state which: put "
             "trajectory: {week: 2300} (GPS week) or {date: 2024-02-07} into drive.yaml"
         )
     weekday = (day.weekday() + 1) % 7  # from Sunday, as GPS weeks

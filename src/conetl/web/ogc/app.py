@@ -202,10 +202,10 @@ async def items(
     interval: Annotated[Interval | None, Depends(p.read_interval)],
     ids: Annotated[str | None, Query(description="Only these items, comma-separated.")] = None,
     properties: Annotated[
-        str | None, Query(description="Only these properties, comma-separated; empty: none. By default all.")
+        str | None, Query(description="Only these properties, comma-separated; empty: none. Default: all.")
     ] = None,
     sortby: Annotated[
-        str | None, Query(description="Properties, comma-separated; - before one sorts it in descending order.")
+        str | None, Query(description="Properties, comma-separated; a - before a name sorts in descending order.")
     ] = None,
     limit: Annotated[
         int, Query(ge=1, json_schema_extra={"maximum": p.MAX_LIMIT}, description="At most this number of items.")

@@ -113,8 +113,8 @@ COLLECTIONS = {
     "changes": (
         "Changes",
         "Traffic cones that were added, moved, removed or confirmed between the instants `from` and `to` on the road; "
-        "without `from`, all that stand at `to` are added. Positions and versions are those after the change, of removed ones "
-        "those before it.",
+        "without `from`, all cones that exist at `to` count as added. Positions and versions are those after the change; "
+        "those of removed cones are from before it.",
         CHANGE_COLUMNS, _CHANGE_PARAMETERS, "Point",
     ),
 }  # fmt: skip

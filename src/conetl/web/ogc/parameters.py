@@ -77,8 +77,10 @@ async def one_collection(
 async def all_collections(
     request: Request,
     instants: RequestInstants,
-    bbox: Annotated[str | None, Query(description="Collections that reach into west,south,east,north.")] = None,
-    datetime: Annotated[str | None, Query(description="Collections of maps that begin before its end.")] = None,
+    bbox: Annotated[str | None, Query(description="Only collections that overlap west,south,east,north.")] = None,
+    datetime: Annotated[
+        str | None, Query(description="Only collections of maps that begin before the end of this interval.")
+    ] = None,
     limit: Annotated[int, Query(ge=1, description="At most this number of collections.")] = MAX_LIMIT,
     offset: Annotated[int, Query(ge=0, le=MAX_OFFSET, description="Number of collections to skip.")] = 0,
 ) -> CollectionList:
