@@ -137,7 +137,7 @@ def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):
     conn.rollback()
     decide_place(conn, PIN, one, map_name="default", note="of old", decided_by="Grace")
     fill_form(page, "Pin", "on the kerb", token=TOKEN)
-    page.wait_for_selector(".decide-status.bad >> text=There is a decision to pin this position already")
+    page.wait_for_selector(".decide-status.bad >> text=There is already a decision to pin this position")
     assert "It is now version 1, added by" in page.locator(".panel .decide-status").inner_text()
     page.wait_for_selector(".decide-section .decision >> text=Pinned by Grace: of old")
     fill_form(page, "Unpin", "done", token=None)

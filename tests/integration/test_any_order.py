@@ -209,7 +209,11 @@ def test_what_others_do_to_drives_on_hold_is_said_and_kept_in_order(conn):
     assert check.sigma and check.limit and check.unit == "m" and "48.0 m lower" in held.reason
     conn.commit()
     accepted = accept_drive(conn, lower.drive.drive_id, map_name="default", note="known", decided_by="Ada")
-    for drive, error in ((lower.drive.drive_id, "counts already"), ("2", "counts already"), ("nobody", "drive held")):
+    for drive, error in (
+        (lower.drive.drive_id, "is already in effect"),
+        ("2", "is already in effect"),
+        ("nobody", "drive held"),
+    ):
         with pytest.raises(ConflictError, match=error):
             accept_drive(conn, drive, map_name="default")
     again = revert(conn, str(accepted.decision_id), map_name="default")

@@ -84,7 +84,7 @@ def test_pin_and_unpin_every_cone_that_stands_by_the_version_of_its_history(clie
 def test_a_conflict_reports_the_current_state_and_writes_nothing(client):
     feature = standing(client)[0]
     answer = post(client, request_for(feature, expected_version=feature["version"] + 1), 409)
-    assert "changed meanwhile" in answer["detail"]
+    assert "has changed: you decided on version" in answer["detail"]
     assert (answer["now"]["version"], answer["now"]["xyz_m"]) == (feature["version"], feature["xyz_m"])
     assert client.get(PATH).json()["decisions"] == []
 

@@ -171,7 +171,7 @@ def test_a_drive_that_changed_since_it_was_brought_onto_the_map_is_taken_again(
     grown = replace(changed, captured_to_ns=(changed.captured_to_ns or 0) + 10**10)
     for drive in (changed, grown):
         (line,) = plan([drive], once=once).lines
-        assert (line.action, line.why) == ("ingest", "changed since it was brought onto the map (changeset 1)")
+        assert (line.action, line.why) == ("ingest", "changed since it was committed (changeset 1)")
     assert plan([on_the_map], once=once).lines[0].action == "skip"
     receipt(changed, "known", changeset_id=changeset_id(conn), may_pass=False)
     assert plan([changed], once=once).lines[0].action == "skip", "its content was compared, and that is remembered"

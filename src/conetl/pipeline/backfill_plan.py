@@ -172,12 +172,12 @@ def _judge(
 ) -> tuple[Action, str]:
     """What to do with one drive, and why. on_map: those of its id, oldest first; folders_of: header hashes by changeset."""
     if working and receipt is not None:
-        return "wait", f"{receipt.host} ingests it since {_when(receipt.at)}"
+        return "wait", f"being ingested by {receipt.host} since {_when(receipt.at)}"
     same = receipt is not None and receipt.analysis_sha256 == analysis.sha256
     if receipt is not None and same and receipt.done:
         waits = next((drive for drive in on_hold.values() if drive.changeset_id == receipt.changeset_id), None)
         since = _on_hold_since(waits) if waits else f"on the map since {_when(receipt.at)}"
-        return ("ingest", "asked to compare it again") if recheck else ("skip", since)
+        return ("ingest", "to be compared again (recheck)") if recheck else ("skip", since)
     if receipt is not None and same and once and not receipt.may_pass and receipt.state == "failed":
         return "skip", f"failed on {_when(receipt.at)} and has not changed since: {receipt.reason}"
     if receipt is not None and same and once and receipt.attempts >= MAX_ATTEMPTS and not receipt.done:
@@ -191,19 +191,19 @@ def _judge(
     alike = [d for d in found if (d.params_sha256, d.model_sha256) == (analysis.params_sha256, analysis.model_sha256)]
     if alike:
         if recheck:
-            return "ingest", "asked to compare it again"
+            return "ingest", "to be compared again (recheck)"
         # `conetl ingest` writes no receipt, so the header is unknown: id and time have to do.
         same_folder = [
             d for d in alike if header.header_sha256 in folders_of.get(d.changeset_id, (header.header_sha256,))
         ]
         if not same_folder:
-            return "ingest", f"changed since it was brought onto the map (changeset {alike[-1].changeset_no})"
+            return "ingest", f"changed since it was committed (changeset {alike[-1].changeset_no})"
         drive = same_folder[-1]
         if drive.changeset_no in on_hold:
             return "skip", _on_hold_since(on_hold[drive.changeset_no])
         return "skip", f"on the map since {_when(drive.committed_at)} (changeset {drive.changeset_no})"
     if found or receipt is not None:
-        return "ingest", "known, but analysed with other parameters or another model"
+        return "ingest", "on the map, but analysed with other parameters or another model"
     return "ingest", "new"
 
 

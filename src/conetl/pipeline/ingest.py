@@ -138,9 +138,9 @@ def _after_commit(report: IngestReport, publish: Callable[[], object]) -> Ingest
     except Exception as error:
         _log.exception("Drive %s is on the map, but not all of it was published", report.drive_id)
         note = (
-            f"Drive {report.drive_id} is on the map, but its files, report and events could not all be made: "
-            f"{reason_of(error).rstrip('.')}. Correct that, and run the same command again: it makes up for them and changes "
-            "nothing on the map."
+            f"Drive {report.drive_id} is on the map, but not all of its files, report and events were published: "
+            f"{reason_of(error).rstrip('.')}. Correct this and run the same command again: it publishes the rest and does not "
+            "change the map."
         )
         return report.model_copy(update={"unpublished": note})
     return report

@@ -89,9 +89,7 @@ def publish_decision(conn: Connection, decided: DecisionOutcome, settings: Setti
     try:
         renew_pages(conn, about, settings)
     except ConetlError as error:
-        return (
-            f"The decision is made, but a report could not be written: {error} `conetl report drive` writes it again."
-        )
+        return f"The decision was stored, but a report could not be written: {error} `conetl report drive` writes it again."
     return None
 
 

@@ -40,8 +40,8 @@ _LEAST_SHARE, _LEAST_COMMON_SHARE, _MOVING_M = 0.5, 0.9, 0.05
 #: images of a drive, evenly spread, are compared.
 _SAME_PX, _MOVED_LOG_M, _PROBES = 2.0, 5.0, 16
 _OTHERWISE = (
-    "other settings, files or time stamps: the left camera was at the same places at the same times, or in these frames, or a "
-    "part of them, with stamps off by one time"
+    "other settings, files or time stamps: the left camera was at the same positions at the same times, or in these frames (or "
+    "some of them) with time stamps shifted by a constant"
 )
 
 
@@ -94,10 +94,10 @@ def _on_the_map(drive: Drive, drive_id: str, changeset_no: int, how: str) -> Map
     what, remedy = f"this is the recording of drive {drive_id} again (changeset {changeset_no}), with {how}", ""
     if drive_id == drive.drive_id:
         what = f"drive {drive_id} is already on the map, with {how} (changeset {changeset_no})"
-        remedy = ", or give it a drive_id of its own in drive.yaml if it is another drive"
+        remedy = ". If it is another drive, give it a different drive_id in drive.yaml"
     return MapMismatchError(
-        f"{drive.source_path}: {what}. The two would count as two surveys. If this one is to replace it, revert that changeset "
-        f"with `conetl map revert {changeset_no}` and ingest the drive again{remedy}. Nothing was written."
+        f"{drive.source_path}: {what}. They would count as two surveys. To replace it, revert that changeset with "
+        f"`conetl map revert {changeset_no}` and ingest the drive again{remedy}. Nothing was written."
     )
 
 

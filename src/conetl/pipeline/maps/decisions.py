@@ -101,16 +101,16 @@ def decide_place(
         known = store.list_decisions(conn, map_name=map_name)
         here = {one.kind: one for one in known if one.place is not None and is_within(state, [one.place])}
         if kind in here:
-            raise ConflictError(f"there is a decision to {kind} this position already: see `conetl map decisions`")
+            raise ConflictError(f"there is already a decision to {kind} this position: see `conetl map decisions`")
         if SUPPRESS in here:
             raise ConflictError(
-                f"feature {state.feature_id} is suppressed, so that a decision to {kind} it has no effect. If the object is "
+                f"feature {state.feature_id} is suppressed, so a decision to {kind} it has no effect. If the object is "
                 f"there, withdraw the suppression first: `conetl map revert {here[SUPPRESS].decision_id}`"
             )
         if expected_version is not None and state.version != expected_version:
             raise ConflictError(
-                f"feature {state.feature_id} changed meanwhile: you decided on version {expected_version}, it is at version "
-                f"{state.version} now. Look at it again."
+                f"feature {state.feature_id} has changed: you decided on version {expected_version}, but it is now at "
+                f"version {state.version}. Review it again."
             )
         place = Location(xy_m=state.xyz_m[:2], radius_m=radius_m, of_line=state.marking is not None)
         if kind == CLASSIFY:
@@ -136,7 +136,7 @@ def revert(
         target, known = _target(conn, map_name, what), store.list_decisions(conn, map_name=map_name)
         if target.kind == "changeset":
             if any(one.changeset_id == target.id and one.kind == REVERT for one in known):
-                raise ConflictError(f"changeset {target.id} is reverted already: see `conetl map decisions`")
+                raise ConflictError(f"changeset {target.id} has already been reverted: see `conetl map decisions`")
             kind, withdraws, changeset_id = REVERT, None, target.changeset_id
         elif target.kind == WITHDRAW or not target.active:
             raise ConflictError(f"decision {target.id} is no longer active: record it again instead")
@@ -183,8 +183,8 @@ def accept_drive(
         others = replays.other_deliveries(conn, known.drive_id, captured_ns, known.content_sha256, map_name=map_name)
         if others:
             raise ConflictError(
-                f"another delivery of drive {known.drive_id} is already on the map (changeset {others[-1]}); the two would count "
-                f"as two surveys. Revert that one first with `conetl map revert {others[-1]}`, if this one is to count instead."
+                f"another delivery of drive {known.drive_id} is already on the map (changeset {others[-1]}). To use this one "
+                f"instead, first revert that one with `conetl map revert {others[-1]}`."
             )
         decide = partial(at.insert, ACCEPT, changeset_id=known.changeset_id)
         decision_id, written, replayed, _ = _judge_drive(conn, at, known.drive_uuid, decide, None)
@@ -220,13 +220,13 @@ def _not_held(conn: Connection, known: CommittedChangeset) -> str:
     """Why a changeset that is not on hold cannot be accepted."""
     number = known.changeset_no
     if known.counts:
-        return f"changeset {number} counts already"
+        return f"changeset {number} is already in effect"
     later = store.replaced_by_delivery(conn, known.changeset_id)
     if later is None:
         return f"changeset {number} was reverted, see `conetl map decisions`"
     return (
-        f"a later delivery of the drive took the place of changeset {number}, and both would count as two surveys. Revert that "
-        f"one first with `conetl map revert {later}`, if this one is to count instead"
+        f"a later delivery of the drive replaced changeset {number}. To use this one instead, first revert the later one with "
+        f"`conetl map revert {later}`"
     )
 
 
@@ -305,7 +305,7 @@ def _feature(conn: Connection, map_name: str, beginning: str) -> MapFeature:
         raise InputError(f"several feature ids begin with {beginning}: give more characters")
     version = replays.read_open_version(conn, map_name, found[0])
     if version is None:
-        raise InputError(f"feature {found[0]} was on the map once, and was removed since: see `conetl map log`")
+        raise InputError(f"feature {found[0]} was on the map, but has been removed: see `conetl map log`")
     return version.feature
 
 
