@@ -19,7 +19,7 @@ from conetl.db.connection import Connection, connect
 from conetl.db.map.map_store import find_map
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
-from conetl.exports.source import ExportRequest, What
+from conetl.exports.source import ExportContent, ExportRequest
 
 
 def main() -> None:
@@ -35,12 +35,12 @@ def main() -> None:
         if find_map(conn, map_name) is None:
             make_closures(conn, map_name, features=options.features, versions=options.versions)
         conn.rollback()
-        figures = measure(conn, home, map_name, options.format, What(options.what))
+        figures = measure(conn, home, map_name, options.format, ExportContent(options.what))
     print(json.dumps(figures, indent=2))
     write_json(options.json, figures)
 
 
-def measure(conn: Connection, home: Path, map_name: str, file_format: str, what: What) -> dict[str, object]:
+def measure(conn: Connection, home: Path, map_name: str, file_format: str, what: ExportContent) -> dict[str, object]:
     watch, load_before = Stopwatch(conn.info.backend_pid), load()
     with watch.phase("export"):
         path = home / f"export{FORMATS[file_format].suffix}"

@@ -31,7 +31,7 @@ from benchmarks.harness import arguments_of, own_cluster, write_json
 from benchmarks.whole_job import params_with
 from conetl.db.connection import Connection, connect, execute
 from conetl.db.schema import run_audits
-from conetl.files.atomic import sweep
+from conetl.files.atomic import remove_leftovers
 from conetl.pipeline.ingest import ingest as pipeline_ingest
 from conetl.pipeline.settings import Settings, prefect_environment
 from tests.integration.small_drives import SAMPLES, cut_drive
@@ -47,7 +47,7 @@ EMPTY = (
 def run_job(drives: list[Path], settings: Settings) -> None:
     """The work of the pipeline, without refinement of poses."""
     params = params_with(False)
-    sweep((settings.results_folder, settings.exports_folder))
+    remove_leftovers((settings.results_folder, settings.exports_folder))
     for folder in drives:
         pipeline_ingest(folder, params, settings)
 

@@ -50,7 +50,7 @@ from conetl.mapping.history import DriveEvidence, apply_drive
 from conetl.model.drive import DriveRecords
 from conetl.model.map_records import Changeset, Decisions
 from conetl.model.params import ReconcileParams
-from conetl.pipeline.replay import no_cycle_search, one_more
+from conetl.pipeline.replay import gc_paused, replay_of_newest
 
 QUERIES = 60
 BOX_M = 500.0
@@ -69,7 +69,7 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
     key = hashlib.sha256(f"changeset {drive.drive_id}".encode()).hexdigest()
     changeset_id = uuid5(NAMESPACE_URL, key)
     with watch.phase("lock, commit"):  # noqa: SIM117 -- its own share is the rest
-        with no_cycle_search(), drive_transaction(conn, MAP_NAME):
+        with gc_paused(), drive_transaction(conn, MAP_NAME):
             with watch.phase("place the drive"):
                 place = partial(place_drive, conn, drive, key, map_name=MAP_NAME)
                 near = lock_neighbourhood(
@@ -110,7 +110,7 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
                     DriveRecords(drive, positions=sightings.positions, tracks=sightings.tracks),
                     changeset,
                     map_name=MAP_NAME,
-                    replay=one_more(standing, extension, changeset_id),
+                    replay=replay_of_newest(standing, extension, changeset_id),
                     placed=near.drive_uuid,
                 )
     rest = np.subtract(watch.phases["lock, commit"], np.sum(list(watch.phases.values())[:-1], axis=0))

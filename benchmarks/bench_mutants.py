@@ -36,7 +36,7 @@ from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import commit
 from conetl.pipeline.database import MapDatabase
-from conetl.pipeline.ingest import unless_doubtful
+from conetl.pipeline.ingest import raise_if_doubtful
 from conetl.pipeline.settings import Settings
 from tests.mutants.table import FIRST, FOLDERS, GOOD, KITTI, RECORDINGS, SECOND, STREET, STREET_AGAIN, WrongRecording
 
@@ -146,7 +146,7 @@ class Bench:
             outcome = replace(
                 outcome, counts=" ".join(f"{n} {kind.value}" for kind, n in committed.report.counts.items() if n)
             )
-            unless_doubtful(committed.report, analysed)
+            raise_if_doubtful(committed.report, analysed)
         except ConetlError as error:
             said = error.report.on_hold if isinstance(error, DriveOnHoldError) else None  # without what all holds say
             outcome = replace(outcome, exit=error.exit_code, said=said or str(error))

@@ -10,8 +10,8 @@ from uuid import UUID
 from prefect import artifacts
 
 from conetl.files.names import as_markdown, minutes
-from conetl.model.health import HeldDrive, HoldEvent, what_to_do
-from conetl.pipeline.backfill_plan import reasons
+from conetl.model.health import HeldDrive, HoldEvent, hold_remedy
+from conetl.pipeline.backfill_plan import reason_counts
 
 if TYPE_CHECKING:
     from flows.backfill import Standing
@@ -48,7 +48,7 @@ def show_summary(standing: Standing) -> None:
         f"done in {standing.seconds:.0f} s, {standing.parallel} at a time "
         f"({'by workers' if standing.where == 'workers' else 'in this process'}).",
         "",
-        *_table("plan, drives", [(as_markdown(reason), count) for reason, count in reasons(plan)]),
+        *_table("plan, drives", [(as_markdown(reason), count) for reason, count in reason_counts(plan)]),
     ]
     if standing.failed:
         rows = [map(as_markdown, (r.drive_id, r.drive_path, r.reason)) for r in standing.failed[:_SHOWN_ROWS]]
@@ -64,7 +64,7 @@ def _held_lines(standing: Standing) -> list[str]:
     lines: list[str] = []
     if standing.held:
         held = [
-            (_named(drive), check.name, check.figures, as_markdown(f"{check.detail} {what_to_do(drive.changeset_no)}"))
+            (_named(drive), check.name, check.figures, as_markdown(f"{check.detail} {hold_remedy(drive.changeset_no)}"))
             for drive in standing.held[:_SHOWN_ROWS]
             for check in drive.checks
         ]

@@ -23,7 +23,7 @@ from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import analysis_of
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Progress
-from conetl.pipeline.ingest import ended, failed, ingest, keep, new_receipt
+from conetl.pipeline.ingest import failed_receipt, final_receipt, ingest, new_receipt, save_receipt
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives.header import DriveHeader, read_header
 from flows.artifacts import progress_artifact, publish_drive, publish_pending
@@ -88,7 +88,7 @@ def ingest_drive(
     with alive(settings, drive_lock(settings.map_name, header.header_sha256)) as database:
         analysis = analysis_of(params, settings).sha256
         begun = new_receipt(header, settings, analysis, attempt_id or uuid4(), flow_run.id)
-        keep(begun, settings, database)
+        save_receipt(begun, settings, database)
         started = time.monotonic()
         try:
             _describe_run(header, settings.map_name)
@@ -97,9 +97,9 @@ def ingest_drive(
         except NeedsAttentionError as error:
             report, problem = error.report, " ".join((str(error), *error.report.remarks))
         except Exception as error:
-            keep(failed(begun, error), settings, database)
+            save_receipt(failed_receipt(begun, error), settings, database)
             raise
-        keep(ended(begun, report, time.monotonic() - started, problem), settings, database)
+        save_receipt(final_receipt(begun, report, time.monotonic() - started, problem), settings, database)
     if problem:
         return Completed(name="OnHold" if report.on_hold else "CommittedNeedsALook", message=problem)
     counts = ", ".join(f"{count} {kind}" for kind, count in report.counts.items())

@@ -14,7 +14,7 @@ from prefect.futures import PrefectFuture
 from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTaskRunner
 
 from conetl.db.receipt_store import StepTime
-from conetl.model.errors import InputError, is_of_storage
+from conetl.model.errors import InputError, is_storage_error
 from conetl.pipeline import analysis, commit, detect, ingest, markings, odometry
 from conetl.pipeline.executor import StepClock
 from conetl.pipeline.settings import Settings
@@ -30,9 +30,9 @@ _NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
     detect.match: ("match", "match {chunk.value.frame_pairs[0].frame_index}"),
     analysis.locate: ("locate", None),
     analysis.fuse: ("fuse", None),
-    analysis.weigh: ("weigh", None),
-    analysis.compare: ("compare observations", None),
-    analysis.keep_standing: ("reject moving objects", None),
+    analysis.estimate_variances: ("estimate variances", None),
+    analysis.inflate_outliers: ("inflate outliers", None),
+    analysis.reject_moving: ("reject moving objects", None),
     markings.mark: ("mark", None),
     commit.commit: ("merge", None),
     artifacts.publish_drive: ("publish", None),
@@ -112,7 +112,7 @@ def _may_pass(_task: Any, _run: Any, state: Any) -> bool:
     try:
         state.result()
     except InputError as error:
-        return is_of_storage(error.__cause__)
+        return is_storage_error(error.__cause__)
     except Exception:
         return True
     return False

@@ -18,7 +18,7 @@ from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import Changeset, Delta, DeltaKind, FeatureVersion, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
 from conetl.model.rig import Camera, Rig, Side
-from conetl.pipeline.replay import one_more
+from conetl.pipeline.replay import replay_of_newest
 
 SRID = 32632
 DAY_NS = 86_400_000_000_000
@@ -285,7 +285,9 @@ def write(conn: Any, records: DriveRecords, made: Changeset, *, map_name: str = 
     placed = place_drive(conn, records.drive, made.idempotency_key, map_name=map_name)
     stored, _ = read_versions(conn, [placed])
     standing = {one.feature_id: (one, row_id) for one, row_id in stored.items() if one.valid_to_ns is None}
-    replay = one_more(standing, MapUpdate(list(made.deltas), versions_of(made, standing), []), made.changeset_id)
+    replay = replay_of_newest(
+        standing, MapUpdate(list(made.deltas), versions_of(made, standing), []), made.changeset_id
+    )
     return commit_changeset(conn, records, made, map_name=map_name, replay=replay, placed=placed, **options)
 
 

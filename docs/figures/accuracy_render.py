@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from conetl.geometry.rig import up_in_left_camera
 from conetl.model.params import IngestParams
 from conetl.model.rig import Side
-from conetl.perception.detections import check_boxes
+from conetl.perception.detections import to_detections
 from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.simulation.scene import develop, exposure_gain
 from conetl.tracking.matching.matches import match_pair
@@ -53,7 +53,7 @@ def _locate(pair: RenderedPair, gain: float, detector: Detector, rng: np.random.
     sides: tuple[Side, Side] = ("left", "right")
     boxes = [detect_image(detector, image, score_threshold=params.detection.score_threshold) for image in images]
     left, right = (
-        check_boxes(box, frame_index=0, side=side, params=params.detection)[0]
+        to_detections(box, frame_index=0, side=side, params=params.detection)[0]
         for box, side in zip(boxes, sides, strict=True)
     )
     up = up_in_left_camera(pair.rig)

@@ -21,7 +21,7 @@ from conetl.model.health import HealthCheck, Verdict
 from conetl.model.map_records import Changeset
 from conetl.model.params import DetectionParams, IngestParams
 from conetl.model.rig import CalibrationCovariance, Rig
-from conetl.pipeline.replay import Merged, merge_drive
+from conetl.pipeline.replay import MergeResult, merge_drive
 from tests.synthetic.world import START_NS, Cone, detect, fuse_logged, locate, make_path, make_rig, shifted
 
 DAY_NS = 86_400_000_000_000
@@ -122,7 +122,7 @@ def merge(
     params: IngestParams | None = None,
     hold: str | None = None,
     evidence: DetectorEvidence | None = None,
-) -> Merged | None:
+) -> MergeResult | None:
     """Merge as the last step of an ingest does; None where the drive is already on the map."""
     params = params or (PAINTED if survey.markings else IngestParams())
     key = key_of(survey, params)
@@ -132,7 +132,7 @@ def merge(
     )  # fmt: skip
     with drive_transaction(conn, map_name):
         merged = merge_drive(conn, survey, changeset, params, map_name=map_name, evidence=evidence, hold=held_for(hold))
-    return merged if isinstance(merged, Merged) else None
+    return merged if isinstance(merged, MergeResult) else None
 
 
 def held_for(reason: str | None) -> tuple[HealthCheck, ...]:

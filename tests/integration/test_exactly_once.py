@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 from conetl.db import connection as db
 from conetl.db.connection import connect, execute
 from conetl.db.map.map_store import list_changesets, map_transaction
-from conetl.files.atomic import aside, atomic_text_file, sweep
+from conetl.files.atomic import atomic_text_file, remove_leftovers, temporary_path
 from conetl.files.home import make_secret
 from conetl.files.parquet_store import save_result
 from conetl.model.drive import Detection
@@ -94,7 +94,7 @@ def test_results_cannot_be_written_where_a_file_is_in_the_way(tmp_path):
 
 
 def test_only_files_of_dead_writers_are_swept(tmp_path):
-    mine = aside(tmp_path / "a.parquet")
+    mine = temporary_path(tmp_path / "a.parquet")
     mine.write_text("being written")
     dead = subprocess.run(
         [
@@ -113,7 +113,7 @@ def test_only_files_of_dead_writers_are_swept(tmp_path):
     foreign = tmp_path / f".c.parquet.elsewhere.1.{uuid4().hex}.tmp"
     foreign.write_text("of another machine")
     (tmp_path / ".notes.tmp").write_text("not ours")
-    assert sorted(sweep([tmp_path, tmp_path / "missing"])) == sorted(map(Path, dead))
+    assert sorted(remove_leftovers([tmp_path, tmp_path / "missing"])) == sorted(map(Path, dead))
     assert {path.name for path in tmp_path.iterdir()} == {mine.name, foreign.name, ".notes.tmp"}
 
 

@@ -26,7 +26,7 @@ from conetl.db.map.import_store import set_licence
 from conetl.db.map.map_store import read_features_as_of
 from conetl.exports import FORMATS, text_files
 from conetl.exports.export import export_map
-from conetl.exports.source import ExportRequest, What
+from conetl.exports.source import ExportContent, ExportRequest
 from conetl.model.errors import InputError
 from conetl.model.params import ImportParams
 from conetl.pipeline.nightly_publication import write_publication
@@ -38,9 +38,9 @@ from tests.integration.test_reports import assert_loads_nothing
 NOON = [datetime.fromtimestamp((START_NS + day * DAY_NS) / 1e9 + 7200, UTC) for day in range(4)]
 TO_MAP = Transformer.from_crs(4326, 32632, always_xy=True)
 WHATS = {
-    What.FEATURES: ExportRequest(),
-    What.HISTORY: ExportRequest(what=What.HISTORY),
-    What.CHANGES: ExportRequest(what=What.CHANGES, since=NOON[0], until=NOON[2]),
+    ExportContent.FEATURES: ExportRequest(),
+    ExportContent.HISTORY: ExportRequest(what=ExportContent.HISTORY),
+    ExportContent.CHANGES: ExportRequest(what=ExportContent.CHANGES, since=NOON[0], until=NOON[2]),
 }
 
 
@@ -73,7 +73,9 @@ def files(conn, tmp_path_factory):
 
 def rows_of(conn, what):
     """(position, valid_from) of the expected rows, from the tables, sorted."""
-    where = "upper_inf(system_period) and upper_inf(valid_period) and present" if what is What.FEATURES else "true"
+    where = (
+        "upper_inf(system_period) and upper_inf(valid_period) and present" if what is ExportContent.FEATURES else "true"
+    )
     rows = execute(
         conn,
         f"select ST_X(geom) x, ST_Y(geom) y, ST_Z(geom) z, lower(valid_period) t from conetl.feature_version where {where}",
@@ -101,7 +103,7 @@ def duckdb_spatial():
     return connection
 
 
-@pytest.mark.parametrize("what", [What.FEATURES, What.HISTORY])
+@pytest.mark.parametrize("what", [ExportContent.FEATURES, ExportContent.HISTORY])
 def test_geoparquet_in_geopandas_and_duckdb(conn, files, what):
     path = files[0] / f"{what}.parquet"
     wanted = rows_of(conn, what)
@@ -134,7 +136,7 @@ def test_geoparquet_metadata_follows_the_standard(files):
     assert str(file.schema_arrow.field("last_seen_at").type) == "timestamp[us, tz=UTC]"
 
 
-@pytest.mark.parametrize("what", [What.FEATURES, What.HISTORY])
+@pytest.mark.parametrize("what", [ExportContent.FEATURES, ExportContent.HISTORY])
 @pytest.mark.parametrize("suffix", ["gpkg", "fgb"])
 def test_geopackage_and_flatgeobuf_in_gdal(conn, files, what, suffix):
     path = files[0] / f"{what}.{suffix}"
@@ -148,7 +150,7 @@ def test_geopackage_and_flatgeobuf_in_gdal(conn, files, what, suffix):
 
 def test_text_formats(conn, files):
     folder, _ = files
-    for what in (What.FEATURES, What.HISTORY):
+    for what in (ExportContent.FEATURES, ExportContent.HISTORY):
         wanted = rows_of(conn, what)
         features = json.loads((folder / f"{what}.geojson").read_text())["features"]
         places = [(*f["geometry"]["coordinates"], f["properties"]["valid_from"]) for f in features]
@@ -194,7 +196,7 @@ def test_the_scene_in_mcap(conn, files):
         assert size["z"] == float(known["height_m"])
         place = (position["x"] + origin["x"], position["y"] + origin["y"], position["z"] - size["z"] / 2 + origin["z"])
         found.append((*place, parsed(known["valid_from"])))
-    same(found, rows_of(conn, What.FEATURES))
+    same(found, rows_of(conn, ExportContent.FEATURES))
     colours = {tuple(round(e["cylinders"][0]["color"][c], 2) for c in "rgb") for e in entities}
     assert len(colours) >= 2  # some are new, some confirmed
 
@@ -242,12 +244,12 @@ def test_evidence_of_drives_is_exported(another_database, tmp_path):
         shown = {str(v.feature.feature_id): v for v in read_features_as_of(conn)}
         conn.rollback()
         assert any(v.missed_count == 2 for v in shown.values())
-        for what in What:
-            since = NOON[0] - timedelta(days=1) if what is What.CHANGES else None
+        for what in ExportContent:
+            since = NOON[0] - timedelta(days=1) if what is ExportContent.CHANGES else None
             path = tmp_path / f"{what}.parquet"
             export_map(conn, path, "geoparquet", ExportRequest(what=what, since=since))
             frame = geopandas.read_parquet(path)
-            if what is What.HISTORY:
+            if what is ExportContent.HISTORY:
                 frame = frame[frame["present"] & frame["valid_to"].isna() & frame["system_to"].isna()]
             told = frame.set_index("feature_id")[["seen_count", "missed_count", "existence_probability"]]
             assert {key: tuple(row) for key, row in told.iterrows()} == {
@@ -261,7 +263,7 @@ def test_an_earlier_database_state_can_be_exported(conn, tmp_path):
     manifest = export_map(conn, tmp_path / "old.parquet", "geoparquet", ExportRequest(believed_at=first["at"]))
     assert manifest["rows"] == len(list(read_features_as_of(conn, known_at=first["at"]))) != 0
     conn.rollback()
-    history = ExportRequest(what=What.HISTORY, believed_at=first["at"])
+    history = ExportRequest(what=ExportContent.HISTORY, believed_at=first["at"])
     assert export_map(conn, tmp_path / "h.csv", "csv", history)["rows"] == manifest["rows"]
 
 
@@ -280,8 +282,8 @@ def test_contradicting_requests_are_refused(conn, tmp_path):
     for request, message in (
         (ExportRequest("nowhere"), "no map named nowhere"),
         (ExportRequest(since=NOON[0]), "--what changes"),
-        (ExportRequest(what=What.HISTORY, as_of=NOON[0]), "--as-of"),
-        (ExportRequest(what=What.CHANGES, since=NOON[1], until=NOON[0]), "--to is earlier"),
+        (ExportRequest(what=ExportContent.HISTORY, as_of=NOON[0]), "--as-of"),
+        (ExportRequest(what=ExportContent.CHANGES, since=NOON[1], until=NOON[0]), "--to is earlier"),
     ):
         with pytest.raises(InputError, match=message):
             export_map(conn, tmp_path / "out.parquet", "geoparquet", request)
@@ -351,17 +353,17 @@ def lined(another_database, samples, tmp_path_factory):
     return moved.marking, folder, manifests
 
 
-@pytest.mark.parametrize("what", list(What))
+@pytest.mark.parametrize("what", list(ExportContent))
 def test_lane_markings_are_lines_beside_the_points(lined, what):
     """One layer or file per type of geometry; the same lines in all of them."""
     shape, folder, manifests = lined
-    rows = {What.FEATURES: 1, What.HISTORY: 6, What.CHANGES: 2}[what]
+    rows = {ExportContent.FEATURES: 1, ExportContent.HISTORY: 6, ExportContent.CHANGES: 2}[what]
     beside = {"geoparquet", "csv", "flatgeobuf"}
     for name in FORMATS:
         manifest = manifests[what, name]
         lines = manifest["lane_markings"]
         suffix = FORMATS[name].suffix
-        replaced = 2 if (what, name) == (What.HISTORY, "mcap") else 0  # which plays one state of the database
+        replaced = 2 if (what, name) == (ExportContent.HISTORY, "mcap") else 0  # which plays one state of the database
         assert lines["rows"] == rows - replaced
         assert lines["file"] == (f"{what}_lane_markings{suffix}" if name in beside else f"{what}{suffix}")
         assert {"width_m", "pattern", "sigma_lateral_m"} <= set(lines["columns"]) and "height_m" not in lines["columns"]
@@ -428,5 +430,8 @@ def test_one_class_alone_and_in_another_crs(lined):
 def test_an_import_leaves_lane_markings_out(lined):
     _, folder, manifests = lined
     found = read_map_file(folder / "features.geojson", ImportParams(), map_srid=32632)
-    assert (len(found.statements), found.lines_left_out) == (manifests[What.FEATURES, "geojson"]["rows"] - 1, 1)
+    assert (len(found.statements), found.lines_left_out) == (
+        manifests[ExportContent.FEATURES, "geojson"]["rows"] - 1,
+        1,
+    )
     assert read_map_file(folder / "features.parquet", ImportParams()).lines_left_out == 0

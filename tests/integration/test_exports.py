@@ -20,7 +20,7 @@ from conetl.db.map.map_store import read_current_features
 from conetl.exports.export import export_map
 from conetl.exports.kind_marks import KIND_MARKS, PAINT
 from conetl.exports.qgis_project import _iso, write_qgis_project
-from conetl.exports.source import ExportRequest, What
+from conetl.exports.source import ExportContent, ExportRequest
 from conetl.exports.text_files import export_geojson, iso_utc
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
@@ -97,7 +97,7 @@ def test_a_removed_cone_was_there_until_it_was_gone(conn, samples, tmp_path):
     gone_ns = samples.START_NS + 9 * day_ns
     samples.commit(conn, samples.removed(seen.new, gone_ns), key="3")
     since, until = (utc_from_ns(samples.START_NS + days * day_ns) for days in (1, 19))
-    export_map(conn, tmp_path / "c.csv", "csv", ExportRequest(what=What.CHANGES, since=since, until=until))
+    export_map(conn, tmp_path / "c.csv", "csv", ExportRequest(what=ExportContent.CHANGES, since=since, until=until))
     with (tmp_path / "c.csv").open(newline="") as file:
         [row] = csv.DictReader(file)
     assert (row["change"], row["version"], row["valid_to"]) == ("removed", "1", iso_utc(utc_from_ns(gone_ns)))

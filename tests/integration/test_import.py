@@ -21,7 +21,7 @@ from conetl.db.connection import execute
 from conetl.db.map.map_store import list_changesets, read_current_features, read_features_as_of
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
-from conetl.exports.source import ExportRequest, What
+from conetl.exports.source import ExportContent, ExportRequest
 from conetl.files.parquet_store import file_sha256
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
@@ -411,7 +411,7 @@ def test_a_file_with_one_layer_needs_no_choice(tmp_path, surveyed):
 
 def test_a_history_is_refused_as_one(conn, tmp_path):
     merge(conn, survey(0))
-    for what, since in ((What.HISTORY, None), (What.CHANGES, datetime(2020, 1, 1, tzinfo=UTC))):
+    for what, since in ((ExportContent.HISTORY, None), (ExportContent.CHANGES, datetime(2020, 1, 1, tzinfo=UTC))):
         export_map(conn, tmp_path / f"{what}.gpkg", "gpkg", ExportRequest(what=what, since=since))
         complaint(tmp_path / f"{what}.gpkg", "export of history or changes", map_srid=None)
 

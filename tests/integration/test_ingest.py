@@ -511,7 +511,7 @@ def test_the_plan_of_a_drive_shows_its_lane_markings(desk: Desk, small_drive: Pa
     drawn: list[CommittedDrive] = []
     params = IngestParams(detection=DetectionParams(categories=(CONE, LANE_MARKING)))
     report = ingest(small_drive, params, desk.settings, publish_new=lambda committed, *_: drawn.append(committed))
-    lines = [delta for delta in drawn[0].deltas if delta.is_of_line]
+    lines = [delta for delta in drawn[0].deltas if delta.is_line]
     assert len(lines) == report.line_counts[DeltaKind.ADDED] > 0
     assert len(report.changes) == report.counts[DeltaKind.ADDED] > 0, "the table of changes is of objects only"
 

@@ -24,7 +24,7 @@ from conetl.model.base import SharedErrorJacobian, utc_from_ns
 from conetl.model.drive import DriveRecords
 from conetl.model.errors import DatabaseError, MapMismatchError
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.pipeline.replay import one_more
+from conetl.pipeline.replay import replay_of_newest
 from tests.synthetic.world import make_path
 
 DAY = timedelta(days=1)
@@ -239,7 +239,7 @@ def test_a_stale_reading_of_the_map_is_refused(conn, samples):
     update = MapUpdate([*late.deltas], samples.versions_of(late, standing), [])
     with pytest.raises(MapMismatchError, match="map default changed since"), store.map_transaction(conn):
         replay_store.write_replay(
-            conn, store.find_map(conn), one_more(standing, update, late.changeset_id), datetime.now(UTC)
+            conn, store.find_map(conn), replay_of_newest(standing, update, late.changeset_id), datetime.now(UTC)
         )
     assert store.read_current_features(conn) == [newer.new]
 

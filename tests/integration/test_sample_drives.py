@@ -15,7 +15,7 @@ from conetl.evaluation.accuracy import PointErrors, drive_consistency, members_o
 from conetl.evaluation.truth import compare_with_truth, read_truth_cones
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.changes import reconcile
-from conetl.mapping.deltas import Terms
+from conetl.mapping.deltas import ReconcileContext
 from conetl.mapping.visibility import check_visibility, observations_of_drive
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.errors import DriveFolderError
@@ -155,7 +155,7 @@ def _removed_by(drive: Path, sample_settings: Settings, before: AnalysedDrive) -
     """How many of the cones that `before` put on the map a drive, which finds none, takes from it."""
     features = [
         delta.new.model_copy(update={"last_seen_ns": 1, "first_seen_ns": 0})
-        for delta in reconcile(before.tracks, [], lambda *_: None, Terms(PARAMS.reconcile, "first"))
+        for delta in reconcile(before.tracks, [], lambda *_: None, ReconcileContext(PARAMS.reconcile, "first"))
         if delta.new is not None
     ]
     assert len(features) >= 8
@@ -170,5 +170,5 @@ def _removed_by(drive: Path, sample_settings: Settings, before: AnalysedDrive) -
     dark = dark_drive.records
     view = observations_of_drive(dark.drive.rig, dark.drive.frame_pairs, dark.detections, [], figures)
     check = partial(check_visibility, drive=view, params=params.reconcile)
-    deltas = reconcile([], features, check, Terms(params.reconcile, "second"))
+    deltas = reconcile([], features, check, ReconcileContext(params.reconcile, "second"))
     return sum(delta.kind is DeltaKind.REMOVED for delta in deltas)

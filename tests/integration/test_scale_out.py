@@ -33,7 +33,7 @@ from conetl.perception.rectified_image import read_pair_image
 from conetl.pipeline import detect as detection
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.chunks import Chunk, chunks_of, parts_of
-from conetl.pipeline.detect import NOTHING, Along, Detected, detect, match
+from conetl.pipeline.detect import NO_EXTRAS, Detected, ExtraSteps, detect, match
 from conetl.pipeline.executor import ThreadExecutor
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
@@ -112,8 +112,8 @@ def test_corrected_poses_find_again_what_their_images_showed(chunks: list[Chunk]
 def test_what_is_found_along_with_detections_is_what_is_found_later(chunks: list[Chunk], tmp_path: Path) -> None:
     """Of images that were decoded for the detection, and of images that are read again."""
     written: list[dict[str, bytes]] = []
-    everything, motions = Along(odometry=True, markings=True), []
-    for first in (everything, NOTHING):
+    everything, motions = ExtraSteps(odometry=True, markings=True), []
+    for first in (everything, NO_EXTRAS):
         results = tmp_path / str(first.odometry)
         for chunk in (chunk.model_copy(update={"results_folder": results}) for chunk in chunks):
             for part in range(len(parts_of(chunk))):
@@ -128,8 +128,8 @@ def test_what_is_found_along_with_detections_is_what_is_found_later(chunks: list
     assert at == 2 * list(pairwise(pairs)), "the last motion is that to the next chunk"
 
 
-@pytest.mark.parametrize("along", [NOTHING, Along(odometry=True, markings=True)])
-def test_images_are_decoded_once(along: Along, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("along", [NO_EXTRAS, ExtraSteps(odometry=True, markings=True)])
+def test_images_are_decoded_once(along: ExtraSteps, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """For detections and for what is found along with them; but for the pair to which the last motion leads."""
     (chunk,) = chunks_of(read_drive(SAMPLES[0])[0], Settings(home=tmp_path), IngestParams())
     decoded: Counter[tuple[int, str]] = Counter()

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pytest
 
-from conetl.geometry.calibration.covariance import unpack_all
+from conetl.geometry.calibration.covariance import unpack_jacobians
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.mapping.fusion import fuse
 from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
@@ -108,7 +108,7 @@ def test_errors_of_a_class_are_stated_apart_and_stay_however_many_drives() -> No
     assert all(track.shared_jacobian is None for track in tracks if track.category == CONE)
     shared = drum.shared_jacobian
     assert shared is not None and shared.calibrations == (class_error_id("drum"),)
-    [[moved_m]] = unpack_all(shared.calibrations, [shared])
+    [[moved_m]] = unpack_jacobians(shared.calibrations, [shared])
     common = moved_m @ moved_m.T
     apart = cov_matrix(drum.cov_m2) - cov_matrix(drum.relative_cov_m2) - common
     assert np.trace(common) > 1e-6 and np.linalg.eigvalsh(apart).min() > 0, "the rest is that of the poses"

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, unpack_all
+from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, unpack_jacobians
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.changes import reconcile
-from conetl.mapping.deltas import Terms
+from conetl.mapping.deltas import ReconcileContext
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
@@ -58,7 +58,7 @@ def one_track(
     by_calibration = turn @ calibration_jacobian(in_camera[None], rig)[0]
     shared_jacobian = jacobian_of(by_calibration, rig)
     assert shared_jacobian is not None
-    moved = unpack_all(shared_jacobian.calibrations, [shared_jacobian])[0, 0]
+    moved = unpack_jacobians(shared_jacobian.calibrations, [shared_jacobian])[0, 0]
     at = ORIGIN_M + cone_m + off_m + moved @ z
     own = np.eye(3) * (DRIVE_M**2 + CONE_M**2)
     return records.track(
@@ -77,7 +77,9 @@ def after(drives: Sequence[Sequence[Track]]) -> list[MapFeature]:
     """The map that the drives make."""
     standing: dict[object, MapFeature] = {}
     for number, tracks in enumerate(drives):
-        for delta in reconcile(tracks, list(standing.values()), lambda *_: None, Terms(PARAMS, f"drive {number}")):
+        for delta in reconcile(
+            tracks, list(standing.values()), lambda *_: None, ReconcileContext(PARAMS, f"drive {number}")
+        ):
             assert delta.new is not None
             standing[delta.feature_id] = delta.new
     return list(standing.values())

@@ -17,7 +17,7 @@ from conetl.geometry.rig import map_SE3_left
 from conetl.model.drive import Drive, Position
 from conetl.model.params import IngestParams
 from conetl.model.rig import Camera, Lens, Rig
-from conetl.perception.detections import check_boxes
+from conetl.perception.detections import to_detections
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.rectified_image import read_rig_image
 from conetl.readers.drives import read_drive
@@ -107,7 +107,7 @@ def positions(drive: Drive) -> list[Position]:
                 detector, images[side],
                 score_threshold=params.detection.score_threshold, nms_iou=params.detection.nms_iou,
             )  # fmt: skip
-            found[side], _ = check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params.detection)  # type: ignore[arg-type]
+            found[side], _ = to_detections(boxes, frame_index=pair.frame_index, side=side, params=params.detection)  # type: ignore[arg-type]
         up = map_SE3_left(pair.pose, drive.rig)[2, :3]
         pair_images = images["left"], images["right"]
         matches += match_pair(

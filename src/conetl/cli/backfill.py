@@ -136,7 +136,7 @@ _ACTIONS = {"ingest": "ingest", "wait": "wait", "skip": "-", "refuse": "not usab
 
 
 def _print_plan(plan: Plan, parallel: int) -> None:
-    from conetl.pipeline.backfill_plan import reasons
+    from conetl.pipeline.backfill_plan import reason_counts
 
     span = " to ".join(f"{t:%Y-%m-%d %H:%M}" if t else "..." for t in (plan.since, plan.until))
     recorded = f", recorded {span}" if plan.since or plan.until else ""
@@ -144,7 +144,7 @@ def _print_plan(plan: Plan, parallel: int) -> None:
     ui.say(f"{drives} below {plan.root}{recorded}; map {plan.map_name}; planned in {plan.seconds:.1f} s.")
     if not plan.lines:
         return
-    ui.print_table("", ("plan", "drives"), reasons(plan))
+    ui.print_table("", ("plan", "drives"), reason_counts(plan))
     how_long = ""
     if plan.count("ingest"):
         estimate = plan.estimate_s(parallel)

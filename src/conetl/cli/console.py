@@ -28,7 +28,7 @@ from rich.table import Table
 
 from conetl.model.errors import ConetlError, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
-from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, what_to_do
+from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, hold_remedy
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 ParamsOption = Annotated[
@@ -179,7 +179,7 @@ def print_held(drives: Sequence[HeldDrive]) -> None:
     if rows:
         print_records(f"On hold: {counted(len(drives), 'drive')}", columns, rows, numbers_from=len(columns))
         for drive in drives:
-            say(f"{drive.drive_id}: {drive.reason} {what_to_do(drive.changeset_no)}")
+            say(f"{drive.drive_id}: {drive.reason} {hold_remedy(drive.changeset_no)}")
 
 
 def print_hold_events(events: Sequence[HoldEvent]) -> None:

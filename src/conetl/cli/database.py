@@ -19,7 +19,7 @@ from conetl.db.map.results import MapInfo
 from conetl.db.retention import archive_drive, parse_age, prunable_drives, prune_drives, restore_drives
 from conetl.db.schema import database_status, run_audits
 from conetl.db.schema import migrate as apply_migrations
-from conetl.files.atomic import old_images, old_publications, old_results, remove, size_bytes, sweep
+from conetl.files.atomic import old_images, old_publications, old_results, remove, remove_leftovers, size_bytes
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.pipeline.database import open_database, open_maps
 from conetl.pipeline.settings import Settings, read_settings
@@ -233,7 +233,7 @@ def prune(
         if not as_json:
             say(f"{done}: {len(paths)} {kind}, {report[kind]['bytes'] / 1e6:.1f} MB")
     if do_it:
-        sweep((settings.results_folder, settings.exports_folder))
+        remove_leftovers((settings.results_folder, settings.exports_folder))
     if as_json:
         print_json(report)
     elif not do_it:

@@ -16,14 +16,14 @@ from pydantic import ValidationError
 
 from conetl.cli import console as ui
 from conetl.exports.kind_marks import kind_label
-from conetl.files.atomic import sweep
+from conetl.files.atomic import remove_leftovers
 from conetl.files.documents import first_message, read_yaml_model
 from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.mapping.reasons import probability_text
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
-from conetl.model.feature_classes import CONE, LANE_MARKING, LINE_CLASSES, known_of
-from conetl.model.health import Verdict, holding
+from conetl.model.feature_classes import CONE, LANE_MARKING, LINE_CLASSES, known_classes
+from conetl.model.health import Verdict, hold_checks
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams
@@ -95,7 +95,7 @@ def ingest_drives(
         return [], EXIT_BAD_INPUT
     ui.note(*(remark for header in headers for remark in header.remarks))
     require_room(settings)
-    sweep((settings.results_folder, settings.exports_folder))
+    remove_leftovers((settings.results_folder, settings.exports_folder))
     ui.note_unmeasured(read_model_card(settings.model_path))
     os.environ.update(prefect_environment(settings.home))
     reports: list[IngestReport] = []
@@ -104,7 +104,7 @@ def ingest_drives(
         with ui.spinner("Starting Prefect"):
             # Prefect reads its environment when it is imported, which takes two seconds: not at the top of the file.
             from conetl.pipeline.database import MapDatabase
-            from conetl.pipeline.ingest import as_known
+            from conetl.pipeline.ingest import as_conetl_error
             from flows.ingest_drive import ingest_in_run, run_by_command
             from flows.server import prefect_server
 
@@ -129,7 +129,7 @@ def ingest_drives(
             except NeedsAttentionError as error:
                 report, complaints = error.report, [error]
             except Exception as raised:
-                failure = as_known(raised)
+                failure = as_conetl_error(raised)
                 if not isinstance(failure, ConetlError):
                     raise
                 ui.complain(failure)
@@ -184,7 +184,7 @@ def read_params(path: Path | None, categories: Sequence[str] | None, settings: S
         return params
     card = read_model_card(settings.model_path)
     card.require_categories(categories, besides=(*LINE_CLASSES, "all"))
-    wanted = known_of({*card.class_names, *LINE_CLASSES}) if "all" in categories else categories
+    wanted = known_classes({*card.class_names, *LINE_CLASSES}) if "all" in categories else categories
     try:
         detection = DetectionParams.model_validate(params.detection.model_dump() | {"categories": wanted})
     except ValidationError as error:
@@ -238,7 +238,7 @@ def print_report(report: IngestReport) -> None:
         return
     categories = {change.category for change in report.changes}
     ui.print_records("", ui.class_if_mixed(_CHANGES, categories), report.changes, numbers_from=2)
-    failed = ", ".join(check.name for check in holding(report.health))
+    failed = ", ".join(check.name for check in hold_checks(report.health))
     changed = counts if report.on_hold is None else f"on hold ({failed}), the map is unchanged"
     noun = "object" if categories - {CONE} else "cone"
     left = _left_out(0 if report.on_hold else report.tracks - sum(report.counts[kind] for kind in _OBSERVED))

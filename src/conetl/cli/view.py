@@ -13,7 +13,7 @@ import uvicorn
 from conetl.cli.console import JsonOption, MapOption, answer, err, note
 from conetl.cli.database import require_maps
 from conetl.db.map.map_store import require_map
-from conetl.files.home import WRITER_TOKEN, checked_secret, login_address, make_secret, read_secret, view_token
+from conetl.files.home import WRITER_TOKEN, login_address, make_secret, read_secret, validated_secret, view_token
 from conetl.model.errors import InputError
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings, read_settings
@@ -112,7 +112,7 @@ def decision_writer(settings: Settings, url: str, *, on_request: bool, token_fil
         token = read_secret(token_file)
         err.print(f"Decisions are enabled; the writer token is in {token_file.resolve()}", markup=False, soft_wrap=True)
     elif settings.writer_token is not None:
-        token = checked_secret(settings.writer_token, "CONETL_WRITER_TOKEN")
+        token = validated_secret(settings.writer_token, "CONETL_WRITER_TOKEN")
     else:
         return None
     return Writer(token, url, settings)

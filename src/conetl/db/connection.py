@@ -250,7 +250,7 @@ def _streaming(conn: Connection, what: str, name: str, parameters: Mapping[str, 
         yield cursor
 
 
-def latest_or(instant: datetime | None) -> str:
+def or_infinity(instant: datetime | None) -> str:
     """An instant as text for PostgreSQL, after all others where none is given."""
     return "infinity" if instant is None else instant.isoformat()
 

@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv
 
-from conetl.geometry.packing import stacked
+from conetl.geometry.packing import stack_rows
 from conetl.model.base import Vec3
 
 #: Name of a column -> its values: numbers, truth values, texts, UUIDs, bytes, mappings (JSON), each or None (NULL); or an array.
@@ -42,7 +42,7 @@ def timestamps_from_ns(nanoseconds: Any) -> pa.Array:
 
 def points(xyz_m: Sequence[Vec3], srid: int) -> list[str]:
     """geometry(PointZ, srid) from (n, 3) metres, as extended well-known binary (33 bytes)."""
-    xyz = stacked(xyz_m, 3)
+    xyz = stack_rows(xyz_m, 3)
     ewkb = np.empty(len(xyz), [("order", "u1"), ("type", "<u4"), ("srid", "<u4"), ("xyz", "<f8", 3)])
     ewkb["order"], ewkb["type"], ewkb["srid"], ewkb["xyz"] = 1, _EWKB_POINT_Z_SRID, srid, xyz
     digits = ewkb.tobytes().hex()

@@ -149,7 +149,7 @@ class AsyncReaderPool:
                     max_inactive_connection_lifetime=0,
                     timeout=db.CONNECT_TIMEOUT_S,
                     init=self._prepare,
-                    reset=_keep,
+                    reset=_keep_session,
                     server_settings=_SESSION,
                 )
             return self._pool
@@ -161,5 +161,5 @@ class AsyncReaderPool:
             await conn.set_type_codec(name, encoder=json.dumps, decoder=json.loads, schema="pg_catalog")
 
 
-async def _keep(_: asyncpg.Connection) -> None:
+async def _keep_session(_: asyncpg.Connection) -> None:
     """Between two requests a session stays as it is: the usual reset would restore its user and its right to write."""

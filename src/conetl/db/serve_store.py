@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, latest_or, read
+from conetl.db.connection import Connection, or_infinity, read
 
 Row = dict[str, Any]
 
@@ -50,7 +50,7 @@ def read_features(
     conn: Connection, map_name: str, valid_at: datetime | None, known_at: datetime | None, max_rows: int
 ) -> list[Row]:
     """Standing features at `valid_at` (None: latest) as known at `known_at` (None: now), by id."""
-    instants = {"valid_at": latest_or(valid_at), "known_at": latest_or(known_at)}
+    instants = {"valid_at": or_infinity(valid_at), "known_at": or_infinity(known_at)}
     return read_rows(conn, "serving.features", map_name=map_name, max_rows=max_rows, **instants)
 
 
@@ -62,7 +62,7 @@ def read_feature_history(
     [] if the map has no such feature.
     """
     return read_rows(
-        conn, "serving.feature_history", map_name=map_name, feature_id=feature_id, known_at=latest_or(known_at)
+        conn, "serving.feature_history", map_name=map_name, feature_id=feature_id, known_at=or_infinity(known_at)
     )
 
 

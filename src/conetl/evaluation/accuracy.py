@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from conetl.evaluation.truth import TruthCone, TruthLine
-from conetl.geometry.calibration.covariance import calibration_jacobian, known_covariance, unpack_all
+from conetl.geometry.calibration.covariance import calibration_jacobian, known_covariance, unpack_jacobians
 from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m, pooled
 from conetl.geometry.packing import cov_matrices, on_diagonal, vec3
 from conetl.geometry.rig import map_SE3_left
@@ -58,7 +58,7 @@ class PointErrors:
 
     def joint_cov_m2(self) -> Floats:
         """(3N, 3N) of all estimates, common errors included."""
-        return self.own_cov_m2 + _moved(self.common_jacobian, self.common_cov)
+        return self.own_cov_m2 + _propagate(self.common_jacobian, self.common_cov)
 
     def in_sight_axes(self, vectors: Floats) -> Floats:
         """(N, 3) vectors along the line of sight, across it (to the left) and up."""
@@ -131,7 +131,7 @@ def track_errors(
         between = motion.changed_cov_m2(xyz, [[p.frame_index for p in seen] for seen in members], all_shares)
     between[np.kron(np.eye(len(found), dtype=bool), np.ones((3, 3), dtype=bool))] = 0.0
     of_poses = np.diag(np.mean(variances, axis=0)) if found else np.zeros((6, 6))
-    by_class = _moved_by_classes([track for _, track in found])
+    by_class = _class_jacobian([track for _, track in found])
     return PointErrors(
         cone_ids=tuple(line.truth.cone_id for line, _ in found),
         truth_m=truth,
@@ -232,7 +232,7 @@ def select(errors: PointErrors, keep: Bools) -> PointErrors:
     )
 
 
-def given_others(errors: PointErrors, chosen: Bools) -> PointErrors:
+def conditional_errors(errors: PointErrors, chosen: Bools) -> PointErrors:
     """The errors of a mask (N,), given the others of the drive (the conditional distribution, e.g. Koch 1999, ch. 2.5.3).
 
     So the error of GNSS/INS, one draw for the whole drive, does not count again for each class. Errors common to the chosen ones
@@ -247,7 +247,7 @@ def given_others(errors: PointErrors, chosen: Bools) -> PointErrors:
         difference_m=(cov @ (precision @ errors.difference_m.ravel())[rows]).reshape(-1, 3),
         common_jacobian=jacobian,
         common_cov=common,
-        own_cov_m2=cov - _moved(jacobian, common),
+        own_cov_m2=cov - _propagate(jacobian, common),
     )
 
 
@@ -264,20 +264,20 @@ def drive_consistency(*drives: PointErrors) -> Consistency | None:
     )
 
 
-def _moved(jacobian: Floats, cov: Floats) -> Floats:
+def _propagate(jacobian: Floats, cov: Floats) -> Floats:
     """(3N, 3N) covariance of N estimates by common errors: (N, 3, K), (K, K)."""
     flat = jacobian.reshape(3 * len(jacobian), len(cov))
     return np.asarray(flat @ cov @ flat.T)
 
 
-def _moved_by_classes(tracks: Sequence[Track]) -> Floats:
+def _class_jacobian(tracks: Sequence[Track]) -> Floats:
     """(N, 3, 3C) Jacobian of N tracks by the errors common to each of their C classes, in sigmas (`class_error_id`)."""
     stated = {n: track.shared_jacobian for n, track in enumerate(tracks) if track.shared_jacobian is not None}
     ids = tuple(sorted({key for one in stated.values() for key in one.calibrations}))
     classes = [ids.index(key) for key in {class_error_id(track.category) for track in tracks} if key in ids]
     moved = np.zeros((len(tracks), 3, len(classes), 3))
     for n, one in stated.items():
-        moved[n] = unpack_all(ids, [one])[0, classes, :, :3].swapaxes(0, 1)
+        moved[n] = unpack_jacobians(ids, [one])[0, classes, :, :3].swapaxes(0, 1)
     return moved.reshape(len(tracks), 3, 3 * len(classes))
 
 

@@ -13,8 +13,8 @@ from conetl.evaluation.accuracy import (
     ErrorStatistics,
     PointErrors,
     by_range,
+    conditional_errors,
     drive_consistency,
-    given_others,
     members_of,
     position_errors,
     statistics,
@@ -26,18 +26,18 @@ from conetl.evaluation.truth import (
     TABLE_3_COLUMNS,
     TruthCone,
     TruthLine,
-    by_extent,
     compare_with_truth,
     line_as_dict,
     median_error,
+    split_by_extent,
     table_3_rows,
 )
-from conetl.geometry.consistency import Consistency, left_out_nees
+from conetl.geometry.consistency import Consistency, leave_one_out_nees
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive, Position, Track
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import known_of, noun_of
+from conetl.model.feature_classes import known_classes, noun_of
 from conetl.reports.html import Section, render, write_page
 from conetl.tracking.association import MotionError
 from conetl.tracking.error_propagation import PoseCov
@@ -204,14 +204,14 @@ def evaluate_drive(
     of_tracks = track_errors(lines, drive, positions, motion)
     of_singles = position_errors(members_of(lines), positions, drive, poses)
     return DriveEvaluation(
-        drive.drive_id, lines, *by_extent(cones, others), path_m=path_m, tracks=of_tracks, singles=of_singles
+        drive.drive_id, lines, *split_by_extent(cones, others), path_m=path_m, tracks=of_tracks, singles=of_singles
     )
 
 
 def class_figures(drives: Sequence[DriveEvaluation]) -> dict[str, dict[str, object]]:
     """Figures of the tracks of each class of the truth, as JSON values."""
     figures: dict[str, dict[str, object]] = {}
-    for category in known_of(line.truth.category for drive in drives for line in drive.lines):
+    for category in known_classes(line.truth.category for drive in drives for line in drive.lines):
         lines = [line for drive in drives for line in drive.lines if line.truth.category == category]
         errors_m = [line.error_3d_m for line in lines if line.error_3d_m is not None]
         figures[category] = {
@@ -227,7 +227,7 @@ def class_figures(drives: Sequence[DriveEvaluation]) -> dict[str, dict[str, obje
 
 def _of_class(drive: DriveEvaluation, category: str) -> PointErrors:
     named = {line.truth.cone_id for line in drive.lines if line.truth.category == category}
-    return given_others(drive.tracks, np.array([name in named for name in drive.tracks.cone_ids], dtype=bool))
+    return conditional_errors(drive.tracks, np.array([name in named for name in drive.tracks.cone_ids], dtype=bool))
 
 
 def _class_section(drives: Sequence[DriveEvaluation]) -> list[Section]:
@@ -276,8 +276,8 @@ def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequenc
             title=name,
         ),
         "nees.png": accuracy_plots.nees_histogram(
-            single=left_out_nees(singles.difference_m, singles.joint_cov_m2()),
-            tracks=left_out_nees(tracks.difference_m, tracks.joint_cov_m2()),
+            single=leave_one_out_nees(singles.difference_m, singles.joint_cov_m2()),
+            tracks=leave_one_out_nees(tracks.difference_m, tracks.joint_cov_m2()),
             title=f"{name}: do the stated sigmas hold?",
         ),
     }

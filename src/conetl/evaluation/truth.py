@@ -118,7 +118,7 @@ class TruthLine(Generic[Found]):
         return None if self.difference_m is None else float(np.linalg.norm(self.difference_m))
 
 
-def paired(truth_m: Floats, found_m: Floats, gate_m: float) -> dict[int, int]:
+def pair_positions(truth_m: Floats, found_m: Floats, gate_m: float) -> dict[int, int]:
     """Positions (M, 3) by index, each with at most one of others (N, 3), at the least total distance and at most gate_m apart."""
     rows, columns = near_pairs(truth_m, found_m, gate_m)
     return dict(sorted(assign(rows, columns, np.linalg.norm(truth_m[rows] - found_m[columns], axis=1)).items()))
@@ -141,7 +141,7 @@ def compare_with_truth(
         columns = [j for j, feature in enumerate(features) if feature.category == category]
         truth_m = np.array([truth[i].xyz_m for i in rows]).reshape(-1, 3)
         found_m = np.array([features[j].xyz_m for j in columns]).reshape(-1, 3)
-        pairs |= {rows[i]: columns[j] for i, j in paired(truth_m, found_m, _GATE_M).items()}
+        pairs |= {rows[i]: columns[j] for i, j in pair_positions(truth_m, found_m, _GATE_M).items()}
     lines = []
     for i, cone in enumerate(truth):
         truth_range_m = _range(cone.xyz_m, path_m)
@@ -153,7 +153,7 @@ def compare_with_truth(
     return sorted(lines, key=lambda line: line.truth.cone_id), others
 
 
-def by_extent(truth: Sequence[TruthCone], found: Sequence[Found]) -> tuple[list[Found], list[Found]]:
+def split_by_extent(truth: Sequence[TruthCone], found: Sequence[Found]) -> tuple[list[Found], list[Found]]:
     """Features without a cone of the truth: false ones in the area that was surveyed, and those outside, which are not counted.
 
     The area is the convex hull of the truth, and 2 m around it.
@@ -232,7 +232,7 @@ def check_map(points: Sequence[SurveyedPoint], features: Sequence[MapFeature], *
     """Residuals of a map at check points. A cone stands on a point if it is nearest to it, and at most within_m away in 3D."""
     truth = np.array([point.xyz_m for point in points]).reshape(-1, 3)
     found = np.array([feature.xyz_m for feature in features]).reshape(-1, 3)
-    pairs = paired(truth, found, within_m)
+    pairs = pair_positions(truth, found, within_m)
     residuals = [
         PointResidual(point, features[pairs[i]], found[pairs[i]] - truth[i])
         if i in pairs

@@ -12,17 +12,17 @@ from typing import Any
 
 from conetl.db.connection import Connection, query, transaction
 from conetl.exports import FORMATS, Format, writer_of
-from conetl.exports.source import ExportRequest, ExportSource, What, open_source
+from conetl.exports.source import ExportContent, ExportRequest, ExportSource, open_source
 from conetl.exports.text_files import iso_utc
 from conetl.files.atomic import atomic_files
 from conetl.files.parquet_store import file_sha256
-from conetl.geometry.geodesy import system_name
+from conetl.geometry.geodesy import height_system_name
 from conetl.model.errors import InputError
 
 MANIFEST_VERSION = 1
 _WGS84 = "OGC:CRS84"
 #: Memory of the database per sort or join. Enough for a million features; a history has more joins and any length.
-_WORK_MEM = {What.FEATURES: "128MB", What.CHANGES: "64MB", What.HISTORY: "64MB"}
+_WORK_MEM = {ExportContent.FEATURES: "128MB", ExportContent.CHANGES: "64MB", ExportContent.HISTORY: "64MB"}
 
 
 def export_map(conn: Connection, path: Path, file_format: str, request: ExportRequest) -> dict[str, Any]:
@@ -88,8 +88,8 @@ def _manifest(sources: Sequence[ExportSource], file_format: str, chosen: Format,
         "exported_at": iso_utc(datetime.now(UTC)),
         "crs": _WGS84 if chosen.geographic else source.crs_text,
         "map_crs": f"EPSG:{source.info.srid}",
-        "heights": "ellipsoidal, metres" if source.epsg[1] is None else f"{system_name(source.epsg[1])}, metres",
-        "height_system": system_name(source.epsg[1]),
+        "heights": "ellipsoidal, metres" if source.epsg[1] is None else f"{height_system_name(source.epsg[1])}, metres",
+        "height_system": height_system_name(source.epsg[1]),
         "columns": source.property_names,
         "code_version": version("conetl"),
         "schema_version": facts["schema_version"],

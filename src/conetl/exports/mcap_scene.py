@@ -21,7 +21,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from conetl.exports.kind_marks import KIND_MARKS, PAINT, dashes_of
-from conetl.exports.source import LINE_NAME, ExportSource, What
+from conetl.exports.source import LINE_NAME, ExportContent, ExportSource
 from conetl.exports.text_files import iso_utc
 from conetl.model.base import ns_from_utc
 from conetl.model.feature_classes import CONE, width_over_height
@@ -74,7 +74,7 @@ def write_scene(sources: Sequence[ExportSource], path: Path) -> None:
 def _rows(source: ExportSource) -> Iterator[Object]:
     """Rows in the order of `instant_us`, the instant at which they are shown (UTC microseconds since 1970)."""
     request = source.request
-    shown_at = request.until if request.what is What.CHANGES else request.as_of
+    shown_at = request.until if request.what is ExportContent.CHANGES else request.as_of
     shown_at = shown_at or request.believed_at or source.info.last_committed_at or datetime.now(UTC)
     fixed_us = ns_from_utc(shown_at) // 1000
     for batch in source.batches:
@@ -84,13 +84,15 @@ def _rows(source: ExportSource) -> Iterator[Object]:
             for row, line in zip(rows, np.split(vertices_m, np.flatnonzero(np.diff(of_row)) + 1), strict=True):
                 row[LINE_NAME] = line
         for row in rows:
-            row["instant_us"] = ns_from_utc(row["valid_from"]) // 1000 if request.what is What.HISTORY else fixed_us
+            row["instant_us"] = (
+                ns_from_utc(row["valid_from"]) // 1000 if request.what is ExportContent.HISTORY else fixed_us
+            )
             yield row
 
 
-def _scene(rows: list[Object], origin: Point, what: What) -> Object:
-    gone = [row for row in rows if what is What.HISTORY and not row["present"]]
-    drawn = [row for row in rows if what is not What.HISTORY or row["present"]]
+def _scene(rows: list[Object], origin: Point, what: ExportContent) -> Object:
+    gone = [row for row in rows if what is ExportContent.HISTORY and not row["present"]]
+    drawn = [row for row in rows if what is not ExportContent.HISTORY or row["present"]]
     return {
         "deletions": [{"timestamp": _time(row["instant_us"]), "type": 0, "id": row["feature_id"]} for row in gone],
         "entities": [_entity(row, origin) for row in drawn],

@@ -17,11 +17,11 @@ import shapely
 from pyproj import CRS, Transformer
 
 from conetl.db.arrow_rows import batches_of, schema_of
-from conetl.db.connection import Connection, database_errors, latest_or, load_sql, query
+from conetl.db.connection import Connection, database_errors, load_sql, or_infinity, query
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.exports import Order
-from conetl.geometry.geodesy import compound_crs, system_name, to_crs, turns
+from conetl.geometry.geodesy import axis_rotations, compound_crs, height_system_name, to_crs
 from conetl.model.arrays import Floats, Ints
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES, require_classes
@@ -47,7 +47,7 @@ _LINE_NAMES = (
 _POINT_NAMES = ("height_m", "height_sigma_m")
 
 
-class What(StrEnum):
+class ExportContent(StrEnum):
     """Which rows."""
 
     FEATURES = "features"
@@ -63,7 +63,7 @@ class ExportRequest:
     """What to export. Instants need a time zone; None: latest."""
 
     map_name: str = "default"
-    what: What = What.FEATURES
+    what: ExportContent = ExportContent.FEATURES
     as_of: datetime | None = None
     believed_at: datetime | None = None
     since: datetime | None = None
@@ -169,7 +169,7 @@ class ExportSource:
         old_ground_m = _floats(columns["old_height_m"]) if "old_height_m" in columns else None
         if self.epsg != (self.info.srid, None):
             xyz_m = _floats(*(columns[name] for name in POSITION_NAMES))
-            columns |= _turned(columns, turns(xyz_m, self.info.srid, self.epsg[0]))
+            columns |= _rotated(columns, axis_rotations(xyz_m, self.info.srid, self.epsg[0]))
             done_m = to_crs(xyz_m, self.info.srid, *self.epsg)
             columns |= {name: pa.array(done_m[:, axis]) for axis, name in enumerate(POSITION_NAMES[:2])}
             ground_m = done_m[:, 2]
@@ -183,35 +183,35 @@ class ExportSource:
         if "height_m" in columns:
             columns["object_height_m"] = columns["height_m"]
         columns["ground_height_m"] = pa.array(ground_m)
-        columns["height_system"] = pa.repeat(system_name(self.epsg[1]), len(batch))
+        columns["height_system"] = pa.repeat(height_system_name(self.epsg[1]), len(batch))
         if old_ground_m is not None:
             columns["old_ground_height_m"] = pa.array(old_ground_m, from_pandas=True)
         return pa.record_batch([columns[name] for name in self.schema.names], schema=self.schema)
 
     @property
     def _sql(self) -> str:
-        name = "changes" if self.request.what is What.CHANGES else "versions"
+        name = "changes" if self.request.what is ExportContent.CHANGES else "versions"
         return load_sql(f"exports.{name}").rstrip(";")
 
     @property
     def _has_change(self) -> bool:
         """Standing features, too, carry their latest change if rows are in the order of time."""
-        return self.order is Order.BY_TIME or self.request.what is not What.FEATURES
+        return self.order is Order.BY_TIME or self.request.what is not ExportContent.FEATURES
 
     @property
     def _parameters(self) -> dict[str, Any]:
         request = self.request
         # Rows in the order of time are those of one database state.
         one_state = request.believed_at is not None or self.order is Order.BY_TIME
-        every_state = request.what is What.HISTORY and not one_state
+        every_state = request.what is ExportContent.HISTORY and not one_state
         return {
             "map_name": request.map_name,
             "map_id": self.info.map_id,
-            "every_version": request.what is What.HISTORY,
-            "valid_at": latest_or(request.as_of),
-            "known_at": None if every_state else latest_or(request.believed_at),
+            "every_version": request.what is ExportContent.HISTORY,
+            "valid_at": or_infinity(request.as_of),
+            "known_at": None if every_state else or_infinity(request.believed_at),
             "from_valid_at": "-infinity" if request.since is None else request.since.isoformat(),
-            "to_valid_at": latest_or(request.until),
+            "to_valid_at": or_infinity(request.until),
             "moved_from_m": ReconcileParams().min_gate_m,
             "line_moved_from_m": ReconcileParams().marking_gate_m,
             "with_change": self._has_change,
@@ -230,7 +230,7 @@ def _floats(*columns: pa.Array) -> Floats:
     return values[0] if len(values) == 1 else np.stack(values, axis=1)
 
 
-def _turned(columns: dict[str, pa.Array], turn: Floats) -> dict[str, pa.Array]:
+def _rotated(columns: dict[str, pa.Array], turn: Floats) -> dict[str, pa.Array]:
     """Sigmas and covariances after the rotation `turn` (n, 2, 2) of the horizontal axes."""
     sigma_e, sigma_n, cov = (_floats(columns[name]) for name in ("sigma_e_m", "sigma_n_m", "cov_en_m2"))
     flat = np.stack([np.stack([sigma_e**2, cov], -1), np.stack([cov, sigma_n**2], -1)], -2)
@@ -274,12 +274,12 @@ def _check(request: ExportRequest) -> None:
     for instant in (request.as_of, request.believed_at, request.since, request.until):
         if instant is not None and instant.tzinfo is None:
             raise ValueError(f"{instant} has no time zone: UTC or another one must be stated")
-    if request.what is What.CHANGES:
+    if request.what is ExportContent.CHANGES:
         if None not in (request.until, request.since) and request.until < request.since:  # type: ignore[operator]
             raise InputError(f"changes from {request.since} to {request.until}: --to is earlier than --from")
     elif request.since is not None or request.until is not None:
         raise InputError("--from and --to require an export of changes (--what changes)")
-    if request.box_m is not None and request.what is What.CHANGES:
+    if request.box_m is not None and request.what is ExportContent.CHANGES:
         raise InputError("an export of changes covers the whole map: leave out the box")
-    if request.as_of is not None and request.what is not What.FEATURES:
+    if request.as_of is not None and request.what is not ExportContent.FEATURES:
         raise InputError(f"--as-of requires an export of features: an export of the {request.what} covers all times")

@@ -21,7 +21,7 @@ import pyarrow.compute as pc
 from numpy.typing import ArrayLike
 
 from conetl.db.connection import Connection
-from conetl.exports.source import POSITION_NAMES, ExportRequest, ExportSource, What, open_source
+from conetl.exports.source import POSITION_NAMES, ExportContent, ExportRequest, ExportSource, open_source
 from conetl.files.atomic import atomic_files, write_json
 from conetl.geometry.geodesy import ELLIPSOIDAL, to_geodetic
 from conetl.model.map_records import DeltaKind, FeatureChange
@@ -70,7 +70,7 @@ class ExportRow:
 
 def names_of(source: ExportSource) -> list[str]:
     """Names of the properties of `rows_of(source)`."""
-    allowed = PROPERTY_NAMES if source.request.what is What.FEATURES else (*PROPERTY_NAMES, *_CHANGE_NAMES)
+    allowed = PROPERTY_NAMES if source.request.what is ExportContent.FEATURES else (*PROPERTY_NAMES, *_CHANGE_NAMES)
     return [name for name in source.property_names if name in allowed]
 
 
@@ -186,7 +186,7 @@ def write_features(sources: Sequence[ExportSource], path: Path) -> None:
         file.write('{"type": "FeatureCollection", "features": [')
         separator = "\n"
         for source in sources:
-            with_id = source.request.what is not What.HISTORY
+            with_id = source.request.what is not ExportContent.HISTORY
             for row in rows_of(source):
                 place = [(row.lon_deg, row.lat_deg, row.ellipsoidal_height_m)] if row.line is None else row.line
                 feature = {

@@ -1,7 +1,7 @@
 """Write a file, or several that belong together, completely or not at all; and remove old ones.
 
 Until it is complete it has the name `.<name>.<host>.<pid>.<random>.tmp` beside its own: host and process number distinguish the
-files of a killed process, which `sweep` removes, from those that another process is writing.
+files of a killed process, which `remove_leftovers` removes, from those that another process is writing.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, TextIO
 from uuid import uuid4
 
-from conetl.files.names import cut_to_bytes
-from conetl.model.errors import InputError, cannot_write
+from conetl.files.names import truncate_to_bytes
+from conetl.model.errors import InputError, write_error
 
 _NAME = re.compile(r"\.(?P<host>[A-Za-z0-9-]+)\.(?P<pid>[0-9]+)\.[0-9a-f]{32}\.tmp$")
 #: Name of the link to the newest publication.
@@ -51,7 +51,7 @@ def atomic_files(*paths: Path) -> Iterator[list[Path]]:
     Until then they are in a hidden folder beside `paths`, with whatever a library writes beside its file (journals, indices).
     Everything is on the disk before the first rename. Errors are those of `atomic_text_file`.
     """
-    folder, unfinished = paths[0].parent, aside(paths[0])
+    folder, unfinished = paths[0].parent, temporary_path(paths[0])
     try:
         folder.mkdir(parents=True, exist_ok=True)
         unfinished.mkdir()
@@ -63,7 +63,7 @@ def atomic_files(*paths: Path) -> Iterator[list[Path]]:
             path.replace(final)
         _sync(folder)
     except OSError as error:
-        raise cannot_write(f"{paths[0]} cannot be written", "choose another file", error) from error
+        raise write_error(f"{paths[0]} cannot be written", "choose another file", error) from error
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)
 
@@ -76,12 +76,12 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
-def aside(path: Path) -> Path:
+def temporary_path(path: Path) -> Path:
     """Temporary path of a file that is to get the name `path`."""
-    return path.with_name(f".{cut_to_bytes(path.name, 100)}.{_host()}.{os.getpid()}.{uuid4().hex}.tmp")
+    return path.with_name(f".{truncate_to_bytes(path.name, 100)}.{_host()}.{os.getpid()}.{uuid4().hex}.tmp")
 
 
-def sweep(folders: Iterable[Path]) -> list[Path]:
+def remove_leftovers(folders: Iterable[Path]) -> list[Path]:
     """Remove temporary files and folders of killed processes of this machine in the folders, not below; the removed paths.
 
     A file whose process number is in use again is kept; one that cannot be removed is skipped.

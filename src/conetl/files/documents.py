@@ -83,7 +83,7 @@ def expectation(error: Any) -> str:
     return text.replace("Input should be", "expected", 1)[:MAX_MESSAGE]
 
 
-def key_of(error: Any) -> str:
+def error_key(error: Any) -> str:
     """The key of one of `ValidationError.errors()`, with dots between the levels; empty for the whole file."""
     return ".".join(str(part) for part in error["loc"])[:MAX_SHOWN]
 
@@ -93,7 +93,7 @@ def first_message(error: ValueError) -> str:
     if not isinstance(error, ValidationError):
         return str(error)
     first = error.errors()[0]
-    key, wanted = key_of(first), expectation(first)
+    key, wanted = error_key(first), expectation(first)
     text = f"{key}: {wanted}" if key else wanted
     complete = first["type"] in ("missing", "extra_forbidden", "value_error") or ", found " in wanted
     return text if complete else f"{text}, found {shown(first['input'])}"
@@ -117,7 +117,7 @@ class XmlFile(FileIO):
 
 
 @contextmanager
-def named(source: object) -> Iterator[None]:
+def input_errors(source: object) -> Iterator[None]:
     """OSErrors and ValueErrors of the block as InputErrors, which name the file or folder that was read."""
     try:
         yield
@@ -129,7 +129,7 @@ def named(source: object) -> Iterator[None]:
 
 def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
     """A small file. Raises InputError where it is larger, or cannot be read."""
-    with named(path), path.open("rb") as file:
+    with input_errors(path), path.open("rb") as file:
         content = file.read(max_bytes + 1)
     if len(content) > max_bytes:
         raise InputError(f"{path}: expected at most {max_bytes:,} bytes")

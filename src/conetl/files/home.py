@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pydantic import SecretStr
 
-from conetl.model.errors import InputError, cannot_write
+from conetl.model.errors import InputError, write_error
 
 FOLDERS = ("exports", "images", "inbox", "logs", "plans", "prefect", "receipts", "results")
 PREFECT_LOGIN, VIEW_TOKEN, WRITER_TOKEN = "prefect_login", "view_token", "writer_token"
@@ -39,7 +39,7 @@ def make_home(home: Path) -> None:
             if closed != info.st_mode and info.st_uid == os.geteuid():
                 folder.chmod(stat.S_IMODE(closed))
     except OSError as error:
-        raise cannot_write(
+        raise write_error(
             f"The home folder {home} cannot be used", "choose another one (CONETL_HOME)", error
         ) from error
 
@@ -88,7 +88,7 @@ def make_secret(path: Path, prefix: str = "") -> Path:
                 file.write(f"{prefix}{secrets.token_urlsafe(32)}\n")
         except OSError as error:
             path.unlink()
-            raise cannot_write(f"{path} cannot be written", "set CONETL_HOME to another folder", error) from error
+            raise write_error(f"{path} cannot be written", "set CONETL_HOME to another folder", error) from error
     return path
 
 
@@ -101,7 +101,7 @@ def read_secret(path: Path) -> SecretStr:
         raise InputError(f"the secret in {path} cannot be read: {type(error).__name__}") from error
     if mode & (_OTHERS | _GROUP):
         raise InputError(f"{path} may be read or written by others (mode {mode:o}): run `chmod 600 {path}`")
-    return checked_secret(SecretStr(text), f"the file {path}")
+    return validated_secret(SecretStr(text), f"the file {path}")
 
 
 def view_token(home: Path) -> SecretStr:
@@ -114,7 +114,7 @@ def login_address(address: str, token: SecretStr | None) -> str:
     return f"{address.rstrip('/')}/?token={token.get_secret_value()}" if token else address
 
 
-def checked_secret(secret: SecretStr, source: str) -> SecretStr:
+def validated_secret(secret: SecretStr, source: str) -> SecretStr:
     """The secret, if it is long enough and can be sent in a header. Raises InputError."""
     text = secret.get_secret_value()
     if len(text) < MIN_SECRET_LENGTH or not text.isascii() or not text.isprintable() or " " in text:

@@ -39,10 +39,10 @@ def require_utf8(folder: Path) -> None:
 def file_name_part(text: str, most_bytes: int = 200) -> str:
     """Any text, such as a drive's id, as part of a file name, which is limited to 255 bytes."""
     name = "".join(c if c.isalnum() or c in "-_." else "_" for c in text).lstrip(".")
-    return cut_to_bytes(name, most_bytes) or "drive"
+    return truncate_to_bytes(name, most_bytes) or "drive"
 
 
-def cut_to_bytes(text: str, most_bytes: int) -> str:
+def truncate_to_bytes(text: str, most_bytes: int) -> str:
     """The start of a name in at most this many bytes, whole characters only."""
     raw = text.encode(errors="surrogateescape")
     return text if len(raw) <= most_bytes else raw[:most_bytes].decode(errors="ignore")

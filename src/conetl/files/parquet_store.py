@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pydantic import TypeAdapter
 
-from conetl.files.atomic import aside
+from conetl.files.atomic import temporary_path
 from conetl.files.storage import NO_FILE_SHA256, is_present, is_remote, object_bytes
 from conetl.model.base import Record
 from conetl.model.errors import StorageError
@@ -66,7 +66,7 @@ def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequen
     table = pa.Table.from_pylist([record.model_dump(mode="json") for record in records])
     table = table.replace_schema_metadata({_REJECTIONS: refused})
     path = result_path(folder, key)
-    unfinished = aside(path)
+    unfinished = temporary_path(path)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         write_table(table, unfinished)

@@ -98,7 +98,7 @@ def is_present(path: Path) -> bool:
 
 
 @contextmanager
-def reached(path: Path) -> Iterator[None]:
+def storage_errors(path: Path) -> Iterator[None]:
     """Errors of the object storage become one StorageError that names the object. Errors of local files do not change.
 
     A missing object is a property of the drive and remains a FileNotFoundError.
@@ -106,7 +106,7 @@ def reached(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if not is_remote(path) or not _is_of_storage(error):
+        if not is_remote(path) or not _is_storage_error(error):
             raise
         raise StorageError(
             f"{path}: cannot be read from the storage: {error}. Check the address, AWS_ENDPOINT_URL and the credentials "
@@ -114,7 +114,7 @@ def reached(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _is_of_storage(error: Exception) -> bool:
+def _is_storage_error(error: Exception) -> bool:
     """s3fs raises Python's own errors for those of the storage (too busy, internal error, expired token, no access)."""
     if isinstance(error, OSError):
         return not isinstance(error, FileNotFoundError)
@@ -134,7 +134,7 @@ def object_bytes(path: Path) -> bytes:
     """All bytes of an object, from memory where they were read lately. Raises OSError like `Path.read_bytes`."""
     data = _kept.get(str(path))
     if data is None:
-        with reached(path):
+        with storage_errors(path):
             data = path.read_bytes()
         _kept.keep(str(path), data)
     return data
@@ -153,7 +153,7 @@ def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
     if not wanted:
         return
     storage = cast(Any, wanted[0]).fs
-    with reached(wanted[0]):
+    with storage_errors(wanted[0]):
         found = storage.cat([cast(Any, path).path for path in wanted], on_error="omit")
     for path in wanted:
         data = found.get(cast(Any, path).path)

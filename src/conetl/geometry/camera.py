@@ -18,7 +18,7 @@ from conetl.model.rig import Camera
 
 
 def intrinsics(camera: Camera) -> Floats:
-    """(4,) array fx, fy, cx, cy in pixels: the form that `intersection.intersect` takes."""
+    """(4,) array fx, fy, cx, cy in pixels, as `intersection.intersect` takes it."""
     return np.array([camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px])
 
 
@@ -147,11 +147,10 @@ def add_pose_covariance(
     sigma_enu_m: ArrayLike,
     sigma_rpy_rad: ArrayLike,
 ) -> Floats:
-    """Covariance (P, 3, 3) of map points with the error of the body's pose added to that of the image points.
+    """Covariance (P, 3, 3) of map points: that of the image points plus that of the body's pose.
 
-    cov_m2 (P, 3, 3) in the map frame; xyz_m (P, 3); the poses (3, 3) / (3,) or one per point; sigmas (3,) or (P, 3).
-    The error of the position is common to all views of a drive (GNSS drifts slowly), so it is added as it is and must not be
-    averaged away over frames.
+    cov_m2 (P, 3, 3) in the map frame; xyz_m (P, 3); the poses (3, 3) / (3,) or one per point; sigmas (3,) or (P, 3). The error of
+    the position is common to all views of a drive (GNSS drifts slowly): it must not be averaged away over frames.
     """
     sigmas = np.concatenate(
         np.broadcast_arrays(np.asarray(sigma_enu_m, np.float64), np.asarray(sigma_rpy_rad, np.float64)), axis=-1

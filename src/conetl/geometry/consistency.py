@@ -70,7 +70,7 @@ class Consistency:
 
 
 def pooled(results: Iterable[Consistency | None]) -> Consistency | None:
-    """The sum of those that there are, None without any."""
+    """The sum of all results that are not None; None without any."""
     known = [one for one in results if one is not None]
     return sum(known[1:], known[0]) if known else None
 
@@ -82,10 +82,11 @@ def point_nees(difference_m: ArrayLike, cov_m2: ArrayLike) -> Floats:
     return np.asarray(np.einsum("...i,...i->...", difference, solved))
 
 
-def left_out_nees(difference_m: Floats, cov_m2: Floats) -> Floats:
+def leave_one_out_nees(difference_m: Floats, cov_m2: Floats) -> Floats:
     """(N,) NEES of each of N points (N, 3) given all others, chi-square with 3 degrees of freedom; cov_m2 (3N, 3N) of all.
 
-    What one is off its prediction by all others, in terms of the inverse of all (e.g. Rasmussen & Williams 2006, 5.4.2).
+    The prediction error of each point from all others, by the inverse of the joint covariance (e.g. Rasmussen & Williams 2006,
+    5.4.2).
     """
     count, inverse = len(difference_m), np.linalg.inv(cov_m2)
     blocks = inverse.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)]

@@ -149,10 +149,10 @@ CAMERA_R_BODY = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
 
 def sensor_R_body(sensor_R_left: ArrayLike) -> Floats:
-    """(3, 3) from conetl's body axes (x forward, y left, z up) to a sensor with any axes.
+    """(3, 3) from conetl's body axes (x forward, y left, z up) to the axes of a sensor.
 
     The body's axes are the sensor's own, permuted: of the 24 permutations the one nearest to forward, left and up of the left
-    camera (rotation sensor_R_left). An IMU whose x axis points up (EuRoC's) would have no roll and yaw otherwise.
+    camera (rotation sensor_R_left). Without this, an IMU whose x axis points up (EuRoC's) would have no defined roll and yaw.
     """
     wanted = np.asarray(sensor_R_left, dtype=np.float64) @ CAMERA_R_BODY
     axes = np.rint(Rotation.create_group("O").as_matrix())
@@ -188,7 +188,7 @@ def _to_ecef() -> Transformer:
     return Transformer.from_crs(4979, 4978, always_xy=True)
 
 
-def system_name(vertical_srid: int | None) -> str:
+def height_system_name(vertical_srid: int | None) -> str:
     """`ellipsoidal`, or `EPSG:<code>`: the value of the field `height_system`."""
     return ELLIPSOIDAL if vertical_srid is None else f"EPSG:{vertical_srid}"
 
@@ -211,7 +211,7 @@ def parse_crs(text: str) -> tuple[int, int | None]:
 
 
 def map_crs(text: str) -> tuple[int, int | None]:
-    """`parse_crs` of a CRS that a map can have: projected, in metres, and heights for which the grids are installed."""
+    """As `parse_crs`, for the CRS of a map: projected, in metres, with heights for which the grids are installed."""
     srid, vertical_srid = parse_crs(text)
     try:
         check_map_srid(srid)
@@ -223,7 +223,7 @@ def map_crs(text: str) -> tuple[int, int | None]:
 
 
 def compound_crs(srid: int, vertical_srid: int | None) -> CRS:
-    """The CRS of both codes; of the first one alone where there is no height system."""
+    """The compound CRS of both codes, or the plain one if there is no height system."""
     flat = _known(srid)
     if vertical_srid is None:
         return flat
@@ -260,10 +260,10 @@ def to_ellipsoidal(xyz_m: ArrayLike, crs: CRS) -> Floats:
     return np.column_stack(transformer.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], direction="INVERSE"))
 
 
-def turns(xyz_m: ArrayLike, source_srid: int, srid: int) -> Floats:
-    """Rotations (N, 2, 2) of the axes of EPSG:source_srid into those of EPSG:srid at positions (N, 3), for covariances.
+def axis_rotations(xyz_m: ArrayLike, source_srid: int, srid: int) -> Floats:
+    """Rotations (N, 2, 2) from the axes of EPSG:source_srid to those of EPSG:srid at positions (N, 3), for covariances.
 
-    Both are conformal to a few parts in a thousand, so their axes differ by the convergence of the grids; scale is left out.
+    Both CRSs are conformal to a few parts in a thousand, so their axes differ by the convergence of the grids; scale is ignored.
     """
     xy = np.asarray(xyz_m, dtype=np.float64).reshape(-1, 3)[:, :2]
     if source_srid == srid:
@@ -298,13 +298,13 @@ def operations(source: CRS, target: CRS, area: AreaOfInterest | None) -> Transfo
 
 
 def missing_grids(group: TransformerGroup) -> list[str]:
-    """Names of the grids that the best transformation lacks of those that PROJ cannot do."""
+    """Names of the grids that PROJ's best transformation lacks; those that PROJ does without are left out."""
     lacking = ([g.short_name for g in op.grids if not g.available] for op in group.unavailable_operations)
     return next(filter(None, lacking), [])
 
 
-def around(lon: float, lat: float) -> AreaOfInterest | None:
-    """Where a file begins (degrees), for PROJ's choice between its transformations; None near a pole or the antimeridian."""
+def area_of_interest(lon: float, lat: float) -> AreaOfInterest | None:
+    """Area around a position (degrees), for PROJ's choice between its transformations; None near a pole or the antimeridian."""
     if not (abs(lon) < 179 and abs(lat) < 89):
         return None
     return AreaOfInterest(lon - 0.05, lat - 0.05, lon + 0.05, lat + 0.05)

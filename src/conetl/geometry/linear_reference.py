@@ -19,7 +19,8 @@ _Item = TypeVar("_Item")
 
 
 def spaced(points_m: Floats, least_m: float) -> list[int]:
-    """Rows of points (N, D): the first one, and each that is at least `least_m` from the last chosen one."""
+    """Row numbers of points (N, D) that are at least `least_m` apart: the first one, then each that is far enough from the
+    last."""
     chosen: list[int] = []
     for row, at_m in enumerate(points_m):
         if not chosen or float(np.linalg.norm(at_m - points_m[chosen[-1]])) >= least_m:
@@ -27,8 +28,8 @@ def spaced(points_m: Floats, least_m: float) -> list[int]:
     return chosen
 
 
-def evenly_spread(items: Sequence[_Item], most: int) -> list[_Item]:
-    """At most `most` of the items, spans for example, evenly spread over them, including the first and the last."""
+def evenly_spaced(items: Sequence[_Item], most: int) -> list[_Item]:
+    """At most `most` items, evenly spaced, with the first and the last."""
     if len(items) <= most:
         return list(items)
     return [items[round(k * (len(items) - 1) / (most - 1))] for k in range(most)]
@@ -40,7 +41,7 @@ def stations(line_m: Floats) -> Floats:
 
 
 def resampled(line_m: Floats, step_m: float) -> Floats:
-    """The line (N, D) by points about `step_m` apart in plan (x, y), both ends kept."""
+    """The line (N, D) with points about `step_m` apart in plan (x, y); both ends are kept."""
     station = stations(line_m[:, :2])
     at = np.linspace(0.0, station[-1], max(int(np.ceil(station[-1] / step_m)) + 1, 2))
     return np.stack([np.interp(at, station, column) for column in line_m.T], axis=1)
@@ -108,7 +109,7 @@ def _segments(line_m: Floats, stations_m: Floats) -> tuple[Ints, Floats, Floats]
 
 
 def spacing_beside(gaps_m: Floats, index: int, *, alone: float = 0.0) -> float:
-    """The larger of the medians of up to three gaps before and after a gap, so that a tangent may follow a taper with half its
-    spacing; `alone` without any."""
+    """Local spacing at a gap: the larger of the medians of up to three gaps before it and after it. So a tangent may follow a
+    taper with half its spacing. `alone` if there are no other gaps."""
     beside = gaps_m[max(index - 3, 0) : index], gaps_m[index + 1 : index + 4]
     return max((float(np.median(some)) for some in beside if len(some)), default=alone)

@@ -1,4 +1,4 @@
-"""Arrays <-> tuples of records."""
+"""Conversions between arrays and the tuples of records."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ def horizontal_sigma_m(cov: Cov3) -> float:
     return float(np.sqrt(np.linalg.eigvalsh(cov_matrix(cov)[:2, :2])[-1]))
 
 
-def stacked(rows: Sequence[Sequence[float]], width: int) -> Floats:
+def stack_rows(rows: Sequence[Sequence[float]], width: int) -> Floats:
     """N tuples of `width` numbers -> (N, width), in half the time of numpy.array."""
     return np.fromiter(chain.from_iterable(rows), np.float64, width * len(rows)).reshape(-1, width)
 
 
 def cov_matrices(covariances: Sequence[Cov3]) -> Floats:
     """As `cov_matrix`, for N of them: (N, 3, 3)."""
-    return stacked(covariances, 6)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    return stack_rows(covariances, 6)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)

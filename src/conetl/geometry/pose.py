@@ -54,10 +54,10 @@ def apply(dst_SE3_src: ArrayLike, points_src_m: ArrayLike) -> Floats:
     return np.asarray(np.einsum("...ij,...j->...i", pose[..., :3, :3], points) + pose[..., :3, 3])
 
 
-def connect(dst_SE3_src: Mapping[tuple[str, str], Floats], dst: str, src: str) -> Floats | None:
-    """Pose (4, 4) of the frame `src` in `dst` along known poses, by (dst, src) and used in both directions.
+def find_pose(dst_SE3_src: Mapping[tuple[str, str], Floats], dst: str, src: str) -> Floats | None:
+    """Pose (4, 4) of the frame `src` in `dst`, by chaining known poses {(dst, src): pose} in either direction.
 
-    The shortest way wins. None where the frames are not connected.
+    The shortest chain is used. None if the frames are not connected.
     """
     both = {**{(b, a): invert(pose) for (a, b), pose in dst_SE3_src.items()}, **dst_SE3_src}
     found: dict[str, Floats] = {dst: np.eye(4)}

@@ -68,7 +68,7 @@ def rectify(rig: Rig) -> Rig:
     rotations = common_rotation(left_SE3_right)
     raw = (rig.left, rig.right)
     focal = max(c for camera in raw for c in (camera.fx_px, camera.fy_px))
-    boxes = [_seen_box(camera, rotation, focal) for camera, rotation in zip(raw, rotations, strict=True)]
+    boxes = [_visible_box(camera, rotation, focal) for camera, rotation in zip(raw, rotations, strict=True)]
     top, bottom = max(box[1] for box in boxes), min(box[3] for box in boxes)
     rectified = [
         _camera((box[0], top, box[2], bottom), focal, side) for box, side in zip(boxes, SIDES, strict=True)
@@ -125,7 +125,7 @@ def raw_from_rectified(rig: Rig, side: Side, uv_px: ArrayLike) -> Floats:
     if rig.rectified_from is None:
         return uv.copy()
     rays = cameras.rays(rigs.camera_of(rig, side), uv)
-    return _seen_at(stored_camera(rig, side), rigs.stored_R_camera(rig, side), rays)
+    return _project_to_raw(stored_camera(rig, side), rigs.stored_R_camera(rig, side), rays)
 
 
 def rectified_from_raw(rig: Rig, side: Side, uv_px: ArrayLike) -> Floats:
@@ -140,8 +140,8 @@ def rectified_from_raw(rig: Rig, side: Side, uv_px: ArrayLike) -> Floats:
     return np.asarray(ahead[..., :2] / ahead[..., 2:] * scale + shift)
 
 
-def _seen_at(raw: Camera, raw_R_rect: Floats, rays: Floats) -> Floats:
-    """Where the raw image (..., 2) shows directions (..., 3) of the rectified camera; NaN where it does not."""
+def _project_to_raw(raw: Camera, raw_R_rect: Floats, rays: Floats) -> Floats:
+    """Image points (..., 2) of the raw camera for directions (..., 3) of the rectified one; NaN outside the raw image."""
     d = rays @ raw_R_rect.T
     ahead = d[..., 2:] > 1e-6
     xy = d[..., :2] / np.where(ahead, d[..., 2:], 1.0)
@@ -154,11 +154,11 @@ def _seen_at(raw: Camera, raw_R_rect: Floats, rays: Floats) -> Floats:
     return np.where(seen, np.clip(uv, 0.0, last), np.nan)
 
 
-def _seen_box(raw: Camera, raw_R_rect: Floats, focal_px: float) -> Box:
-    """Normalised rectangle of the rectified camera in which the raw one saw everything.
+def _visible_box(raw: Camera, raw_R_rect: Floats, focal_px: float) -> Box:
+    """Normalised rectangle of the rectified camera that lies wholly in the raw image.
 
-    Its sides are first put at the innermost point of each border of the raw image, then drawn in until every sample of the
-    rectangle's outline was seen.
+    Its sides start at the innermost point of each border of the raw image and shrink until every sample of the rectangle's
+    outline is visible.
     """
     w, h = raw.width_px - 1.0, raw.height_px - 1.0
     t = np.linspace(0.0, 1.0, _BORDER_SAMPLES)
@@ -169,10 +169,10 @@ def _seen_box(raw: Camera, raw_R_rect: Floats, focal_px: float) -> Box:
     reach = np.tan(MAX_HALF_ANGLE_RAD)
     cap_x = min(reach, MAX_GROWTH * raw.width_px / 2 / focal_px)
     cap_y = min(reach, MAX_GROWTH * raw.height_px / 2 / focal_px)
-    x0 = max(-cap_x, _extreme(raw, raw_R_rect, left, 0, np.nanmax, -cap_x))
-    x1 = min(cap_x, _extreme(raw, raw_R_rect, right, 0, np.nanmin, cap_x))
-    y0 = max(-cap_y, _extreme(raw, raw_R_rect, top, 1, np.nanmax, -cap_y))
-    y1 = min(cap_y, _extreme(raw, raw_R_rect, bottom, 1, np.nanmin, cap_y))
+    x0 = max(-cap_x, _innermost(raw, raw_R_rect, left, 0, np.nanmax, -cap_x))
+    x1 = min(cap_x, _innermost(raw, raw_R_rect, right, 0, np.nanmin, cap_x))
+    y0 = max(-cap_y, _innermost(raw, raw_R_rect, top, 1, np.nanmax, -cap_y))
+    y1 = min(cap_y, _innermost(raw, raw_R_rect, bottom, 1, np.nanmin, cap_y))
     if not (x0 < x1 and y0 < y1):
         raise ValueError("nothing is left of an image after rectification: check the rotation between the cameras")
     middle = np.array([(x0 + x1) / 2, (y0 + y1) / 2])
@@ -182,7 +182,7 @@ def _seen_box(raw: Camera, raw_R_rect: Floats, focal_px: float) -> Box:
 
     def all_seen(share: float) -> bool:
         xy = middle + share * half * outline
-        return bool(np.isfinite(_seen_at(raw, raw_R_rect, np.column_stack([xy, np.ones(len(xy))]))).all())
+        return bool(np.isfinite(_project_to_raw(raw, raw_R_rect, np.column_stack([xy, np.ones(len(xy))]))).all())
 
     low, high = 0.0, 1.0
     if not all_seen(1.0):
@@ -198,10 +198,10 @@ def _seen_box(raw: Camera, raw_R_rect: Floats, focal_px: float) -> Box:
     )  # fmt: skip
 
 
-def _extreme(
+def _innermost(
     raw: Camera, raw_R_rect: Floats, uv: Floats, axis: int, pick: Callable[[Floats], float], otherwise: float
 ) -> float:
-    """Innermost x or y in the rectified camera of a border (n, 2) of the raw image; `otherwise` where it has no ray.
+    """Innermost x or y in the rectified camera of a border (n, 2) of the raw image; `otherwise` if no ray passes through it.
 
     A fisheye's border may lie beyond 90 degrees: then it does not limit the rectified image.
     """

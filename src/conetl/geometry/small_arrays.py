@@ -21,8 +21,8 @@ def median(values: Floats) -> float:
     return float(low + high) / 2
 
 
-def nearest(known: Floats | Ints, wanted: Floats | Ints) -> Ints:
-    """(N,) index of the rising known number (K,), K > 0, nearest to each wanted one (N,); the lower of two as near."""
+def nearest_index(known: Floats | Ints, wanted: Floats | Ints) -> Ints:
+    """(N,) index of the value in ascending `known` (K,), K > 0, nearest to each `wanted` (N,); of two equally near, the lower."""
     after = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(np.abs(wanted - known[before]) <= np.abs(known[after] - wanted), before, after)
@@ -51,16 +51,16 @@ def inverse_of_symmetric(matrices: Floats) -> Floats:
     return cofactors.take((0, 3, 4, 3, 1, 5, 4, 5, 2), 0).reshape(matrices.shape)
 
 
-def stepped(poses: Floats, steps: Floats) -> Floats:
-    """Poses (..., 4, 4) after steps (..., 6) of (w, d)."""
+def apply_steps(poses: Floats, steps: Floats) -> Floats:
+    """Apply steps (..., 6) of (w, d) to poses (..., 4, 4)."""
     result = poses.copy()
     result[..., :3, :3] = Rotation.from_rotvec(steps[..., :3]).as_matrix() @ poses[..., :3, :3]
     result[..., :3, 3] += steps[..., 3:]
     return result
 
 
-def apart(poses: Floats, expected: Floats) -> tuple[Floats, Floats]:
-    """Angle (rad) and distance (m) of poses (H, 4, 4) from the expected one."""
+def pose_distance(poses: Floats, expected: Floats) -> tuple[Floats, Floats]:
+    """Angle (rad) and distance (m) between poses (H, 4, 4) and an expected one."""
     trace = np.einsum("hij,ij->h", poses[:, :3, :3], expected[:3, :3])
     turn = np.arccos(np.clip((trace - 1) / 2, -1, 1))
     return turn, np.linalg.norm(poses[:, :3, 3] - expected[:3, 3], axis=1)

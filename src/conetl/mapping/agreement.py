@@ -19,13 +19,13 @@ from conetl.mapping.displacement import (
     LEAST_OFFSET_M,
     LEAST_PAIRS,
     MAX_SIGMAS,
-    displaced,
-    held,
-    higher,
-    of_other_classes,
-    standing_elsewhere,
+    agreement_hold,
+    check_arrangement,
+    check_classes,
+    check_heights,
+    check_positions,
 )
-from conetl.mapping.marking_deltas import drive_of, lines_on_map
+from conetl.mapping.marking_deltas import line_drive, lines_on_map
 from conetl.mapping.marking_lines import feet
 from conetl.model.drive import Track
 from conetl.model.health import HealthCheck
@@ -49,7 +49,7 @@ def is_confirmed(deltas: Sequence[Delta], captured_from_ns: int) -> bool:
     return len(list(islice(known, LEAST_CONFIRMED))) == LEAST_CONFIRMED
 
 
-def contradiction(
+def check_agreement(
     tracks: Sequence[Track], features: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
 ) -> HealthCheck | None:
     """Why a drive must not change the map before a person has looked; None if it may.
@@ -61,12 +61,12 @@ def contradiction(
         (track for track in tracks if track.existence_probability >= params.founding_existence_probability),
         key=lambda track: track.xyz_m,
     )
-    check = displaced(sure, features, kinds, params) if sure and features else None
-    check = check or standing_elsewhere(sure, features, params) or of_other_classes(sure, features, params)
-    return check or _scattered(kinds, "cones", "the zone was set up again") or _blind(kinds, params)
+    check = check_positions(sure, features, kinds, params) if sure and features else None
+    check = check or check_arrangement(sure, features, params) or check_classes(sure, features, params)
+    return check or _check_moves(kinds, "cones", "the zone was set up again") or _check_removals(kinds, params)
 
 
-def marking_contradiction(
+def check_marking_agreement(
     markings: Sequence[MarkingTrack], stretches: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
 ) -> HealthCheck | None:
     """Why a drive must not change the map before a person has looked; None if it may. The order of none of them matters.
@@ -74,11 +74,11 @@ def marking_contradiction(
     stretches: those of the map around the drive; deltas: what `reconcile_markings` made of both.
     """
     kinds = Counter(delta.kind for delta in deltas)
-    moved = _scattered(kinds, _STRETCHES, "the road was repainted")
-    return moved or _displaced_markings(markings, stretches, params) or _replaced(kinds)
+    moved = _check_moves(kinds, _STRETCHES, "the road was repainted")
+    return moved or _check_marking_positions(markings, stretches, params) or _check_replaced(kinds)
 
 
-def _scattered(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthCheck | None:
+def _check_moves(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthCheck | None:
     """Whether most of the objects that a drive shows are at other positions than the map's.
 
     what: their name; otherwise: what happened if the drive is right.
@@ -90,10 +90,10 @@ def _scattered(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthCh
         f"The drive would move {moved} of the {moved + stayed} {what} that it shows: its distances or poses are wrong "
         f"(baseline, alignment), or {otherwise}."
     )
-    return held("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit=what)
+    return agreement_hold("moves", moved, detail, limit=max(stayed, _LEAST_MOVED - 1), unit=what)
 
 
-def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | None:
+def _check_removals(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | None:
     """Whether a drive that finds many cones gone is more likely to have been blind than plausible.
 
     Beta-binomial: a drive detects all that the model card says, and the cones of a road vanish together (share of mean
@@ -114,13 +114,15 @@ def _blind(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | 
         f"{'cone' if seen == 1 else 'cones'}: were they cleared, or could the cameras not see them? Check the images."
     )
     probability = 1.0 / (1.0 + exp(gone - blind))
-    return held("removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them")
+    return agreement_hold(
+        "removals", 100 * probability, detail, limit=100 * _MAX_BLIND, unit="% that it could not see them"
+    )
 
 
-def _displaced_markings(
+def _check_marking_positions(
     markings: Sequence[MarkingTrack], stretches: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
-    drive = drive_of(markings)
+    drive = line_drive(markings)
     on_map, map_cov = lines_on_map(sorted(stretches, key=lambda feature: feature.feature_id))
     found = feet(on_map, drive.lines, params.marking_moved_max_m)
     if not len(found.point):
@@ -130,7 +132,7 @@ def _displaced_markings(
     cov = map_cov[found.point] + found.at(drive.cov_m2)
     count = len(np.unique(on_map.line[found.point]))
     up = float(np.median((found.at(drive.lines.vertices_m) - on_map.vertices_m[found.point])[:, 2]))
-    check = higher(up, sqrt(cov[:, 2, 2].mean()), count, "lane markings", "those")
+    check = check_heights(up, sqrt(cov[:, 2, 2].mean()), count, "lane markings", "those")
     if check is not None:
         return check
     aside_m = float(np.hypot(*np.median(found.lateral_m[:, None] * on_map.normals[found.point], axis=0)))
@@ -142,10 +144,10 @@ def _displaced_markings(
         f"Its lane markings are {aside_m:.2f} m beside those of the map, with a stated sigma of {sigma_m:.2f} m: one of the two "
         "has a wrong position, or the road was repainted. Check base station, datum and antenna offset of the drive."
     )
-    return held("position", aside_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
+    return agreement_hold("position", aside_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
 
-def _replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
+def _check_replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
     """Most stretches in view are gone: the drive is farther off and adds as many others, or it cannot see them."""
     stayed, moved = kinds[DeltaKind.CONFIRMED], kinds[DeltaKind.MOVED]
     added, removed = kinds[DeltaKind.ADDED], kinds[DeltaKind.REMOVED]
@@ -157,4 +159,4 @@ def _replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
         return None
     detail = f"The drive would remove {removed} {_STRETCHES}, add {added} others and confirm {stayed}: {cause}"
     limit = max(stayed, LEAST_PAIRS - 1)
-    return held("replaced", removed, detail, limit=limit, unit=_STRETCHES)
+    return agreement_hold("replaced", removed, detail, limit=limit, unit=_STRETCHES)

@@ -16,7 +16,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from conetl.geometry.packing import stacked
+from conetl.geometry.packing import stack_rows
 from conetl.model.arrays import Floats, Ints
 from conetl.model.base import Cov3
 from conetl.model.drive import Track
@@ -96,7 +96,7 @@ def common_offset(
     return offset_m, drive_var / total_var
 
 
-def pair(comparison: Comparison, offset_m: Floats, weight: float) -> dict[int, int]:
+def match_unmoved(comparison: Comparison, offset_m: Floats, weight: float) -> dict[int, int]:
     """Feature index -> track index of those that are the same cone at the same position.
 
     The map coordinates are less the drive's share `weight` of `offset_m`. Of all one-to-one assignments the one of least cost:
@@ -126,21 +126,19 @@ def pair(comparison: Comparison, offset_m: Floats, weight: float) -> dict[int, i
     return assign(j[allowed], i[allowed], _GATE_COST * share[allowed], unpaired_cost=_GATE_COST)
 
 
-def moves(comparison: Comparison, free_tracks: Sequence[int], vanished: Sequence[int]) -> dict[int, int]:
+def match_moved(comparison: Comparison, free_tracks: Sequence[int], vanished: Sequence[int]) -> dict[int, int]:
     """Feature index -> track index of moved cones: as many as possible, over the least total distance."""
     if not free_tracks or not vanished:
         return {}
-    j, i, distance = _alike_nearby(comparison, free_tracks, vanished)
+    j, i, distance = _move_candidates(comparison, free_tracks, vanished)
     return assign(j, i, distance)
 
 
-def moves_by_earlier_drives(
-    comparison: Comparison, observed: Mapping[int, int], vanished: Sequence[int]
-) -> dict[int, int]:
+def match_moved_earlier(comparison: Comparison, observed: Mapping[int, int], vanished: Sequence[int]) -> dict[int, int]:
     """Feature index -> index of the feature that it was moved to by the time of an earlier drive, to which only the new
     position was visible.
 
-    Like `moves`, among the `observed` features (feature -> track index) that were founded after the vanished one was last
+    Like `match_moved`, among the `observed` features (feature -> track index) that were founded after the vanished one was last
     observed; features observed at the same time are two cones.
     """
     features = comparison.features
@@ -148,14 +146,14 @@ def moves_by_earlier_drives(
     feature_of = {i: k for k, i in observed.items() if features[k].first_seen_ns > since_ns}
     if not feature_of or not vanished:
         return {}
-    j, i, distance = _alike_nearby(comparison, sorted(feature_of), vanished)
+    j, i, distance = _move_candidates(comparison, sorted(feature_of), vanished)
     founded_ns = np.array([features[feature_of[track]].first_seen_ns for track in i.tolist()], np.int64)
     last_seen_ns = np.array([features[row].last_seen_ns for row in j.tolist()], np.int64)
     since = founded_ns > last_seen_ns
     return {row: feature_of[track] for row, track in assign(j[since], i[since], distance[since]).items()}
 
 
-def _alike_nearby(
+def _move_candidates(
     comparison: Comparison, of_tracks: Sequence[int], of_features: Sequence[int]
 ) -> tuple[Ints, Ints, Floats]:
     """Feature and track indices, and distances in metres, of all pairs between which a cone may have been moved."""
@@ -173,7 +171,7 @@ def _alike_nearby(
 
 def xyz_of(objects: Sequence[Track | MapFeature]) -> Floats:
     """(N, 3) positions in metres."""
-    return stacked([one.xyz_m for one in objects], 3)
+    return stack_rows([one.xyz_m for one in objects], 3)
 
 
 def classes_of(objects: Sequence[Track | MapFeature]) -> NDArray[np.str_]:
@@ -199,7 +197,7 @@ def _candidates(t: Floats, f: Floats, allowed_m: float) -> Floats:
 
 def _horizontal(covariances: Sequence[Cov3]) -> Floats:
     """(N, 3): xx, xy, yy of each covariance."""
-    return stacked(covariances, 6)[:, [0, 1, 3]]
+    return stack_rows(covariances, 6)[:, [0, 1, 3]]
 
 
 def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Ints, Ints]:

@@ -17,19 +17,27 @@ import numpy as np
 from conetl.mapping.association import (
     Comparison,
     common_offset,
-    moves,
-    moves_by_earlier_drives,
+    match_moved,
+    match_moved_earlier,
+    match_unmoved,
     near_pairs,
-    pair,
     xyz_of,
 )
-from conetl.mapping.deltas import Terms, added, changed, confirmed, ended, moved_and_merged, not_observed
-from conetl.mapping.existence_update import is_gone, missed, observed
+from conetl.mapping.deltas import (
+    ReconcileContext,
+    confirm_features,
+    end_feature,
+    miss_or_remove,
+    move_and_merge,
+    new_feature,
+    update_feature,
+)
+from conetl.mapping.existence_update import is_gone, miss_evidence, sighting_evidence
 from conetl.mapping.fusion import tracks_in_map_frame
 from conetl.mapping.visibility import NotObserved
 from conetl.model.arrays import Floats
 from conetl.model.drive import Track
-from conetl.model.feature_classes import exclude_each_other, width_over_height
+from conetl.model.feature_classes import mutually_exclusive, width_over_height
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.params import ReconcileParams
 
@@ -45,23 +53,23 @@ def reconcile(
     tracks: Sequence[Track],
     features: Sequence[MapFeature],
     check_visibility: VisibilityCheck,
-    terms: Terms,
+    context: ReconcileContext,
 ) -> list[Delta]:
     """Deltas that bring the map from before the drive to after it; the order of tracks and features does not matter.
 
     features: the map as the drives recorded before this one left it.
     """
-    params, founding_key, pinned, summaries = terms
-    tracks = _without_doubles(sorted(tracks, key=lambda track: track.members[0]))
+    params, founding_key, pinned, summaries = context
+    tracks = _drop_duplicates(sorted(tracks, key=lambda track: track.members[0]))
     features = sorted(features, key=attrgetter("feature_id.int"))
     offset_m, weight = common_offset(tracks, features, params)
     shift_m = weight * offset_m
     map_xyz_m = xyz_of(tracks) - shift_m
     comparison = Comparison(tracks, features, map_xyz_m, params)
-    pairs = pair(comparison, offset_m, weight)
-    merged = _mergers(comparison, pairs, pinned)
+    pairs = match_unmoved(comparison, offset_m, weight)
+    merged = _find_mergers(comparison, pairs, pinned)
     deltas = [
-        ended(
+        end_feature(
             DeltaKind.MERGED,
             features[j],
             tracks[pairs[kept]].first_seen_ns,
@@ -71,21 +79,21 @@ def reconcile(
     ]
 
     paired = set(pairs.values())
-    free = _founding(tracks, paired, params)
+    free = _new_features(tracks, paired, params)
     others_m = xyz_of([tracks[i] for i in sorted(paired.union(free))])
     unobserved: dict[int, tuple[NotObserved, ExistenceEvidence]] = {}
     for j, feature in enumerate(features):
         absence = None if j in pairs or j in merged else check_visibility(feature, shift_m, others_m)
         if absence is not None:
-            unobserved[j] = absence, missed(feature, summaries.get(feature.feature_id), absence, params)
+            unobserved[j] = absence, miss_evidence(feature, summaries.get(feature.feature_id), absence, params)
     loose = {j: evidence for j, (_, evidence) in unobserved.items() if features[j].feature_id not in pinned}
     vanished = [j for j, evidence in loose.items() if is_gone(evidence, params, moved=True)]
 
-    moved = moves(comparison, free, vanished)
+    moved = match_moved(comparison, free, vanished)
     free = sorted(set(free).difference(moved.values()))
-    halves = _halves(comparison, free, pairs)
+    halves = _find_splits(comparison, free, pairs)
     evidence_for = {
-        j: observed(features[j], summaries.get(features[j].feature_id), tracks[i])
+        j: sighting_evidence(features[j], summaries.get(features[j].feature_id), tracks[i])
         for j, i in {**pairs, **moved}.items()
     }
     renewed = dict.fromkeys(moved, DeltaKind.MOVED)
@@ -98,22 +106,22 @@ def reconcile(
     own = tracks_in_map_frame([*free, *(track_of[j] for j in renewed)], tracks, features, pairs, weight)
     loose_pairs = {j: i for j, i in as_before.items() if features[j].feature_id not in pinned}
     left = [j for j in vanished if j not in moved]
-    moved_to = moves_by_earlier_drives(comparison, loose_pairs, left)
+    moved_to = match_moved_earlier(comparison, loose_pairs, left)
     feature_by_id = {features[k].feature_id: features[j] for j, k in moved_to.items()}
-    for delta in confirmed(as_before, features, tracks, evidence_for):
+    for delta in confirm_features(as_before, features, tracks, evidence_for):
         old = feature_by_id.get(delta.feature_id)
-        deltas += [delta] if old is None else moved_and_merged(old, delta)
+        deltas += [delta] if old is None else move_and_merge(old, delta)
     for j, kind in renewed.items():
         i = track_of[j]
-        deltas.append(changed(kind, features[j], own[i], map_xyz_m[i], shift_m, evidence_for[j]))
+        deltas.append(update_feature(kind, features[j], own[i], map_xyz_m[i], shift_m, evidence_for[j]))
     for j, (absence, evidence) in unobserved.items():
         if j in moved or j in moved_to:
             continue
         summary, gone = summaries.get(features[j].feature_id), j in loose and is_gone(evidence, params)
-        deltas.append(not_observed(features[j], absence.first_ns, summary, evidence, gone=gone))
+        deltas.append(miss_or_remove(features[j], absence.first_ns, summary, evidence, gone=gone))
     for i in free:
         half_of = features[halves[i]].feature_id if i in halves else None
-        deltas.append(added(own[i], map_xyz_m[i], shift_m, founding_key, half_of))
+        deltas.append(new_feature(own[i], map_xyz_m[i], shift_m, founding_key, half_of))
     return sorted(deltas, key=attrgetter("changed_at_ns", "feature_id.int"))
 
 
@@ -124,12 +132,12 @@ def height_differs(feature: MapFeature, track: Track, params: ReconcileParams) -
     return difference_m > max(params.moved_height_tolerance_m, 3 * sigma_m)
 
 
-def _base_m(a: Track | MapFeature, b: Track | MapFeature) -> float:
+def _base_width_m(a: Track | MapFeature, b: Track | MapFeature) -> float:
     """Width of the smaller of two objects."""
     return min(width_over_height(one.category) * one.cone_height_m for one in (a, b))
 
 
-def _without_doubles(tracks: Sequence[Track]) -> list[Track]:
+def _drop_duplicates(tracks: Sequence[Track]) -> list[Track]:
     """The tracks without those whose base plates overlap that of a track with more observations.
 
     Such a track is a second box of the detector or a fragment of the same chain.
@@ -139,13 +147,13 @@ def _without_doubles(tracks: Sequence[Track]) -> list[Track]:
     doubles = set()
     near = np.column_stack(near_pairs(xy_m, xy_m, _WIDEST_BASE_M))
     for a, b in near[near[:, 0] != near[:, 1]].tolist():
-        overlap = float(np.hypot(*(xy_m[a] - xy_m[b]))) < _base_m(tracks[a], tracks[b])
-        if overlap and weight[a] > weight[b] and exclude_each_other(tracks[a].category, tracks[b].category):
+        overlap = float(np.hypot(*(xy_m[a] - xy_m[b]))) < _base_width_m(tracks[a], tracks[b])
+        if overlap and weight[a] > weight[b] and mutually_exclusive(tracks[a].category, tracks[b].category):
             doubles.add(b)
     return [track for i, track in enumerate(tracks) if i not in doubles]
 
 
-def _founding(tracks: Sequence[Track], paired: Collection[int], params: ReconcileParams) -> list[int]:
+def _new_features(tracks: Sequence[Track], paired: Collection[int], params: ReconcileParams) -> list[int]:
     """The unpaired tracks that found a feature: sure enough, and surely beside every track with more observations.
 
     Far cones are located poorly along the line of sight, so that a second box of one cone may give a track beside it. A track is
@@ -157,7 +165,7 @@ def _founding(tracks: Sequence[Track], paired: Collection[int], params: Reconcil
     doubtful = set()
     for a, k in zip(*near_pairs(xy_m[free], xy_m, 2 * _WIDEST_BASE_M), strict=True):
         i = free[a]
-        one_kind = exclude_each_other(tracks[k].category, tracks[i].category)
+        one_kind = mutually_exclusive(tracks[k].category, tracks[i].category)
         if tracks[k].observation_count <= tracks[i].observation_count or not one_kind:
             continue
         apart = xy_m[i] - xy_m[k]
@@ -165,12 +173,12 @@ def _founding(tracks: Sequence[Track], paired: Collection[int], params: Reconcil
         xx, xy, _, yy, *_ = np.add(tracks[i].relative_cov_m2, tracks[k].relative_cov_m2).tolist()
         x, y = (apart / max(apart_m, 1e-9)).tolist()
         sigma_m = sqrt(max(x * x * xx + 2 * x * y * xy + y * y * yy, 0.0))
-        if apart_m - sigma_m < _base_m(tracks[i], tracks[k]):
+        if apart_m - sigma_m < _base_width_m(tracks[i], tracks[k]):
             doubtful.add(i)
     return [i for i in free if i not in doubtful]
 
 
-def _mergers(comparison: Comparison, pairs: Mapping[int, int], pinned: Collection[UUID]) -> dict[int, int]:
+def _find_mergers(comparison: Comparison, pairs: Mapping[int, int], pinned: Collection[UUID]) -> dict[int, int]:
     """Unobserved feature -> the nearest observed one whose base plate overlaps its own: they are one cone."""
     features = comparison.features
     certain = [
@@ -184,14 +192,14 @@ def _mergers(comparison: Comparison, pairs: Mapping[int, int], pinned: Collectio
     for a, b in zip(*near_pairs(xyz_m[certain, :2], xyz_m[unseen, :2], _WIDEST_BASE_M), strict=True):
         kept, other = certain[a], unseen[b]
         distance_m = float(np.hypot(*(xyz_m[kept] - xyz_m[other])[:2]))
-        if features[kept].category == features[other].category and distance_m < _base_m(
+        if features[kept].category == features[other].category and distance_m < _base_width_m(
             features[kept], features[other]
         ):
             found[other] = min(found.get(other, (distance_m, kept)), (distance_m, kept))
     return {other: kept for other, (_, kept) in found.items()}
 
 
-def _halves(comparison: Comparison, free_tracks: Sequence[int], pairs: Mapping[int, int]) -> dict[int, int]:
+def _find_splits(comparison: Comparison, free_tracks: Sequence[int], pairs: Mapping[int, int]) -> dict[int, int]:
     """Track index -> index of the feature of which it is one half.
 
     The feature is in the middle between this track and its own one, and one image shows both cones.
@@ -208,7 +216,7 @@ def _halves(comparison: Comparison, free_tracks: Sequence[int], pairs: Mapping[i
         together = not {frame for frame, _ in tracks[i].members}.isdisjoint(frame for frame, _ in own.members)
         beside = (
             tracks[i].category == own.category
-            and apart_m >= _base_m(tracks[i], own)
+            and apart_m >= _base_width_m(tracks[i], own)
             and off_m <= _MIDDLE_SHARE * apart_m
         )
         if beside and together and j not in found.values():

@@ -9,8 +9,8 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from conetl.geometry.packing import cov3, cov_matrices, stacked, vec3
-from conetl.mapping.existence_update import observed
+from conetl.geometry.packing import cov3, cov_matrices, stack_rows, vec3
+from conetl.mapping.existence_update import sighting_evidence
 from conetl.mapping.fusion import birge_ratios, fuse
 from conetl.model.arrays import Floats
 from conetl.model.drive import Track
@@ -20,7 +20,7 @@ from conetl.model.params import ReconcileParams
 _NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
 
 
-class Terms(NamedTuple):
+class ReconcileContext(NamedTuple):
     """What each comparison of a drive, or of an imported map, with the map depends on besides both."""
 
     params: ReconcileParams
@@ -32,14 +32,14 @@ class Terms(NamedTuple):
     """Of the misses since the features' versions."""
 
 
-def added(track: Track, map_xyz_m: Floats, shift: Floats, founding_key: str, half_of: UUID | None) -> Delta:
+def new_feature(track: Track, map_xyz_m: Floats, shift: Floats, founding_key: str, half_of: UUID | None) -> Delta:
     """A new feature; half_of: the feature that a split revealed to be two cones. Other arguments as for `feature_from_track`.
 
     Its id follows from the track's first position, which is in no other track and independent of the order of tracks.
     """
     frame, match = track.members[0]
     feature_id = uuid5(_NAMESPACE, f"{founding_key}/{frame}/{match}")
-    evidence = observed(None, None, track)
+    evidence = sighting_evidence(None, None, track)
     return Delta(
         kind=DeltaKind.ADDED if half_of is None else DeltaKind.SPLIT,
         feature_id=feature_id,
@@ -51,7 +51,7 @@ def added(track: Track, map_xyz_m: Floats, shift: Floats, founding_key: str, hal
     )
 
 
-def ended(
+def end_feature(
     kind: DeltaKind,
     feature: MapFeature,
     from_ns: int,
@@ -70,14 +70,14 @@ def ended(
     )
 
 
-def not_observed(
+def miss_or_remove(
     feature: MapFeature, missed_ns: int, summary: MissSummary | None, evidence: ExistenceEvidence, *, gone: bool
 ) -> Delta:
     """The feature removed, or missed; missed_ns: when this drive first missed it, summary: of the misses before."""
     if gone:
         # From the first miss on, which may be that of an earlier drive whose evidence was not enough.
         from_ns = missed_ns if summary is None else min(summary.first_missed_ns, missed_ns)
-        return ended(DeltaKind.REMOVED, feature, from_ns, evidence=evidence)
+        return end_feature(DeltaKind.REMOVED, feature, from_ns, evidence=evidence)
     return Delta(
         kind=DeltaKind.MISSED,
         feature_id=feature.feature_id,
@@ -88,7 +88,7 @@ def not_observed(
     )
 
 
-def moved_and_merged(old: MapFeature, confirmation: Delta) -> list[Delta]:
+def move_and_merge(old: MapFeature, confirmation: Delta) -> list[Delta]:
     """`old` moved to the position of the confirmed feature, which is merged into it.
 
     An earlier drive, to which only the new position was visible, had founded that feature.
@@ -96,16 +96,16 @@ def moved_and_merged(old: MapFeature, confirmation: Delta) -> list[Delta]:
     merged, state = confirmation.old, confirmation.new
     if merged is None or state is None:
         raise ValueError(f"the confirmation of feature {confirmation.feature_id} lacks its old or new state")
-    new = seen_again(old, state).model_copy(update={"feature_id": old.feature_id, "version": old.version + 1})
+    new = add_counts(old, state).model_copy(update={"feature_id": old.feature_id, "version": old.version + 1})
     shift_m = float(np.hypot(*(np.array(new.xyz_m) - np.array(old.xyz_m))[:2]))
     moved = {"kind": DeltaKind.MOVED, "feature_id": old.feature_id, "old": old, "new": new, "shift_m": shift_m}
     return [
         confirmation.model_copy(update=moved),
-        ended(DeltaKind.MERGED, merged, confirmation.changed_at_ns, merged_into=old.feature_id),
+        end_feature(DeltaKind.MERGED, merged, confirmation.changed_at_ns, merged_into=old.feature_id),
     ]
 
 
-def changed(
+def update_feature(
     kind: DeltaKind, feature: MapFeature, track: Track, map_xyz_m: Floats, shift: Floats, evidence: ExistenceEvidence
 ) -> Delta:
     """The feature as this drive alone observed it; map_xyz_m, shift: as for `feature_from_track`."""
@@ -114,7 +114,7 @@ def changed(
         kind=kind,
         feature_id=feature.feature_id,
         old=feature,
-        new=seen_again(feature, new),
+        new=add_counts(feature, new),
         track_index=track.track_index,
         changed_at_ns=track.first_seen_ns,
         shift_m=float(np.linalg.norm((map_xyz_m - np.array(feature.xyz_m))[:2])),
@@ -122,7 +122,7 @@ def changed(
     )
 
 
-def seen_again(old: MapFeature, new: MapFeature) -> MapFeature:
+def add_counts(old: MapFeature, new: MapFeature) -> MapFeature:
     """What one drive alone observed of a feature, with the time and the number of all observations."""
     return new.model_copy(
         update={
@@ -133,7 +133,7 @@ def seen_again(old: MapFeature, new: MapFeature) -> MapFeature:
     )
 
 
-def confirmed(
+def confirm_features(
     pairs: Mapping[int, int],
     features: Sequence[MapFeature],
     tracks: Sequence[Track],
@@ -154,13 +154,13 @@ def confirmed(
         [t.cov_m2 for t in new],
         [t.shared_jacobian for t in new],
     )
-    old_xyz, new_xyz = (stacked([one.xyz_m for one in side], 3) for side in (old, new))
+    old_xyz, new_xyz = (stack_rows([one.xyz_m for one in side], 3) for side in (old, new))
     apart = new_xyz - old_xyz
-    fused = old_xyz + _times(gain, apart)
+    fused = old_xyz + _matvec(gain, apart)
     stated = cov_matrices([f.cov_m2 for f in old]) + cov_matrices([t.cov_m2 for t in new])
     cov[:, range(3), range(3)] *= birge_ratios(apart, stated)
-    centres, new_centres = (stacked([one.centre_xyz_m for one in side], 3) for side in (old, new))
-    centres = centres + _times(gain, new_centres - centres)
+    centres, new_centres = (stack_rows([one.centre_xyz_m for one in side], 3) for side in (old, new))
+    centres = centres + _matvec(gain, new_centres - centres)
     shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1).tolist()
     heights = np.array([[one.cone_height_m for one in side] for side in (old, new)]).T
     weights = np.array([[one.cone_height_sigma_m for one in side] for side in (old, new)]).T ** -2.0
@@ -199,7 +199,7 @@ def confirmed(
     return deltas
 
 
-def _times(matrices: Floats, vectors: Floats) -> Floats:
+def _matvec(matrices: Floats, vectors: Floats) -> Floats:
     """(N, 3, 3) times (N, 3)."""
     return (matrices @ vectors[:, :, None])[:, :, 0]
 

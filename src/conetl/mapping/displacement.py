@@ -52,7 +52,7 @@ _MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
 _MAX_NEAR, _MAX_TRIED = 150, 300
 
 
-def displaced(
+def check_positions(
     tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
 ) -> HealthCheck | None:
     """The common displacement of a drive's cones against the map's; None where the stated sigmas cover it."""
@@ -89,11 +89,11 @@ def displaced(
             f"Its cones are {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
             "to tell which cone is which: process its GNSS data with corrections, or ingest the drive into a separate map."
         )
-        return held("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
-    return _aside(fit.middle_m, sigma_m, turned, min(params.max_offset_m, MAX_SIGMAS * sigma_m))
+        return agreement_hold("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
+    return _position_hold(fit.middle_m, sigma_m, turned, min(params.max_offset_m, MAX_SIGMAS * sigma_m))
 
 
-def imported_displacement(
+def check_import(
     stated: Sequence[MapFeature], features: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
     """The common displacement of the cones that an imported map states against the map's; None where their sigmas cover it.
@@ -109,32 +109,32 @@ def imported_displacement(
     if pairs:
         i, j = list(pairs), list(pairs.values())
         # Where most have no cone near them, those that do are others' neighbours: their heights alone are compared.
-        compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(_with_neighbours(t, f)) else (0.0, 0.0, 1.0)
+        compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(_with_near_features(t, f)) else (0.0, 0.0, 1.0)
         common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
         if common is not None:
             return common
-    return _arranged_alike(stated, features, len(pairs), params, _LEAST_SAME)
+    return _match_arrangement(stated, features, len(pairs), params, _LEAST_SAME)
 
 
-def far_displacement(
+def check_far_positions(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
-    """The common displacement, beyond that which `contradiction` finds, of a drive's cones against the map's; None where there is
+    """The common displacement, beyond what `check_agreement` finds, of a drive's cones against the map's; None where there is
     none, or too few cones tell.
 
     features: the map's point objects within `FARTHEST_M` of the tracks. The fold compares only what a drive may have in view:
     this is decided once, when the drive comes.
     """
     sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]
-    if (check := _beyond_a_cliff(sure, features)) is not None:
+    if (check := _check_other_section(sure, features)) is not None:
         return check.model_copy(update={"name": "heights of another section"})
-    check = standing_elsewhere(sure, features, params)
+    check = check_arrangement(sure, features, params)
     if check is None or check.value is None or check.value <= _NEAR_M:
         return None
     return check.model_copy(update={"name": "the same cones elsewhere"})
 
 
-def _beyond_a_cliff(tracks: Sequence[Track], features: Sequence[MapFeature]) -> HealthCheck | None:
+def _check_other_section(tracks: Sequence[Track], features: Sequence[MapFeature]) -> HealthCheck | None:
     """The height difference of a drive's cones against the map's nearest ones, where none of them can be on the same road: the
     drive shows another section of it, in another height system."""
     if not tracks or not features:
@@ -147,20 +147,20 @@ def _beyond_a_cliff(tracks: Sequence[Track], features: Sequence[MapFeature]) -> 
         return None
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
     sigma_m = float(np.sqrt((covs[0] + covs[1][nearest])[near, 2, 2].max()))
-    return higher(float(np.median(up_m)), sigma_m, len(up_m), "cones", "the nearest ones")
+    return check_heights(float(np.median(up_m)), sigma_m, len(up_m), "cones", "the nearest ones")
 
 
-def standing_elsewhere(
+def check_arrangement(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
     """The displacement by the arrangement of enough cones alone, whatever row, also one along which no other cone is missing."""
     if len(tracks) < _LEAST_SAME_OF_DRIVE or not features:
         return None
     found = len(_same_positions(_places(tracks), _places(features), np.zeros(3), params))
-    return _arranged_alike(tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
+    return _match_arrangement(tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
 
 
-def of_other_classes(
+def check_classes(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
     """Whether most of the objects that stand where the map has one are of another class than there."""
@@ -178,15 +178,15 @@ def of_other_classes(
         f"{now} instead of {was}: the class names in the sidecar of the detector's model are in the wrong order, or all objects "
         "were replaced."
     )
-    return held("classes", len(pairs), detail, limit=max(len(same), LEAST_PAIRS - 1), unit="objects")
+    return agreement_hold("classes", len(pairs), detail, limit=max(len(same), LEAST_PAIRS - 1), unit="objects")
 
 
-def _with_neighbours(t: Floats, f: Floats) -> Ints:
+def _with_near_features(t: Floats, f: Floats) -> Ints:
     """Which cones t (N, 3) have one of f (M, 3) within `FARTHEST_M`."""
     return np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
 
 
-def _arranged_alike(
+def _match_arrangement(
     cones: Sequence[Track | MapFeature],
     features: Sequence[MapFeature],
     found: int,
@@ -198,7 +198,7 @@ def _arranged_alike(
     found: how many stand where one of the map stands, of which twice as many must fit elsewhere, at least least_same.
     """
     t, f = xyz_of(cones), xyz_of(features)
-    near = _with_neighbours(t, f)
+    near = _with_near_features(t, f)
     some = near[:: 1 + len(near) // _MAX_TRACKS]
     found_of_some = found * len(some) / max(len(near), 1)
     least = max(least_same, _LEAST_SAME_SHARE * len(some), 2 * found_of_some + 1)
@@ -213,7 +213,7 @@ def _arranged_alike(
     covs = cov_matrices([one.cov_m2 for one in cones]), cov_matrices([one.cov_m2 for one in features])
     sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     limit_m = min(params.max_offset_m, MAX_SIGMAS * sigma_m)
-    return _aside(fit.middle_m, sigma_m, "", limit_m) if fit.largest_m > limit_m else None
+    return _position_hold(fit.middle_m, sigma_m, "", limit_m) if fit.largest_m > limit_m else None
 
 
 def _places(objects: Sequence[Track | MapFeature]) -> _Places:
@@ -229,7 +229,9 @@ def _same_positions(tracks: _Places, features: _Places, shift_m: Floats, params:
     return assign(rows, columns, np.hypot(*(t[rows] - shift_m - f[columns])[:, :2].T))
 
 
-def held(what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str) -> HealthCheck:
+def agreement_hold(
+    what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str
+) -> HealthCheck:
     """A hold; its figures are rounded to what is meant, so that they are the same wherever they are computed again."""
     value, limit = round(value, 3), round(float(limit), 3)
     sigma = None if sigma is None else round(sigma, 3)
@@ -244,18 +246,18 @@ def _mean_sigma_m(cov_m2: Floats) -> float:
 def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
     """apart_m (K, 3): tracks less their features; cov_m2 (3, 3): of one difference."""
     east, north, up = np.median(apart_m, axis=0).tolist()
-    check = higher(up, float(np.sqrt(cov_m2[2, 2])), len(apart_m), "cones", "the same cones")
+    check = check_heights(up, float(np.sqrt(cov_m2[2, 2])), len(apart_m), "cones", "the same cones")
     if check is not None:
         return check
     offset = np.array([east, north])
     chi2 = float(offset @ np.linalg.solve(cov_m2[:2, :2], offset))
     if len(apart_m) >= LEAST_PAIRS and chi2 > MAX_SIGMAS**2 and hypot(east, north) > LEAST_OFFSET_M:
         sigma_m = _mean_sigma_m(cov_m2)
-        return _aside(hypot(east, north), sigma_m, "", max(LEAST_OFFSET_M, MAX_SIGMAS * sigma_m))
+        return _position_hold(hypot(east, north), sigma_m, "", max(LEAST_OFFSET_M, MAX_SIGMAS * sigma_m))
     return None
 
 
-def higher(up_m: float, sigma_m: float, count: int, what: str, those: str) -> HealthCheck | None:
+def check_heights(up_m: float, sigma_m: float, count: int, what: str, those: str) -> HealthCheck | None:
     """count: pairs that agree on a height difference."""
     limit_m = max(LEAST_OFFSET_M if count >= LEAST_PAIRS else _GROSS_RISE_M, MAX_SIGMAS * sigma_m)
     if abs(up_m) <= limit_m:
@@ -265,16 +267,16 @@ def higher(up_m: float, sigma_m: float, count: int, what: str, those: str) -> He
         f"Its {what} are {apart} than {those} of the map, with a stated sigma of {sigma_m:.2f} m: the heights refer to another "
         "datum (ellipsoid or geoid), or the height of antenna or cameras is wrong."
     )
-    return held("heights", up_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
+    return agreement_hold("heights", up_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
 
-def _aside(distance_m: float, sigma_m: float, turned: str, limit_m: float) -> HealthCheck:
+def _position_hold(distance_m: float, sigma_m: float, turned: str, limit_m: float) -> HealthCheck:
     detail = (
         f"Its cones are {distance_m:.1f} m from those of the map{turned}, with a stated sigma of {sigma_m:.2f} m: one of the two "
         "has a wrong position, or all cones were moved by the same distance. Check base station, datum and antenna offset of the "
         "drive."
     )
-    return held("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
+    return agreement_hold("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
 
 class _Fit(NamedTuple):

@@ -20,12 +20,14 @@ MAX_LOG_ODDS = 7.0
 _EDGE = 1e-6
 
 
-def observed(feature: MapFeature | None, summary: MissSummary | None, track: Track) -> ExistenceEvidence:
+def sighting_evidence(feature: MapFeature | None, summary: MissSummary | None, track: Track) -> ExistenceEvidence:
     """Evidence of a drive that observed the feature (None: a new one) as `track`; summary: of the misses since its version."""
-    return confirming(feature, summary, track.existence_probability, len({frame for frame, _ in track.members}))
+    return confirmation_evidence(
+        feature, summary, track.existence_probability, len({frame for frame, _ in track.members})
+    )
 
 
-def confirming(
+def confirmation_evidence(
     feature: MapFeature | None, summary: MissSummary | None, existence_probability: float, frames_seen: int
 ) -> ExistenceEvidence:
     """Evidence of a drive that observed the feature in some frame pairs, or of an imported map that contains it."""
@@ -39,7 +41,7 @@ def confirming(
     )
 
 
-def missed(
+def miss_evidence(
     feature: MapFeature, summary: MissSummary | None, absence: NotObserved, params: ReconcileParams
 ) -> ExistenceEvidence:
     """Evidence of a drive that did not observe the feature although its location was visible."""

@@ -20,7 +20,7 @@ from uuid import UUID
 
 import numpy as np
 
-from conetl.geometry.calibration.covariance import pack_all, unpack_all
+from conetl.geometry.calibration.covariance import pack_jacobians, unpack_jacobians
 from conetl.geometry.packing import cov3, cov_matrices
 from conetl.model.arrays import Floats
 from conetl.model.base import Cov3, SharedErrorJacobian
@@ -62,14 +62,14 @@ def fuse(
     cov = (cov + np.swapaxes(cov, 1, 2)) / 2
     shared_jacobian: list[SharedErrorJacobian | None] = [None] * len(old)
     shapes = [(_shape(one), _shape(other)) for one, other in zip(old_jacobian, new_jacobian, strict=True)]
-    for ((old_ids, old_errors), (new_ids, new_errors)), rows in _alike(shapes).items():
+    for ((old_ids, old_errors), (new_ids, new_errors)), rows in _rows_by_shape(shapes).items():
         ids = tuple(sorted({*old_ids, *new_ids}))
         if not ids:
             continue
         errors = max(old_errors, new_errors)
-        a, b = (unpack_all(ids, [side[k] for k in rows], errors) for side in (old_jacobian, new_jacobian))
+        a, b = (unpack_jacobians(ids, [side[k] for k in rows], errors) for side in (old_jacobian, new_jacobian))
         gain[rows], cov[rows], moved = _fuse_correlated(old[rows], a, new[rows], b)
-        for k, fused in zip(rows, pack_all(ids, moved, most=MOST_CALIBRATIONS), strict=True):
+        for k, fused in zip(rows, pack_jacobians(ids, moved, most=MOST_CALIBRATIONS), strict=True):
             shared_jacobian[k] = fused
     return Fusion(gain, cov, shared_jacobian)
 
@@ -91,9 +91,9 @@ def birge_ratios(apart_m: Floats, cov_m2: Floats) -> Floats:
 def independent_parts(cov: Sequence[Cov3], shared_jacobian: Sequence[SharedErrorJacobian | None]) -> Floats:
     """Independent parts (N, 3, 3) of covariances, in m^2."""
     own = cov_matrices(cov)
-    for (ids, _), rows in _alike([_shape(one) for one in shared_jacobian]).items():
+    for (ids, _), rows in _rows_by_shape([_shape(one) for one in shared_jacobian]).items():
         if ids:
-            own[rows] = _independent_part(own[rows], _flat(unpack_all(ids, [shared_jacobian[k] for k in rows])))
+            own[rows] = _independent_part(own[rows], _flat(unpack_jacobians(ids, [shared_jacobian[k] for k in rows])))
     return own
 
 
@@ -121,7 +121,7 @@ def _independent_part(cov: Floats, shared_jacobian: Floats) -> Floats:
     return np.asarray((vectors * np.maximum(values, _LEAST_INDEPENDENT_M2)[:, None, :]) @ np.swapaxes(vectors, 1, 2))
 
 
-def _alike(shapes: Iterable[S]) -> dict[S, list[int]]:
+def _rows_by_shape(shapes: Iterable[S]) -> dict[S, list[int]]:
     """Rows by shape of their Jacobians: those of one shape are computed together, usually all of a drive."""
     rows: dict[S, list[int]] = {}
     for k, shape in enumerate(shapes):
@@ -214,14 +214,14 @@ def in_map_frame(
     own = relative + (1 - offset.weight) ** 2 * (whole - relative) + offset.of_map
     errors = max((moved_m.shape[1] for moved_m in offset.jacobians.values()), default=0)
     jacobians = list(shared_jacobian)
-    for (known, _), rows in _alike(map(_shape, shared_jacobian)).items():
+    for (known, _), rows in _rows_by_shape(map(_shape, shared_jacobian)).items():
         ids = tuple(sorted({*offset.jacobians, *known}))
-        after = unpack_all(ids, [shared_jacobian[k] for k in rows], errors)
+        after = unpack_jacobians(ids, [shared_jacobian[k] for k in rows], errors)
         for calibration, moved_m in offset.jacobians.items():
             after[:, ids.index(calibration), :, : moved_m.shape[1]] -= moved_m
         after = after.astype(np.float32).astype(np.float64)  # as stored
         own[rows] += _squared(_flat(after))
-        for k, packed in zip(rows, pack_all(ids, after, most=MOST_CALIBRATIONS), strict=True):
+        for k, packed in zip(rows, pack_jacobians(ids, after, most=MOST_CALIBRATIONS), strict=True):
             jacobians[k] = packed
     return list(map(cov3, (own + np.swapaxes(own, 1, 2)) / 2)), jacobians
 
@@ -229,9 +229,9 @@ def in_map_frame(
 def _sums(shared_jacobian: Sequence[SharedErrorJacobian | None], errors: int) -> dict[UUID, Floats]:
     """Sum (3, K) of the Jacobians of each calibration; errors: K, at least that of each."""
     sums: dict[UUID, Floats] = {}
-    for (ids, _), rows in _alike(map(_shape, shared_jacobian)).items():
+    for (ids, _), rows in _rows_by_shape(map(_shape, shared_jacobian)).items():
         if ids:
-            summed_m = unpack_all(ids, [shared_jacobian[k] for k in rows], errors).sum(axis=0)
+            summed_m = unpack_jacobians(ids, [shared_jacobian[k] for k in rows], errors).sum(axis=0)
             for calibration, moved_m in zip(ids, summed_m, strict=True):
                 sums[calibration] = sums.get(calibration, 0.0) + moved_m
     return sums

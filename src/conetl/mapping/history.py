@@ -15,15 +15,15 @@ from uuid import UUID
 import numpy as np
 from scipy.spatial import cKDTree
 
-from conetl.geometry.packing import stacked
-from conetl.mapping.agreement import contradiction, is_confirmed, marking_contradiction
+from conetl.geometry.packing import stack_rows
+from conetl.mapping.agreement import check_agreement, check_marking_agreement, is_confirmed
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import VisibilityCheck, reconcile
-from conetl.mapping.deltas import Terms
+from conetl.mapping.deltas import ReconcileContext
 from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
 from conetl.mapping.markings import ViewCheck, reconcile_markings
-from conetl.mapping.visibility import NotObserved, not_in_view
+from conetl.mapping.visibility import NotObserved, empty_view
 from conetl.model.arrays import Floats
 from conetl.model.drive import Track
 from conetl.model.health import HealthCheck
@@ -63,7 +63,7 @@ class DriveEvidence:
     check_visibility: VisibilityCheck
     params: ReconcileParams
     markings: Sequence[MarkingTrack] = ()
-    check_view: ViewCheck = not_in_view
+    check_view: ViewCheck = empty_view
     """What the drive had in view of lane markings."""
     imported: Sequence[ImportedFeature] = ()
     """Features of an imported map, instead of tracks; it removes nothing."""
@@ -160,23 +160,23 @@ def apply_drive(
     ignored. summaries: of the misses since these versions. known: all ids in use, required for imported maps only. A version that
     would begin no later than its predecessor (drives that overlap in time) begins `MIN_VALID_NS` after it.
     """
-    around, drive = _around(current, drive), _classified(drive, decisions.classified)
+    around, drive = _within_influence(current, drive), _apply_classes(drive, decisions.classified)
     points, lines = ([one for one in around if (one.marking is not None) == is_line] for is_line in (False, True))
     pinned = {feature.feature_id for feature in around if is_within(feature, decisions.pinned)}
-    terms = Terms(drive.params, drive.founding_key, pinned, summaries)
+    context = ReconcileContext(drive.params, drive.founding_key, pinned, summaries)
     if drive.imported:
-        deltas = reconcile_imported(drive.imported, points, terms, at_ns=drive.key[0], known=known)
+        deltas = reconcile_imported(drive.imported, points, context, at_ns=drive.key[0], known=known)
     else:
-        deltas = reconcile(drive.tracks, points, drive.check_visibility, terms)
+        deltas = reconcile(drive.tracks, points, drive.check_visibility, context)
         line_deltas: list[Delta] = []
         if drive.markings or lines:
             offset = common_offset(sorted(drive.tracks, key=lambda track: track.members[0]), points, drive.params)
-            line_deltas = reconcile_markings(drive.markings, lines, drive.check_view, terms, offset=offset)
+            line_deltas = reconcile_markings(drive.markings, lines, drive.check_view, context, offset=offset)
         hold = None
         if drive.changeset_id not in decisions.accepted:
             hold = None if is_confirmed(deltas, drive.key[0]) else drive.doubt
-            hold = hold or contradiction(drive.tracks, points, deltas, drive.params)
-            hold = hold or marking_contradiction(drive.markings, lines, line_deltas, drive.params)
+            hold = hold or check_agreement(drive.tracks, points, deltas, drive.params)
+            hold = hold or check_marking_agreement(drive.markings, lines, line_deltas, drive.params)
         if hold is not None:
             return MapUpdate([], [], [], hold)
         if line_deltas:
@@ -203,7 +203,7 @@ def apply_drive(
     return MapUpdate(deltas, versions, misses)
 
 
-def _classified(drive: DriveEvidence, decided: Sequence[Classification]) -> DriveEvidence:
+def _apply_classes(drive: DriveEvidence, decided: Sequence[Classification]) -> DriveEvidence:
     """The drive with the classes that people decided. Its boxes keep theirs: absence is judged by the class that is detected."""
     if not decided:
         return drive
@@ -247,11 +247,11 @@ def _miss(delta: Delta, changeset_id: UUID) -> MissedObservation:
     )
 
 
-def _around(current: Mapping[UUID, FeatureVersion], drive: DriveEvidence) -> list[MapFeature]:
+def _within_influence(current: Mapping[UUID, FeatureVersion], drive: DriveEvidence) -> list[MapFeature]:
     """The features within the drive's influence, by feature id."""
     features = [current[feature_id].feature for feature_id in sorted(current, key=attrgetter("int"))]
     if not features:
         return []
-    xy_m = stacked([feature.xyz_m for feature in features], 3)[:, :2]
+    xy_m = stack_rows([feature.xyz_m for feature in features], 3)[:, :2]
     distances = np.atleast_1d(cKDTree(drive.path_m).query(xy_m)[0])
     return list(compress(features, (distances <= drive.influence_m).tolist()))

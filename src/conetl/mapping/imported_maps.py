@@ -11,10 +11,10 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from conetl.mapping.association import Comparison, pair
+from conetl.mapping.association import Comparison, match_unmoved
 from conetl.mapping.changes import height_differs
-from conetl.mapping.deltas import Terms, changed, confirmed
-from conetl.mapping.existence_update import confirming
+from conetl.mapping.deltas import ReconcileContext, confirm_features, update_feature
+from conetl.mapping.existence_update import confirmation_evidence
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, ImportedFeature, MapFeature
 from conetl.model.params import ReconcileParams
@@ -26,7 +26,7 @@ _NO_OFFSET_M = np.zeros(3)
 def reconcile_imported(
     statements: Sequence[ImportedFeature],
     features: Sequence[MapFeature],
-    terms: Terms,
+    context: ReconcileContext,
     *,
     at_ns: int,
     known: Collection[UUID] = (),
@@ -36,13 +36,13 @@ def reconcile_imported(
     features: the present ones nearby. A new feature keeps its id unless that is `known` already (of a feature that is gone, or
     elsewhere): then the id follows from `founding_key` and the imported id.
     """
-    params, founding_key, pinned, summaries = terms
+    params, founding_key, pinned, summaries = context
     statements = sorted(statements, key=lambda statement: statement.feature.feature_id)
     features = sorted(features, key=lambda feature: feature.feature_id)
     tracks = [_as_track(statement.feature, at_ns) for statement in statements]
-    pairs = _pair(tracks, statements, features, params)
+    pairs = _match(tracks, statements, features, params)
     evidence = {
-        j: confirming(
+        j: confirmation_evidence(
             features[j], summaries.get(features[j].feature_id), statements[i].feature.existence_probability, 0
         )
         for j, i in sorted(pairs.items())
@@ -56,18 +56,18 @@ def reconcile_imported(
         elif not held:
             kinds[j] = DeltaKind.MOVED
     same = {j: pairs[j] for j, kind in kinds.items() if kind is DeltaKind.CONFIRMED}
-    deltas = confirmed(same, features, tracks, evidence)
+    deltas = confirm_features(same, features, tracks, evidence)
     for j, kind in kinds.items():
         if kind is not DeltaKind.CONFIRMED:
             track = tracks[pairs[j]]
-            deltas.append(changed(kind, features[j], track, np.array(track.xyz_m), _NO_OFFSET_M, evidence[j]))
+            deltas.append(update_feature(kind, features[j], track, np.array(track.xyz_m), _NO_OFFSET_M, evidence[j]))
     deltas = [delta.model_copy(update={"track_index": None}) for delta in deltas]
     paired = set(pairs.values())
     deltas += [_added(s, founding_key, known) for i, s in enumerate(statements) if i not in paired]
     return sorted(deltas, key=lambda delta: (delta.changed_at_ns, str(delta.feature_id)))
 
 
-def _pair(
+def _match(
     tracks: Sequence[Track],
     statements: Sequence[ImportedFeature],
     features: Sequence[MapFeature],
@@ -85,12 +85,12 @@ def _pair(
     others = [j for j in range(len(features)) if j not in pairs]
     own = [tracks[i] for i in free]
     xyz_m = np.array([track.xyz_m for track in own]).reshape(-1, 3)
-    near = pair(Comparison(own, [features[j] for j in others], xyz_m, params), _NO_OFFSET_M, 0.0)
+    near = match_unmoved(Comparison(own, [features[j] for j in others], xyz_m, params), _NO_OFFSET_M, 0.0)
     return pairs | {others[column]: free[row] for column, row in near.items()}
 
 
 def _is_near(track: Track, feature: MapFeature, params: ReconcileParams) -> bool:
-    """Whether the positions may be the same, by the gate of `association.pair` without a known offset."""
+    """Whether the positions may be the same, by the gate of `association.match_unmoved` without a known offset."""
     shift = np.subtract(track.xyz_m[:2], feature.xyz_m[:2])
     distance_m = float(np.hypot(*shift))
     if distance_m <= params.min_gate_m:
@@ -105,7 +105,7 @@ def _added(statement: ImportedFeature, founding_key: str, known: Collection[UUID
     feature_id = statement.feature.feature_id
     if feature_id in known:
         feature_id = uuid5(_NAMESPACE, f"{founding_key}/{feature_id}")
-    evidence = confirming(None, None, statement.feature.existence_probability, 0)
+    evidence = confirmation_evidence(None, None, statement.feature.existence_probability, 0)
     own = {"feature_id": feature_id, "version": 1, "existence_probability": evidence.existence_probability}
     return Delta(
         kind=DeltaKind.ADDED,

@@ -9,9 +9,9 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from conetl.geometry.calibration.covariance import pack_all, unpack_all
+from conetl.geometry.calibration.covariance import pack_jacobians, unpack_jacobians
 from conetl.geometry.packing import cov3, cov_matrices, vec3
-from conetl.mapping.deltas import seen_again
+from conetl.mapping.deltas import add_counts
 from conetl.mapping.fusion import OffsetErrors, birge_ratios, fuse, in_map_frame
 from conetl.mapping.marking_lines import Feet, Lines, lines_of
 from conetl.mapping.visibility import MarkingView
@@ -64,7 +64,7 @@ class StretchSighting(NamedTuple):
     last_ns: int
 
 
-def drive_of(markings: Sequence[MarkingTrack]) -> LineDrive:
+def line_drive(markings: Sequence[MarkingTrack]) -> LineDrive:
     """In the order of `marking_index`, with nothing subtracted."""
     tracks = sorted(markings, key=lambda track: track.marking_index)
     return LineDrive(
@@ -98,7 +98,7 @@ def sighting(track: int, drive: LineDrive, view: MarkingView, vertices: Bools) -
     return StretchSighting(track, min(own[0], whole.observation_count), own[1], own[2])
 
 
-def confirmed(
+def confirm_stretches(
     sightings: Mapping[int, StretchSighting],
     features: Sequence[MapFeature],
     on_map: Lines,
@@ -108,7 +108,7 @@ def confirmed(
 ) -> dict[int, Delta]:
     """Stretches (by number) observed again: every observed vertex moves across the line and in height, by the covariances.
 
-    found: the observed vertices, and where on the drive's markings they are. As for cones (`deltas.confirmed`) the drive's
+    found: the observed vertices, and where on the drive's markings they are. As for cones (`deltas.confirm_features`) the drive's
     markings enter in the drive's own frame.
     """
     number = on_map.line[found.point]
@@ -148,7 +148,7 @@ def confirmed(
             kind=DeltaKind.CONFIRMED,
             feature_id=old.feature_id,
             old=old,
-            new=seen_again(old, own),
+            new=add_counts(old, own),
             changed_at_ns=seen.first_ns,
             shift_m=float(np.hypot(*(vertices_m[middle] - on_map.vertices_m[middle])[:2])),
             evidence=evidence[j],
@@ -156,7 +156,7 @@ def confirmed(
     return deltas
 
 
-def moved(
+def move_stretch(
     feature: MapFeature, found: Feet, seen: StretchSighting, drive: LineDrive, evidence: ExistenceEvidence
 ) -> Delta:
     """A stretch that was repainted: the drive's marking beside it, where its vertices were."""
@@ -165,14 +165,14 @@ def moved(
         kind=DeltaKind.MOVED,
         feature_id=feature.feature_id,
         old=feature,
-        new=seen_again(feature, new),
+        new=add_counts(feature, new),
         changed_at_ns=seen.first_ns,
         shift_m=float(np.abs(found.lateral_m).mean()),
         evidence=evidence,
     )
 
 
-def added(
+def new_stretch(
     found: Feet, seen: StretchSighting, drive: LineDrive, founding_key: str, evidence: ExistenceEvidence
 ) -> Delta:
     """A new stretch. Its id follows from the marking of the drive and the station (dm) at which it begins."""
@@ -187,7 +187,7 @@ def added(
     )
 
 
-def split(confirmation: Delta, vertices: Ints, at_ns: int, founding_key: str) -> Delta:
+def split_stretch(confirmation: Delta, vertices: Ints, at_ns: int, founding_key: str) -> Delta:
     """What is left of a stretch that is removed: successive vertices of its confirmed state, as a stretch of its own."""
     whole = confirmation.state_after
     shape = shape_of(whole)
@@ -313,7 +313,9 @@ def _turned_jacobians(drive: LineDrive, found: Feet) -> list[SharedErrorJacobian
             if (line, turn) not in turned:
                 c, s = float(np.cos(turn)), float(np.sin(turn))
                 around = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-                [turned[line, turn]] = pack_all(own.calibrations, around @ unpack_all(own.calibrations, [own]))
+                [turned[line, turn]] = pack_jacobians(
+                    own.calibrations, around @ unpack_jacobians(own.calibrations, [own])
+                )
             own = turned[line, turn]
         result.append(own)
     return result

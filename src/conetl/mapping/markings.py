@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.mapping import marking_deltas
-from conetl.mapping.deltas import Terms, not_observed
-from conetl.mapping.existence_update import confirming, is_gone, missed
+from conetl.mapping.deltas import ReconcileContext, miss_or_remove
+from conetl.mapping.existence_update import confirmation_evidence, is_gone, miss_evidence
 from conetl.mapping.fusion import offset_errors
 from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset
 from conetl.mapping.visibility import MarkingView, NotObserved
@@ -81,7 +81,7 @@ def reconcile_markings(
     markings: Sequence[MarkingTrack],
     stretches: Sequence[MapFeature],
     check_view: ViewCheck,
-    terms: Terms,
+    context: ReconcileContext,
     *,
     offset: tuple[Floats, float],
 ) -> list[Delta]:
@@ -89,52 +89,56 @@ def reconcile_markings(
 
     offset: of the drive's cones (`association.common_offset`); where its weight is 0, that of the lines is used.
     """
-    params, founding_key, pinned, summaries = terms
-    c = _compared(markings, stretches, params, offset)
+    params, founding_key, pinned, summaries = context
+    c = _compare(markings, stretches, params, offset)
     drive, features = c.drive, c.features
-    states = _states(c, check_view, params)
+    states = _stretch_states(c, check_view, params)
 
     def evidence_for(j: int, one: marking_deltas.StretchSighting) -> ExistenceEvidence:
         old = features[j]
         # What is observed, however seldom, is no evidence against what stands there.
-        return confirming(old, summaries.get(old.feature_id), max(_own_existence(drive, one), 0.5), one.frames)
+        return confirmation_evidence(
+            old, summaries.get(old.feature_id), max(_own_existence(drive, one), 0.5), one.frames
+        )
 
     seen = {
         j: marking_deltas.sighting(_main_line(c, j), drive, one.view, one.seen)
         for j, one in states.items()
         if one.is_seen
     }
-    confirmations = marking_deltas.confirmed(
+    confirmations = marking_deltas.confirm_stretches(
         seen, features, c.on_map, c.same, drive, {j: evidence_for(j, seen[j]) for j in seen}
     )
     fixed = {j for j, feature in enumerate(features) if feature.feature_id in pinned}
     absent = {j: one for j, one in states.items() if one.half_is_gone and not (j in seen and j in fixed)}
     deltas = [delta for j, delta in confirmations.items() if j not in absent]
-    against = _absences(absent, c, summaries, params)
+    against = _absence_evidence(absent, c, summaries, params)
 
     sure = np.array([t.existence_probability >= params.founding_existence_probability for t in drive.tracks], bool)
     vanished = {j for j, (_, one) in against.items() if is_gone(one, params, moved=True)} - fixed - seen.keys()
-    anew = _painted_anew(c, states, vanished, sure)
+    anew = _find_repainted(c, states, vanished, sure)
     for j, own in anew.items():
         where = np.isin(np.flatnonzero(c.on_map.line == j), own.point)
         one = marking_deltas.sighting(int(own.line[0]), drive, states[j].view, where)
-        deltas.append(marking_deltas.moved(features[j], own, one, drive, evidence_for(j, one)))
+        deltas.append(marking_deltas.move_stretch(features[j], own, one, drive, evidence_for(j, one)))
     for j in against.keys() - anew.keys():
         absence, evidence = against[j]
         summary, gone = summaries.get(features[j].feature_id), j not in fixed and is_gone(evidence, params)
-        end = not_observed(features[j], absence.first_ns, summary, evidence, gone=gone)
+        end = miss_or_remove(features[j], absence.first_ns, summary, evidence, gone=gone)
         deltas.append(end)
         if gone and j in seen:
             rest = _runs(states[j].seen)
-            deltas += [marking_deltas.split(confirmations[j], run, end.changed_at_ns, founding_key) for run in rest]
+            deltas += [
+                marking_deltas.split_stretch(confirmations[j], run, end.changed_at_ns, founding_key) for run in rest
+            ]
     for i in np.flatnonzero(sure).tolist():
         for part_m in c.claims.free_parts(i, drive.length_m(i), params.marking_least_m):
             for piece in marking_deltas.stretches_of(drive, i, part_m):
                 view = check_view(piece.at(drive.lines.vertices_m))
                 one = marking_deltas.sighting(i, drive, view, np.ones(len(piece.point), bool))
-                founding = confirming(None, None, _own_existence(drive, one), one.frames)
+                founding = confirmation_evidence(None, None, _own_existence(drive, one), one.frames)
                 if founding.existence_probability >= params.founding_existence_probability:
-                    deltas.append(marking_deltas.added(piece, one, drive, founding_key, founding))
+                    deltas.append(marking_deltas.new_stretch(piece, one, drive, founding_key, founding))
     return deltas
 
 
@@ -144,13 +148,13 @@ def _own_existence(drive: marking_deltas.LineDrive, one: marking_deltas.StretchS
     return min(whole.existence_probability, marking_existence(one.frames, whole.contrast))
 
 
-def _compared(
+def _compare(
     markings: Sequence[MarkingTrack],
     stretches: Sequence[MapFeature],
     params: ReconcileParams,
     offset: tuple[Floats, float],
 ) -> _Comparison:
-    drive, features = marking_deltas.drive_of(markings), sorted(stretches, key=lambda feature: feature.feature_id)
+    drive, features = marking_deltas.line_drive(markings), sorted(stretches, key=lambda feature: feature.feature_id)
     on_map, map_cov = marking_deltas.lines_on_map(features)
     offset_m, weight = offset
     if weight == 0:
@@ -187,7 +191,7 @@ def _penalty_m(found: Feet, on_map: Lines, features: Sequence[MapFeature], drive
     return penalty
 
 
-def _states(c: _Comparison, check_view: ViewCheck, params: ReconcileParams) -> dict[int, _State]:
+def _stretch_states(c: _Comparison, check_view: ViewCheck, params: ReconcileParams) -> dict[int, _State]:
     """Of the stretches of which the drive observed a vertex or had enough in view to miss one, by number."""
     states = {}
     observed = np.zeros(len(c.on_map.line), bool)
@@ -207,7 +211,7 @@ def _main_line(c: _Comparison, j: int) -> int:
     return int(np.bincount(c.same.line[c.on_map.line[c.same.point] == j]).argmax())
 
 
-def _absences(
+def _absence_evidence(
     absent: Mapping[int, _State],
     c: _Comparison,
     summaries: Mapping[UUID, MissSummary],
@@ -223,11 +227,11 @@ def _absences(
         if period is not None:
             absence = NotObserved(frames=period[0], first_ns=period[1], log_likelihood_ratio=ratio)
             summary = summaries.get(c.features[j].feature_id)
-            against[j] = absence, missed(c.features[j], summary, absence, params)
+            against[j] = absence, miss_evidence(c.features[j], summary, absence, params)
     return against
 
 
-def _painted_anew(
+def _find_repainted(
     c: _Comparison, states: Mapping[int, _State], vanished: Collection[int], sure: Bools
 ) -> dict[int, Feet]:
     """Of the vanished stretches those with a free marking of the drive beside more than half of their vertices."""

@@ -45,7 +45,7 @@ class ChangeFacts(NamedTuple):
     noun: str = "cone"
 
 
-def why(facts: ChangeFacts) -> str:
+def explain_change(facts: ChangeFacts) -> str:
     """One sentence: what happened, by which drive, what it observed from where, and how surely the cone exists after it."""
     if facts.is_import:
         observed = f"the imported map {facts.drive_id} states it"

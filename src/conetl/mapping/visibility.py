@@ -19,7 +19,7 @@ from conetl.geometry.linear_reference import spaced
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.base import Vec3
-from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, absence_log_ratio, evidence_of
+from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, absence_log_ratio, class_evidence
 from conetl.model.drive import Detection, FramePair
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import MapFeature
@@ -161,7 +161,7 @@ def check_visibility(
     if occupied.sum() >= (~occupied).sum():
         return None
     ratio = absence_log_ratio(
-        evidence_of(drive.figures.evidence, feature.category),
+        class_evidence(drive.figures.evidence, feature.category),
         drive.figures.score_threshold,
         np.array([pair.heights_px for pair in seen]),
         np.array([pair.hidden for pair in seen]),
@@ -186,7 +186,7 @@ def visible_pairs(
     others_m (M, 3): other cones in the same frame; what is nearer to one of them is that cone. category: boxes of other classes
     do not show it, but may hide it.
     """
-    evidence = evidence_of(drive.figures.evidence, category)
+    evidence = class_evidence(drive.figures.evidence, category)
     rows, heights_px, boxes = pairs_in_view(foot_m, cone_height_m, drive, params, category)
     near_m = others_m[np.hypot(*(others_m - foot_m)[:, :2].T) <= _NEIGHBOUR_M]
     visible = []
@@ -300,12 +300,12 @@ class MarkingView(NamedTuple):
         return (len(captured_ns), int(captured_ns.min()), int(captured_ns.max())) if len(captured_ns) else None
 
 
-def not_in_view(vertices_m: Floats) -> MarkingView:
+def empty_view(vertices_m: Floats) -> MarkingView:
     """Of a drive that did not search for lane markings."""
     return MarkingView(np.empty(0, np.int64), np.empty((len(vertices_m), 0), bool))
 
 
-def blur_of(markings: Sequence[MarkingTrack]) -> float:
+def median_blur_px(markings: Sequence[MarkingTrack]) -> float:
     """Sigma (px) by which a drive's images blur the edges of its markings, median; 0 without any."""
     return float(np.median([track.blur_px for track in markings])) if markings else 0.0
 
@@ -315,8 +315,8 @@ def markings_in_view(
 ) -> MarkingView:
     """Where vertices (n, 3), in the drive's map frame, lie inside both images at the ranges in which markings are searched.
 
-    blur_px: as of `blur_of`; blurred images show absence at a shorter range. Empty for a drive that did not search for markings.
-    A vertex inside the box of a detection is hidden, and images that show too little show no absence.
+    blur_px: by `median_blur_px`; blurred images show absence at a shorter range only. Empty for a drive that did not search for
+    markings. A vertex inside the box of a detection is hidden. Images without detail show no absence.
     """
     rows = np.flatnonzero(drive.shows_absence) if LANE_MARKING in drive.figures.categories else np.empty(0, np.int64)
     middle_m = vertices_m.mean(axis=0)

@@ -1,8 +1,8 @@
-"""What a box, or its absence, says about a cone: figures of one detector, measured on labelled images.
+"""What a box, or a missing box, says about a cone: figures of one detector, measured on labelled images.
 
-`training/calibrate_scores.py` writes them into the model's sidecar (`perception/model_card.py`); without them `UNMEASURED`
-holds. The alternative to a cone is a *lookalike*: an object that is not a cone but got a box and will get others (a tail lamp, a
-bollard). Scores are the network's own (`Detection.score`); P(cone | box) is a `calibrated_probability`.
+`training/calibrate_scores.py` writes them into the model's sidecar (`perception/model_card.py`); a model without them gets
+`UNMEASURED`. The alternative to a cone is a *lookalike*: an object that is not a cone but was detected as one and will be again
+(a tail lamp, a bollard). Scores are those of the network (`Detection.score`); P(cone | box) is a `calibrated_probability`.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ class DetectorEvidence(Record):
 
 
 class AbsenceFigures(Record):
-    """Figures needed to weigh that a drive found no box at a visible location; stored with each drive."""
+    """What is needed to rate the evidence of a visible location without a box; stored with each drive."""
 
     evidence: DetectorEvidence
     score_threshold: Share
@@ -139,8 +139,8 @@ class AbsenceFigures(Record):
     """Where its images say nothing."""
 
 
-def evidence_of(evidence: DetectorEvidence, category: str) -> DetectorEvidence:
-    """What the boxes of a category say: of other classes than cones at most the number of false boxes was measured."""
+def class_evidence(evidence: DetectorEvidence, category: str) -> DetectorEvidence:
+    """The evidence for boxes of one class. For classes other than cones, only an upper limit of the false boxes was measured."""
     if category == CONE:
         return evidence
     false_boxes = (evidence.false_boxes_by_class or {}).get(category)

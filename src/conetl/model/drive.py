@@ -38,10 +38,8 @@ FrameIndex = Annotated[int, Field(ge=0, le=MAX_FRAME_INDEX)]
 
 
 class Interpolated(Record):
-    """What interpolation between sparse records (1 Hz) adds to the sigmas of a pose.
-
-    The frame pairs between two records share it: they are not measurements of their own.
-    """
+    """Uncertainty that interpolation between sparse records (1 Hz) adds to the sigmas of a pose. All frame pairs between two
+    records share it: they are not independent measurements."""
 
     sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
     sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
@@ -83,7 +81,8 @@ class FramePair(Record):
 
     @property
     def shows_absence(self) -> bool:
-        """Whether a cone that is not detected in its images may be gone: they show enough, or it was not measured."""
+        """Whether a cone that is not detected in this pair may be gone: its images have enough detail, or their detail was not
+        measured."""
         return self.detail is None or self.detail >= MIN_DETAIL
 
     def image(self, side: Side) -> tuple[str, str]:
@@ -113,7 +112,7 @@ class SurveyedPoint(Record):
 
 
 class UnclearSquares(Record):
-    """Squares of the images that a drive's lenses show blurred or not at all: an object not found there may still exist."""
+    """Squares of the images that a lens shows blurred or not at all. An object that is not found there may still exist."""
 
     side_px: Positive
     """Of a square; the first one is in the top left corner."""

@@ -30,7 +30,7 @@ class ConflictError(InputError):
 
 
 class DriveFolderError(InputError):
-    """A drive as a whole cannot be used: of all that its reader found wrong, and of images that contradict the calibration."""
+    """A drive as a whole cannot be used: its files are wrong, or its images contradict the calibration."""
 
 
 class ModelFileError(InputError):
@@ -64,35 +64,33 @@ _ABOUT_THE_FILE = frozenset(
 )  # fmt: skip
 
 
-def is_of_storage(error: BaseException | None) -> bool:
-    """Whether the error concerns a disk or storage that fails or is full; such errors are temporary."""
+def is_storage_error(error: BaseException | None) -> bool:
+    """Whether the error comes from a failing or full disk or storage. Such errors are temporary."""
     return isinstance(error, OSError) and error.errno is not None and error.errno not in _ABOUT_THE_FILE
 
 
-def storage_failed(error: OSError) -> StorageError:
-    """The error of a file that cannot be read or written, as a message for the user."""
+def storage_error(error: OSError) -> StorageError:
+    """The message for a file that cannot be read or written because its storage fails."""
     return StorageError(
         f"{error.filename or 'a file'}: the storage failed ({error.strerror or error}). Check the disk or the network file "
         "system and run the same command again."
     )
 
 
-def may_pass(error: BaseException) -> bool:
-    """Whether the same work may succeed on another try: all errors but those of the drive's own content.
-
-    Callers limit the number of tries.
-    """
+def is_retryable(error: BaseException) -> bool:
+    """Whether another attempt may succeed: true unless the content of the drive is the cause. Callers limit the number of
+    attempts."""
     if isinstance(error, DriveFolderError | MapMismatchError):
-        return is_of_storage(error.__cause__)
+        return is_storage_error(error.__cause__)
     return True
 
 
-def cannot_write(message: str, remedy: str, error: OSError) -> InputError | StorageError:
-    """The error of a file that cannot be written: InputError if the path is the reason, else StorageError.
+def write_error(message: str, remedy: str, error: OSError) -> InputError | StorageError:
+    """InputError if the path of a file is why it cannot be written, else StorageError.
 
     message: what cannot be written; remedy: what to do about the path.
     """
     why = error.strerror or error
-    if is_of_storage(error):
+    if is_storage_error(error):
         return StorageError(f"{message} ({why}): free space or check the disk and run the same command again.")
     return InputError(f"{message} ({why}): {remedy}.")

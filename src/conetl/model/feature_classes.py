@@ -101,34 +101,35 @@ FEATURE_CLASSES = {
 LINE_CLASSES = tuple(name for name, one in FEATURE_CLASSES.items() if one.geometry == "line")
 
 
-def known_of(categories: Iterable[str]) -> tuple[str, ...]:
-    """Those of them that conetl knows, each once, in the order of `FEATURE_CLASSES`."""
+def known_classes(categories: Iterable[str]) -> tuple[str, ...]:
+    """The categories that conetl knows, without duplicates, in the order of `FEATURE_CLASSES`."""
     given = set(categories)
     return tuple(name for name in FEATURE_CLASSES if name in given)
 
 
 def width_over_height(category: str) -> float:
-    """As of `FeatureClass`; objects of unknown classes are drawn like cones."""
+    """See `FeatureClass`; objects of unknown classes are drawn like cones."""
     return FEATURE_CLASSES.get(category, FEATURE_CLASSES[CONE]).width_over_height
 
 
 def letter_of(category: str) -> str:
-    """As of `FeatureClass`; `?` of unknown classes."""
+    """See `FeatureClass`; `?` for unknown classes."""
     return FEATURE_CLASSES[category].letter if category in FEATURE_CLASSES else "?"
 
 
 def require_classes(names: Iterable[str], besides: Iterable[str]) -> None:
-    """Raise InputError for a class that is neither conetl's nor among `besides`: imported maps may hold any."""
+    """Raise InputError for classes that neither conetl nor `besides` knows: imported maps may hold any."""
     if unknown := set(names) - {*FEATURE_CLASSES, *besides}:
         known = ", ".join(FEATURE_CLASSES)
         raise InputError(f"--category: there is no class {', '.join(sorted(unknown))}; give {known} or all")
 
 
 def noun_of(category: str) -> str:
-    """For messages: `cone`, `work zone sign`."""
+    """The class in messages: `cone`, `work zone sign`."""
     return "cone" if category == CONE else category.replace("_", " ")
 
 
-def exclude_each_other(a: str, b: str) -> bool:
-    """Whether objects of two categories cannot be at one place. Detectors confuse classes; but plates hang above what stands."""
+def mutually_exclusive(a: str, b: str) -> bool:
+    """Whether two categories cannot be at the same position. Detectors confuse classes, but a plate may hang above a standing
+    object."""
     return FEATURE_CLASSES[a].on_road == FEATURE_CLASSES[b].on_road

@@ -1,4 +1,4 @@
-"""Health checks: tests of a whole recording that decide what the map may believe."""
+"""Health checks: tests of a whole recording. They decide whether the drive may change the map."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class HealthCheck(Record):
 
     @property
     def figures(self) -> str:
-        """What was measured, with its sigma, unit and limit; empty where the recording does not show it."""
+        """The measured value with its sigma, unit and limit; empty if nothing was measured."""
         if self.value is None:
             return ""
         sigma = "" if self.sigma is None else f" +- {self.sigma:.2g}"
@@ -56,12 +56,12 @@ class HealthCheck(Record):
 
 
 def hold(name: str, detail: str, *, value: float | None, **figures: Any) -> HealthCheck:
-    """A check that puts the drive on hold; figures: other fields."""
+    """A failed check that puts the drive on hold; figures: other fields of `HealthCheck`."""
     return HealthCheck(name=name, verdict=Verdict.HOLD, detail=detail, value=value, **figures)
 
 
 def hold_if(wrong: object, name: str, detail: str, *, value: float | None, **figures: Any) -> HealthCheck:
-    """A check that puts the drive on hold if something is wrong, and passes otherwise; figures: other fields."""
+    """A check that puts the drive on hold if `wrong`, else passes; figures: other fields of `HealthCheck`."""
     check = hold(name, detail, value=value, **figures)
     return check if wrong else check.model_copy(update={"verdict": Verdict.PASS})
 
@@ -82,7 +82,7 @@ class HeldDrive(Record):
     changeset_id: UUID
     since: datetime
     checks: tuple[HealthCheck, ...]
-    """Those that it did not pass."""
+    """The checks that it failed."""
 
     @property
     def reason(self) -> str:
@@ -90,7 +90,7 @@ class HeldDrive(Record):
 
 
 class HoldChange(Record):
-    """What an ingest or a decision did to another drive: it went on hold, or is on hold no longer."""
+    """An ingest or a decision put another drive on hold, or released it."""
 
     drive_id: str
     changeset_no: int
@@ -125,9 +125,9 @@ class HoldEvent(Record):
     detail: str
     """The note of a decision, or what ended the hold."""
     by: str | None
-    """Who decided; None of what the checks decided, and if no name was given."""
+    """Who decided; None if a check decided, or no name was given."""
     checks: tuple[HealthCheck, ...]
-    """Those for which it went on hold; empty of other events."""
+    """The checks that put it on hold; empty for other events."""
 
     @property
     def sentence(self) -> str:
@@ -136,17 +136,17 @@ class HoldEvent(Record):
         return f"{self.what}{by}{detail and f': {detail}'}"
 
 
-def what_to_do(drive: str | int) -> str:
-    """How to get a drive (its id, or changeset number) off hold."""
+def hold_remedy(drive: str | int) -> str:
+    """How to release a drive (its id, or changeset number) that is on hold."""
     accept = f"conetl drive accept {quote(str(drive))} --note REASON"
     return f"Deliver the drive again with that corrected, or accept it as it is: {accept}"
 
 
-def holding(checks: Sequence[HealthCheck]) -> tuple[HealthCheck, ...]:
-    """The checks for which a drive is held."""
+def hold_checks(checks: Sequence[HealthCheck]) -> tuple[HealthCheck, ...]:
+    """The checks that put a drive on hold."""
     return tuple(check for check in checks if check.verdict is Verdict.HOLD)
 
 
 def hold_reason(checks: Sequence[HealthCheck]) -> str | None:
-    """The causes for which a drive is held, as sentences; None where it counts."""
-    return " ".join(check.detail for check in holding(checks)) or None
+    """Why a drive is on hold, in sentences; None if it is not."""
+    return " ".join(check.detail for check in hold_checks(checks)) or None

@@ -11,7 +11,7 @@ from pydantic import Field
 from conetl.model.base import Record, Vec3
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError
 from conetl.model.feature_classes import CONE
-from conetl.model.health import HealthCheck, HoldChange, what_to_do
+from conetl.model.health import HealthCheck, HoldChange, hold_remedy
 from conetl.model.map_records import DeltaKind
 from conetl.model.rejections import RejectionReason
 
@@ -52,7 +52,7 @@ class IngestReport(Record):
     counts: dict[DeltaKind, int]
     """Of point objects."""
     line_counts: dict[DeltaKind, int] = Field(default_factory=dict)
-    """Of stretches of lane markings, of each kind that there is."""
+    """Changes of stretches of lane markings, by kind."""
     markings: int = 0
     """Lane markings that the drive shows."""
     changes: tuple[ChangeLine, ...]
@@ -87,12 +87,12 @@ class IngestReport(Record):
 
     @property
     def is_known(self) -> bool:
-        """Whether the drive was stored before; nothing was written then."""
+        """Whether the drive was already stored; then nothing was written."""
         return self.committed_at is not None
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a person has to check besides the drive itself: what was not published, and other drives that went on hold."""
+        """What a person has to check besides the drive itself: unpublished files, and other drives that went on hold."""
         others = [change.sentence for change in self.hold_changes if change.state == "on hold"]
         return (*([self.unpublished] if self.unpublished else ()), *others)
 
@@ -114,7 +114,7 @@ class DriveOnHoldError(NeedsAttentionError):
         super().__init__(
             report,
             f"Drive {report.drive_id} is on hold and changes nothing on the map. {report.on_hold} "
-            f"{what_to_do(report.drive_id)}",
+            f"{hold_remedy(report.drive_id)}",
         )
 
 

@@ -56,7 +56,7 @@ class DeltaKind(StrEnum):
 
     @property
     def founds(self) -> bool:
-        """Whether a feature begins with it."""
+        """Whether this kind creates a feature."""
         return self in (DeltaKind.ADDED, DeltaKind.SPLIT)
 
     @property
@@ -77,8 +77,8 @@ class ExistenceEvidence(Record):
     """Frame pairs in which its location was visible and empty; 0 where the drive observed it."""
 
 
-class _OldAndNew(Record):
-    """Old -> new state of one feature; `old` is None where it began, `new` where it ended."""
+class _StateChange(Record):
+    """One feature before and after a change; `old` is None for a new feature, `new` is None for one that is gone."""
 
     kind: DeltaKind
     feature_id: UUID
@@ -87,20 +87,20 @@ class _OldAndNew(Record):
 
     @property
     def state_after(self) -> MapFeature:
-        """The new state; the last one of a feature that ended."""
+        """The new state, or the last one of a feature that is gone."""
         state = self.new or self.old
         if state is None:
             raise ValueError(f"the change of feature {self.feature_id} has neither old nor new")
         return state
 
     @property
-    def is_of_line(self) -> bool:
-        """Whether the feature is a line."""
+    def is_line(self) -> bool:
+        """Whether the feature is a lane marking."""
         return self.state_after.marking is not None
 
 
-class Delta(_OldAndNew):
-    """What one drive changes of one feature, or confirms."""
+class Delta(_StateChange):
+    """What one drive changed, or confirmed, of one feature."""
 
     track_index: int | None = None
     changed_at_ns: int
@@ -120,7 +120,7 @@ class Delta(_OldAndNew):
 
     @property
     def is_change(self) -> bool:
-        """False for a miss, and for a confirmation that changes no stored value: these make no version."""
+        """False for a miss, and for a confirmation that leaves all stored values unchanged: these create no version."""
         if self.kind is DeltaKind.MISSED:
             return False
         if self.kind is not DeltaKind.CONFIRMED or self.old is None or self.new is None:
@@ -143,7 +143,7 @@ class ImportedFeature(Record):
     stated_version: int | None = None
 
 
-class FeatureChange(_OldAndNew):
+class FeatureChange(_StateChange):
     """Difference of one feature between two states of a map.
 
     `confirmed`: the same position with other values; `missed`: the same version with a lower existence probability.
@@ -172,7 +172,7 @@ class FeatureVersion(Record):
 
 
 class MissedObservation(Record):
-    """A drive to which a feature was visible did not observe it, and the feature stays."""
+    """A drive did not observe a feature although it was visible, and the feature stays on the map."""
 
     feature_id: UUID
     changeset_id: UUID
@@ -194,7 +194,7 @@ DriveOrder = tuple[int, str, str]
 
 
 class Location(Record):
-    """A circle about which a person decided."""
+    """A circle that a decision applies to."""
 
     xy_m: Vec2
     radius_m: Positive
@@ -210,7 +210,7 @@ class Classification(Location):
 
 
 class Decisions(Record):
-    """Decisions of people; those about locations apply to all drives, earlier and later."""
+    """Decisions of people. Those about locations apply to all drives, earlier and later ones."""
 
     suppressed: tuple[Location, ...] = ()
     """No cone stands here, whatever drives observe."""

@@ -22,8 +22,8 @@ _PRIOR, _HALF_CONTRAST, _EVIDENCE = 0.2, 20.0, 0.6
 
 
 def marking_existence(frames: int, contrast: float, hit_share: float = 1.0) -> float:
-    """Odds of the prior times, for every frame pair, a factor that grows with contrast (grey levels) and with the share of hits
-    where there is paint."""
+    """Existence probability of a marking: prior odds, times a factor per frame pair that grows with contrast (grey levels) and
+    with the share of the painted length that was hit."""
     gain = _EVIDENCE * frames * hit_share * contrast / (contrast + _HALF_CONTRAST)
     return 1 / (1 + (1 - _PRIOR) / _PRIOR * exp(-gain))
 
@@ -55,7 +55,7 @@ class Marking(Record):
 
 
 class MarkingTrack(Record):
-    """One lane marking in one drive: all observations of it, adjusted. As long as the drive shows it without a break."""
+    """One lane marking in one drive, adjusted from all its observations; as long as the drive shows it without a break."""
 
     marking_index: int = Field(ge=0)
     category: str

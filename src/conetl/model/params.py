@@ -14,7 +14,7 @@ from pydantic import Field, field_validator
 
 from conetl.model.base import Positive, Record
 from conetl.model.base import Probability as Fraction
-from conetl.model.feature_classes import CONE, FEATURE_CLASSES, known_of
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES, known_classes
 
 _SIGN_MARGIN_RAD = 0.3
 
@@ -48,7 +48,7 @@ class DetectionParams(Params):
     def _known(cls, categories: tuple[str, ...]) -> tuple[str, ...]:
         if unknown := set(categories) - set(FEATURE_CLASSES):
             raise ValueError(f"{', '.join(sorted(unknown))}: expected some of {', '.join(FEATURE_CLASSES)}")
-        return known_of(categories)  # in one order: they are part of a hash
+        return known_classes(categories)  # in one order: they are part of a hash
 
 
 class MatchParams(Params):

@@ -76,7 +76,7 @@ class Camera(Record):
 
 
 class SharedErrors(Record):
-    """Errors of a calibration common to all drives that use it; the rest is of this drive alone."""
+    """The part of a calibration's errors that all drives with this calibration share; the rest differs from drive to drive."""
 
     calibration: UUID
     """Id of the given calibration (`geometry/calibration/covariance.py`)."""
@@ -117,7 +117,7 @@ class CalibrationCovariance(Record):
 
     @property
     def sigmas(self) -> dict[str, float]:
-        """By name."""
+        """Standard deviations by name."""
         return {name: self.matrix[i][i] ** 0.5 for i, name in enumerate(self.names)}
 
 

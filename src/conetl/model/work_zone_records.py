@@ -1,4 +1,4 @@
-"""Records of work zones: input and results. Metres of the map's CRS, UTC nanoseconds."""
+"""Records of work zones: inputs and results. Metres of the map's CRS, UTC nanoseconds."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Knot(NamedTuple):
 
 @dataclass(frozen=True)
 class Taper:
-    """A part of a row that approaches traffic (converging) or recedes from it, in the direction of travel."""
+    """A part of a row that moves towards traffic (converging) or away from it, in the direction of travel."""
 
     first: int
     last: int

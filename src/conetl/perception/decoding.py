@@ -103,7 +103,7 @@ def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
     return ordered[np.asarray(kept, np.intp)]
 
 
-def without_parts(candidates: Floats, larger: Floats) -> Floats:
+def suppress_parts(candidates: Floats, larger: Floats) -> Floats:
     """Candidates (N, 5) without those that are part of a better box of `larger` (M, 5).
 
     A part has four fifths of its area inside a box that is at least twice as large and scores at least as high, such as the

@@ -17,7 +17,7 @@ from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.model.rig import Side
 
 
-def check_boxes(
+def to_detections(
     boxes: NDArray[np.float64],
     *,
     frame_index: int,
@@ -52,8 +52,8 @@ def check_boxes(
                     w_px=width,
                     h_px=height,
                     score=score,
-                    foot_px=_point(row[5:7]) if has_foot else None,
-                    tip_px=_point(row[7:9]) if has_foot else None,
+                    foot_px=_finite_point(row[5:7]) if has_foot else None,
+                    tip_px=_finite_point(row[7:9]) if has_foot else None,
                 )
             )
         except ValidationError as error:
@@ -69,7 +69,7 @@ def check_boxes(
     return detections, rejections
 
 
-def without_unread(
+def drop_unread_pairs(
     drive: Drive, detections: Sequence[Detection], rejections: Iterable[Rejection]
 ) -> tuple[Drive, list[Detection]]:
     """The drive and its detections without the frame pairs of which an image could not be decoded.
@@ -91,7 +91,7 @@ def without_unread(
     return drive.model_copy(update={"frame_pairs": kept}), [d for d in detections if d.frame_index not in lost]
 
 
-def with_detail(drive: Drive, details: Iterable[ImageDetail]) -> tuple[Drive, list[Rejection]]:
+def add_image_detail(drive: Drive, details: Iterable[ImageDetail]) -> tuple[Drive, list[Rejection]]:
     """The drive with the detail of its images in its frame pairs, and rejections of pairs that are not evidence of absence."""
     least: dict[int, ImageDetail] = {}
     for one in details:
@@ -117,6 +117,6 @@ def with_detail(drive: Drive, details: Iterable[ImageDetail]) -> tuple[Drive, li
     return drive.model_copy(update={"frame_pairs": pairs}), refused
 
 
-def _point(xy: list[float]) -> Vec2 | None:
+def _finite_point(xy: list[float]) -> Vec2 | None:
     """An image point, None where there is none or it is not two finite numbers."""
     return (xy[0], xy[1]) if len(xy) == 2 and np.isfinite(xy).all() else None

@@ -236,7 +236,7 @@ def detect_image(
     side_px = min(longest, MAX_SIDE_PX)
     rows, columns = slice(0, road.shape[0]), slice(0, road.shape[1])
     if within is not None and detector.any_size:
-        rows, columns = _part(detector, road.shape, within, reach_px, longest / side_px)
+        rows, columns = _search_window(detector, road.shape, within, reach_px, longest / side_px)
     part = road[rows, columns]
 
     def run_on_part(longest_px: int) -> NDArray[np.float64]:
@@ -250,7 +250,7 @@ def detect_image(
         for smaller_px in (side_px // 2, side_px // 4):
             again = run_on_part(smaller_px)
             large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
-            boxes = decoding.suppress_overlaps(np.concatenate((decoding.without_parts(boxes, large), large)), nms_iou)
+            boxes = decoding.suppress_overlaps(np.concatenate((decoding.suppress_parts(boxes, large), large)), nms_iou)
     boxes[:, [0, 2, 5, 7]] += columns.start
     boxes[:, [1, 3, 6, 8]] += rows.start
     if small_objects is not None:
@@ -279,7 +279,7 @@ def detect_image(
     return decoding.boxes_in_image(boxes, whole.shape[1], whole.shape[0])
 
 
-def _part(
+def _search_window(
     detector: Detector,
     shape: tuple[int, ...],
     within: tuple[float, float, float, float],

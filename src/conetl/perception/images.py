@@ -186,7 +186,7 @@ def check_image_bytes(
 def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> ImageHeader:
     """Like `check_image_bytes`, but reads only the ends of the file and misses damage in between. Raises ImageFileError."""
     data, file_bytes = b"", None
-    with _asking(path):
+    with _file_errors(path):
         if (
             not is_remote(path) and is_present(path)
             and (file_bytes := path.stat().st_size) > _HEAD_BYTES + _TAIL_BYTES
@@ -272,7 +272,7 @@ def read_bytes(path: Path) -> bytes:
 
     Raises StorageError for temporary faults.
     """
-    with _asking(path):
+    with _file_errors(path):
         if is_remote(path):
             return object_bytes(path)
         if not is_present(path):
@@ -314,7 +314,7 @@ def _changed(path: Path, why: object) -> StorageError:
 
 
 @contextmanager
-def _asking(path: Path) -> Iterator[None]:
+def _file_errors(path: Path) -> Iterator[None]:
     """Map errors of the system to ImageFileError (the image) or StorageError (the storage)."""
     try:
         yield
@@ -322,7 +322,7 @@ def _asking(path: Path) -> Iterator[None]:
         raise _missing(str(path)) from error
     except OSError as error:
         reason = error.strerror or error
-        if isinstance(error, PermissionError) and _is_closed_by_mode(path):
+        if isinstance(error, PermissionError) and _denied_by_mode(path):
             raise ImageFileError(
                 RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {reason}; make it readable"
             ) from error
@@ -336,7 +336,7 @@ def _missing(name: str) -> ImageFileError:
     return ImageFileError(RejectionReason.IMAGE_MISSING, f"{name}: there is no such file")
 
 
-def _is_closed_by_mode(path: Path) -> bool:
+def _denied_by_mode(path: Path) -> bool:
     """Whether the file's mode denies this user reading, which is permanent.
 
     Network file systems also deny for temporary reasons, such as an expired ticket.

@@ -27,7 +27,7 @@ def check_distortion(pairs: Iterable[tuple[Image, Image, Floats, Floats]], camer
     """pairs: grey images of some frame pairs, `shrink` times smaller, and matched points (N, 2) px of the whole ones in both.
     camera: the right one."""
     name, detail = "distortion of the lenses", "The images do not show enough for this check."
-    points = np.concatenate([np.empty((0, 3)), *(_followed(*pair, shrink) for pair in pairs)])
+    points = np.concatenate([np.empty((0, 3)), *(_track_corners(*pair, shrink) for pair in pairs)])
     if len(points) < _MIN_POINTS:
         return hold_if(False, name, detail, value=None)
     x, y = (points[:, 0] - camera.cx_px) / camera.fx_px, (points[:, 1] - camera.cy_px) / camera.fy_px
@@ -52,7 +52,7 @@ def check_distortion(pairs: Iterable[tuple[Image, Image, Floats, Floats]], camer
     return hold_if(held, name, detail, value=k1, sigma=sigma, limit=limit)
 
 
-def _followed(left: Image, right: Image, ours: Floats, theirs: Floats, shrink: int) -> Floats:
+def _track_corners(left: Image, right: Image, ours: Floats, theirs: Floats, shrink: int) -> Floats:
     """(M, 3) columns and rows in the right image, and rows right minus left, px of the whole image."""
     near = (np.abs(theirs[:, 1] - ours[:, 1]) < _ROWS_PX) & (ours[:, 0] - theirs[:, 0] > -shrink)
     if not near.any():

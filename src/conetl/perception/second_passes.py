@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.model.arrays import Floats, Image
-from conetl.perception.decoding import NetworkBoxes, intersection_over_union, without_parts
+from conetl.perception.decoding import NetworkBoxes, intersection_over_union, suppress_parts
 from conetl.perception.model_card import ReScoringPass, SmallObjectPass
 
 #: Columns of a candidate that hold x and y in turn; column 4 is the score, column CLASS the class.
@@ -144,7 +144,7 @@ def detect_small_objects(
         new = np.delete(found, counterparts[counterparts >= 0], axis=0)
         new = new[new[:, 3] - new[:, 1] < MAX_HEIGHT_RATIO * below_px]
         new[:, 4] = [pooled_score(MIN_SCORE, score, settings.share) for score in new[:, 4]]
-        added.append(without_parts(new, candidates[inside & ~judged]) if len(new) else new)
+        added.append(suppress_parts(new, candidates[inside & ~judged]) if len(new) else new)
     return np.concatenate((result, *added))
 
 

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.linear_reference import evenly_spread
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.rig import right_camera_turned
 from conetl.model.arrays import Floats, Image
 from conetl.model.drive import MIN_DETAIL, Drive, FramePair, UnclearSquares
@@ -147,10 +147,10 @@ def check_lost_parts(drive: Drive, lost: Sequence[bool]) -> list[HealthCheck]:
     gone[1:-1] |= gone[:-2] & gone[2:]  # one may be measured by chance
     ends = np.flatnonzero(np.diff(gone, prepend=False, append=False)).reshape(-1, 2).tolist()
     parts = [
-        evenly_spread(range(first + 1, end), _PAIRS_OF_PART) for first, end in ends if end - first > _PAIRS_OF_PART
+        evenly_spaced(range(first + 1, end), _PAIRS_OF_PART) for first, end in ends if end - first > _PAIRS_OF_PART
     ]
     checks = (
-        _check_trigger(drive.frame_pairs, part, offsets, whole=False) for part in evenly_spread(parts, _MOST_PARTS)
+        _check_trigger(drive.frame_pairs, part, offsets, whole=False) for part in evenly_spaced(parts, _MOST_PARTS)
     )
     return [check for check in checks if check.verdict is not Verdict.PASS][:1]
 
@@ -348,7 +348,7 @@ def _stored(drive: Drive, number: int, side: Side) -> Image:
 def _others(drive: Drive, chosen: Sequence[int], side: Side) -> list[Image]:
     """Thinned images of other frame pairs than the chosen ones."""
     found = []
-    for number in evenly_spread([k for k in range(1, len(drive.frame_pairs)) if k not in chosen], MOST_OTHERS):
+    for number in evenly_spaced([k for k in range(1, len(drive.frame_pairs)) if k not in chosen], MOST_OTHERS):
         with suppress(ImageFileError):
             found.append(thinned(_stored(drive, number, side)))
     return found

@@ -94,12 +94,12 @@ def find_torn(drive: Drive, motions: Sequence[RelativeMotion], read: ImageReader
             torn[k + 1, side] = TornImage(pairs[k + 1], SIDES[side], row)
     if len({k for k, _ in torn}) <= _MAX_TORN_SHARE * len(pairs):
         for (k, side), one in list(torn.items()):
-            for later, again in enumerate(_continued(one, pairs[k:], read), k + 1):
+            for later, again in enumerate(_following_torn(one, pairs[k:], read), k + 1):
                 torn.setdefault((later, side), again)
     return [torn[key] for key in sorted(torn)]
 
 
-def _continued(torn: TornImage, pairs: Sequence[FramePair], read: ImageReader) -> Iterator[TornImage]:
+def _following_torn(torn: TornImage, pairs: Sequence[FramePair], read: ImageReader) -> Iterator[TornImage]:
     """Images of the pairs after the first that have a seam where the first one has it."""
     row = None
     for pair in pairs:

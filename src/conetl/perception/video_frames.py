@@ -72,7 +72,7 @@ def frames_between(path: Path, first_pts: int, last_pts: int) -> Iterator[tuple[
     ImageFileError."""
     decoder = _Decoder(_File(path, 0, 0))
     try:
-        decoder.go_to(first_pts)
+        decoder.seek(first_pts)
         for pts, frame in decoder.frames:
             if pts > last_pts:
                 break
@@ -261,7 +261,7 @@ class _Decoder:
                 if not damaged and frame.pts is not None:
                     yield frame.pts, frame
 
-    def go_to(self, pts: int) -> None:
+    def seek(self, pts: int) -> None:
         """To a key frame from which a frame can be decoded, the nearest one before it."""
         first, container = None, self._open()
         for start in (pts, self._key_frame(pts) - 1, 0):
@@ -280,17 +280,17 @@ class _Decoder:
         k = entries.search_timestamp(pts, backward=True) if len(entries) else -1
         return entries[k].timestamp if k >= 0 else pts
 
-    def leads_to(self, pts: int) -> bool:
+    def can_reach(self, pts: int) -> bool:
         """Whether a frame is reached from here by decoding on: it is near, or there is no key frame on the way."""
         if self.at is None or self.at >= pts:
             return False
         return (pts - self.at) * self._base <= _NEAR_S or self._key_frame(pts) <= self.at
 
-    def forward(self, pts: int, keep: Callable[[int, _Decoded], None]) -> None:
+    def decode_until(self, pts: int, keep: Callable[[int, _Decoded], None]) -> None:
         """Decode up to a frame. keep: called for every frame on the way."""
-        if not self.leads_to(pts):
+        if not self.can_reach(pts):
             self.at = None
-            self.go_to(pts)
+            self.seek(pts)
         for at, frame in self.frames:
             if self._left_sited is None:
                 self._left_sited = _is_left_sited(frame)
@@ -308,9 +308,9 @@ class _Decoders:
     """Open decoders, each used by one thread at a time, and the frames that were decoded last, of all threads."""
 
     def __init__(self) -> None:
-        self._begin()
+        self._reset()
 
-    def _begin(self) -> None:
+    def _reset(self) -> None:
         """Nothing is open and nothing kept."""
         self._changed = threading.Condition()
         """A frame was decoded, or a decoder is not used any more."""
@@ -326,7 +326,7 @@ class _Decoders:
         except OSError as error:
             raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{frame.path}: {error.strerror}") from error
         file = _File(frame.path, found.st_size, found.st_mtime_ns)
-        decoder = self._take(file, frame.pts)
+        decoder = self._acquire(file, frame.pts)
         if isinstance(decoder, _Decoded):
             return decoder
         wanted: list[_Decoded] = []
@@ -338,19 +338,19 @@ class _Decoders:
 
         works = False
         try:
-            decoder.forward(frame.pts, keep)
+            decoder.decode_until(frame.pts, keep)
             works = True
         except av.FFmpegError as error:
             raise ImageFileError(
                 RejectionReason.IMAGE_UNREADABLE, f"{frame}: cannot be decoded ({error.strerror}): copy the video again"
             ) from error
         finally:
-            self._give_back(decoder, works=works)
+            self._release(decoder, works=works)
         if not wanted:
             raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{frame}: the frame is damaged or missing")
         return wanted[-1]
 
-    def _take(self, file: _File, pts: int) -> _Decoded | _Decoder:
+    def _acquire(self, file: _File, pts: int) -> _Decoded | _Decoder:
         """A frame that is in memory, else the decoder that is nearest before it, else another one of this thread (or of one that
         ended), else a new one.
 
@@ -361,7 +361,7 @@ class _Decoders:
             while (kept := self._kept.get((file, pts))) is None:
                 busy = [d for d in self._busy if d.file == file and (d.at is None or d.at < pts)]
                 idle = [d for d in self._idle if d.file == file]
-                found = max((d for d in idle if d.leads_to(pts)), key=_reached, default=None)
+                found = max((d for d in idle if d.can_reach(pts)), key=_reached, default=None)
                 if not busy or (found is not None and _reached(found) > max(map(_reached, busy))):
                     break
                 self._changed.wait()
@@ -377,7 +377,7 @@ class _Decoders:
             decoder.thread = me
             return decoder
 
-    def _give_back(self, decoder: _Decoder, *, works: bool) -> None:
+    def _release(self, decoder: _Decoder, *, works: bool) -> None:
         with self._changed:
             self._changed.notify_all()
             self._busy.remove(decoder)
@@ -387,10 +387,10 @@ class _Decoders:
         if old is not None:
             old.close()
 
-    def leave(self) -> None:
+    def reset_after_fork(self) -> None:
         """In a process that was forked: the open files are those of the process before, and other threads do not exist."""
         self._of_others = self._idle, self._busy, self._kept  # never freed: that is for the process before
-        self._begin()
+        self._reset()
 
     def _keep(self, key: tuple[_File, int], decoded: _Decoded) -> None:
         with self._changed:
@@ -412,4 +412,4 @@ def _bytes_of(frame: VideoFrame) -> int:
 
 
 _decoders = _Decoders()
-os.register_at_fork(after_in_child=_decoders.leave)
+os.register_at_fork(after_in_child=_decoders.reset_after_fork)

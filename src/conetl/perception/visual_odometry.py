@@ -52,7 +52,7 @@ def follow_drive(
     for k, pair in enumerate(frame_pairs):
         images = read_working_images(pair, read, working)
         if previous is not None:
-            found = _between(previous, images, working, cameras, guesses[k - 1], params)
+            found = _follow_pair(previous, images, working, cameras, guesses[k - 1], params)
             tracks = _tracks(frame_pairs[k - 1], pair, *found)
             if not isinstance(previous, NoMeasurement) and not isinstance(images, NoMeasurement):
                 changes = [row_changes(previous.left, images.left), row_changes(previous.right, images.right)]
@@ -78,11 +78,11 @@ def follow_spans(
     for first, last, guess in spans:
         start = end if end is not None and at == first else read_working_images(frame_pairs[first], read, working)
         at, end = last, read_working_images(frame_pairs[last], read, working)
-        found = _between(start, end, working, cameras, guess, params, _WINDOW_OF_SPANS_PX)
+        found = _follow_pair(start, end, working, cameras, guess, params, _WINDOW_OF_SPANS_PX)
         yield _tracks(frame_pairs[first], frame_pairs[last], *found)
 
 
-def _between(
+def _follow_pair(
     first: WorkingImages | NoMeasurement,
     second: WorkingImages | NoMeasurement,
     working: WorkingSize,
@@ -93,15 +93,15 @@ def _between(
 ) -> _Found:
     """Points (N, 4) in stored pixels of the first and second pair, their sigma, and the reason where there are none."""
     if isinstance(first, NoMeasurement):
-        return _nothing(first)
+        return _no_points(first)
     if isinstance(second, NoMeasurement):
-        return _nothing(second)
+        return _no_points(second)
     if np.array_equal(first.left, second.left) or np.array_equal(first.right, second.right):
-        return _nothing(NoMeasurement.IMAGE_FROZEN)  # not even noise differs: a stuck camera, not a standing car
+        return _no_points(NoMeasurement.IMAGE_FROZEN)  # not even noise differs: a stuck camera, not a standing car
     try:
         return _follow(first, second, working, cameras, expected, params, window_px)
     except cv2.error:  # costs this interval, never the drive
-        return _nothing(NoMeasurement.IMAGE_UNFIT)
+        return _no_points(NoMeasurement.IMAGE_UNFIT)
 
 
 def _follow(
@@ -113,12 +113,12 @@ def _follow(
     params: TrajectoryParams,
     window_px: int,
 ) -> _Found:
-    """As `_between`, for images that can be followed. Points are in working pixels until the end."""
+    """As `_follow_pair`, for images that can be followed. Points are in working pixels until the end."""
     left, right = _stereo_points(first, working, params, window_px)
     guess, usable = _expected_points(left, right, working, cameras, expected, window_px)
     left, right, guess = left[usable], right[usable], guess[usable]
     if len(left) < params.min_points:
-        return _nothing(NoMeasurement.TOO_FEW_POINTS)
+        return _no_points(NoMeasurement.TOO_FEW_POINTS)
     # Points that fail one check are not followed further.
     next_left, good = _flow(first.left, second.left, left, guess[:, 0], 2, window_px)
     good &= _clear_of_padding(next_left, working, "left", window_px)
@@ -136,7 +136,7 @@ def _follow(
     other_route, good = _flow(first.right, second.right, right, next_right, 0, window_px, _STOP_OF_CHECKS)
     good &= np.linalg.norm(other_route - next_right, axis=1) <= params.circle_tolerance_px
     if int(good.sum()) < params.min_points:
-        return _nothing(NoMeasurement.TOO_FEW_POINTS)
+        return _no_points(NoMeasurement.TOO_FEW_POINTS)
     left, right, next_left, next_right = left[good], right[good], next_left[good], next_right[good]
     centre = _centre_of_texture(first.left, left, window_px)
     first_px = _stored(working, left + centre, right + centre)
@@ -209,13 +209,13 @@ def _disparity(images: WorkingImages, corners: Points, working: WorkingSize) -> 
     matcher = cv2.StereoBM.create(numDisparities=steps, blockSize=_BLOCK_PX)
     matcher.setMinDisparity(farthest)
     matcher.setUniquenessRatio(8)
-    table = matcher.compute(images.quarter_left, _lowered(images.quarter_right, rows))
+    table = matcher.compute(images.quarter_left, _shift_down(images.quarter_right, rows))
     at = np.clip(((corners - 1.5) / 4).round().astype(int), 0, [width - 1, height - 1])
     raw = table[at[:, 1], at[:, 0]].astype(np.float64)
     return np.where(raw >= 16 * farthest, raw / 16 * 4, np.nan)
 
 
-def _lowered(image: Image, rows: float) -> Image:
+def _shift_down(image: Image, rows: float) -> Image:
     """An image moved down by `rows`; unchanged below a twentieth of a row."""
     if abs(rows) < 0.05:
         return image
@@ -288,7 +288,7 @@ def _stored(working: WorkingSize, left: Points, right: Points) -> Floats:
     return np.column_stack([working.to_stored(left), working.to_stored(right)])
 
 
-def _nothing(reason: NoMeasurement) -> _Found:
+def _no_points(reason: NoMeasurement) -> _Found:
     return np.zeros((0, 4)), np.zeros((0, 4)), 1.0, reason
 
 

@@ -100,14 +100,14 @@ def read_working_images(pair: FramePair, read: ImageReader, working: WorkingSize
                 image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
             if image.shape[::-1] != _stored_size(working.rig, side):
                 return NoMeasurement.IMAGE_UNREADABLE  # no image of this rig
-            image = _at_size(image, working)
-            if float(cv2.meanStdDev(_seen(image, working.seen_px(side)))[1][0, 0]) < _LEAST_CONTRAST:
+            image = _resize(image, working)
+            if float(cv2.meanStdDev(_crop_padding(image, working.seen_px(side)))[1][0, 0]) < _LEAST_CONTRAST:
                 return NoMeasurement.IMAGE_BLANK
             grey.append(image)
         left, right = grey
-        half_left, half_right = _halved(left), _halved(right)
-        seen = _seen(half_left, working.seen_px("left") / 2)
-        return WorkingImages(left, right, seen, _halved(half_left), _halved(half_right))
+        half_left, half_right = _half_size(left), _half_size(right)
+        seen = _crop_padding(half_left, working.seen_px("left") / 2)
+        return WorkingImages(left, right, seen, _half_size(half_left), _half_size(half_right))
     except ImageFileError:
         return NoMeasurement.IMAGE_UNREADABLE
     except cv2.error:
@@ -120,7 +120,7 @@ def _stored_size(rig: Rig, side: Side) -> tuple[int, int]:
     return camera.width_px, camera.height_px
 
 
-def _at_size(image: Image, working: WorkingSize) -> Image:
+def _resize(image: Image, working: WorkingSize) -> Image:
     """A grey image padded to the common size, then reduced. The border is repeated: a step in
     brightness would give corners that stay where they are."""
     right, below = working.common_px[0] - image.shape[1], working.common_px[1] - image.shape[0]
@@ -132,13 +132,13 @@ def _at_size(image: Image, working: WorkingSize) -> Image:
     return np.asarray(cv2.resize(image, working.size_px, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _seen(image: Image, seen_px: Floats) -> Image:
+def _crop_padding(image: Image, seen_px: Floats) -> Image:
     """An image without its padding: its whole pixels of the first `seen_px` along u and v."""
     width, height = np.minimum(seen_px, image.shape[::-1]).astype(int).tolist()
     return image[: max(height, 1), : max(width, 1)]
 
 
-def _halved(image: Image) -> Image:
+def _half_size(image: Image) -> Image:
     """Means of two by two pixels without a last odd row or column: OpenCV is 30 times faster at a ratio of exactly two."""
     height, width = (size // 2 for size in image.shape)
     if not height or not width:

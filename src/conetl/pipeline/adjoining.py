@@ -16,7 +16,7 @@ import numpy as np
 
 from conetl.db.connection import Connection
 from conetl.db.map.drive_store import AdjoiningDrive, adjoining_drives, read_ends, trusted_drives
-from conetl.geometry.motion.steps import driven_apart_m
+from conetl.geometry.motion.steps import max_deviation_m
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.agreement import BEFORE_NS, LEAST_CONFIRMED
 from conetl.model.arrays import Floats
@@ -50,7 +50,7 @@ class Doubt(NamedTuple):
         return self.on_hold == (self.check is not None and not self.trusted)
 
 
-class Newcomer(NamedTuple):
+class NewDrive(NamedTuple):
     """A drive that is placed on the map (`place_drive`) and has no changeset yet."""
 
     drive_uuid: UUID
@@ -68,7 +68,7 @@ class _Part(NamedTuple):
 def find_doubts(
     conn: Connection,
     drive_uuids: Collection[UUID],
-    newcomer: Newcomer | None = None,
+    new_drive: NewDrive | None = None,
     trusted: Mapping[UUID, bool] | None = None,
 ) -> dict[UUID, Doubt]:
     """Which of some drives, and of those that they contradict or continue, may lie in the wrong place.
@@ -80,14 +80,14 @@ def find_doubts(
     parts: dict[UUID, _Part] = {}
     links: dict[UUID, dict[UUID, float]] = {}
     trust = dict(trusted or {})
-    gone = frozenset[UUID]() if newcomer is None else newcomer.replaces
-    if newcomer is not None:
-        drive, pairs = newcomer.drive, sorted(newcomer.drive.frame_pairs, key=lambda pair: pair.captured_at_ns)
-        drives[newcomer.drive_uuid] = AdjoiningDrive(
-            newcomer.drive_uuid, drive.drive_id, drive.rig, pairs[0].captured_at_ns, False
+    gone = frozenset[UUID]() if new_drive is None else new_drive.replaces
+    if new_drive is not None:
+        drive, pairs = new_drive.drive, sorted(new_drive.drive.frame_pairs, key=lambda pair: pair.captured_at_ns)
+        drives[new_drive.drive_uuid] = AdjoiningDrive(
+            new_drive.drive_uuid, drive.drive_id, drive.rig, pairs[0].captured_at_ns, False
         )
-        parts[newcomer.drive_uuid] = _Part(drive.rig, pairs)
-        trust.setdefault(newcomer.drive_uuid, False)
+        parts[new_drive.drive_uuid] = _Part(drive.rig, pairs)
+        trust.setdefault(new_drive.drive_uuid, False)
     todo, explored, reached = set(drive_uuids), set[UUID](), set[UUID]()
     while todo:
         found = [(of, other) for of, other in adjoining_drives(conn, todo, WITHIN_NS) if other.drive_uuid not in gone]
@@ -116,11 +116,11 @@ def find_doubts(
         todo = (
             held | continued | {other for of in explored for other in links.get(of, {}) if links[of][other]}
         ) - explored
-    spread = _spread(drives, links, trust)
+    spread = _propagate(drives, links, trust)
     return {of: spread[of] for of in explored & spread.keys()}
 
 
-def _spread(
+def _propagate(
     drives: Mapping[UUID, AdjoiningDrive], links: Mapping[UUID, Mapping[UUID, float]], trust: Mapping[UUID, bool]
 ) -> dict[UUID, Doubt]:
     """The doubts about drives: those that contradict each other, and all that continue them."""
@@ -161,7 +161,7 @@ def _misfit_m(one: _Part, other: _Part) -> float | None:
     off = begin.xyz_m - end.xyz_m - (begin.velocity + end.velocity) / 2 * apart_s
     off_m = np.array([np.hypot(off[0], off[1]), abs(off[2])])
     sigma_m = np.hypot(np.hypot(end.sigma_m, begin.sigma_m), np.hypot(end.sigma_speed, begin.sigma_speed) * apart_s / 2)
-    limit_m = np.maximum(_JUMP_M, _JUMP_SIGMAS * sigma_m) + driven_apart_m(apart_s)
+    limit_m = np.maximum(_JUMP_M, _JUMP_SIGMAS * sigma_m) + max_deviation_m(apart_s)
     return float(np.hypot(*off_m)) if (off_m > limit_m).any() else 0.0
 
 

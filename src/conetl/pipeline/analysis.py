@@ -19,12 +19,12 @@ from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams, params_sha256
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig
-from conetl.perception.detections import with_detail, without_unread
+from conetl.perception.detections import add_image_detail, drop_unread_pairs
 from conetl.perception.model_card import read_model_card
 from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline import odometry
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, load_matches, parts_of
-from conetl.pipeline.detect import Along, Detected, detail_path, detect, match
+from conetl.pipeline.detect import Detected, ExtraSteps, detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitted, ThreadExecutor, results
 from conetl.pipeline.markings import mark
 from conetl.pipeline.settings import Settings, read_settings
@@ -100,24 +100,24 @@ def analyse(
         card = read_model_card(settings.model_path)
         searched = params.detection.categories
         card.require_categories(set(searched) - set(LINE_CLASSES))
-        along = Along(odometry=params.trajectory.refine, markings=LANE_MARKING in searched)
+        extras = ExtraSteps(odometry=params.trajectory.refine, markings=LANE_MARKING in searched)
         pairs = len(drive.frame_pairs)
-        count = ProgressCount(executor, 2 * pairs + (pairs - 1 if along.odometry else 0), progress)
+        count = ProgressCount(executor, 2 * pairs + (pairs - 1 if extras.odometry else 0), progress)
         chunks = chunks_of(drive, settings, params)
         drive, health = check_stereo(drive)
         if drive.rig != given:
-            chunks = chunks_of(drive, settings, _for_corrected_rows(params))
-        found = _run_chunks(drive, chunks, along, executor, count)
+            chunks = chunks_of(drive, settings, _with_low_thresholds(params))
+        found = _run_chunks(drive, chunks, extras, executor, count)
         motions, _ = load_results(found.motions, RelativeMotion)
-        drive, torn, refused_pairs = odometry.without_torn(drive.model_copy(update={"rig": found.rig}), motions)
+        drive, torn, refused_pairs = odometry.drop_torn_pairs(drive.model_copy(update={"rig": found.rig}), motions)
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-        position_paths = executor.run(locate, odometry.moved(chunks, drive), found.matches)
+        position_paths = executor.run(locate, odometry.with_refined_poses(chunks, drive), found.matches)
         detections, refused_detections = load_results(found.detections, Detection)
         refused_detections = [*refused_detections, *refused_pairs]
-        drive, detections = without_unread(drive, detections, refused_detections)
+        drive, detections = drop_unread_pairs(drive, detections, refused_detections)
         details, _ = load_results(map(detail_path, found.detections), ImageDetail)
-        drive, without_detail = with_detail(drive, details)
+        drive, without_detail = add_image_detail(drive, details)
         health += [torn] if found.motions else []
         health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
         matches, refused_matches = load_matches(found.matches, drive.frame_pairs)
@@ -127,12 +127,14 @@ def analyse(
         if trajectory.covariance is not None:
             # What sightings state by themselves made these tracks; what the tracks say of that makes the next ones, and what
             # these say of single sightings the last.
-            weighed, positions, _ = executor.run(weigh, drive, matches, tracks, params, trajectory)
+            weighed, positions, _ = executor.run(estimate_variances, drive, matches, tracks, params, trajectory)
             tracks, _ = fused(weighed, positions)
-            matches, positions, refused_positions = executor.run(compare, drive, weighed, tracks, params, trajectory)
+            matches, positions, refused_positions = executor.run(
+                inflate_outliers, drive, weighed, tracks, params, trajectory
+            )
             tracks, refused_tracks = fused(matches, positions)
             # Observations of an object that moves contradict each other: sigmas that cover it would hide that.
-            tracks, moving = executor.run(keep_standing, drive, weighed, tracks, params, trajectory)
+            tracks, moving = executor.run(reject_moving, drive, weighed, tracks, params, trajectory)
             refused_tracks = [*refused_tracks, *moving]
         points = found.marking_points
         markings = executor.run(mark, drive, points, params, trajectory) if points else []
@@ -144,7 +146,7 @@ def analyse(
     return AnalysedDrive(records, trajectory, found.calibration, params, tuple(health))
 
 
-def _for_corrected_rows(params: IngestParams) -> IngestParams:
+def _with_low_thresholds(params: IngestParams) -> IngestParams:
     """Of a calibration that is known to be wrong the self-calibration applies what it finds, however small."""
     small = {"self_calibration_significance": 1.0, "self_calibration_least_px": 0.01}
     return params.model_copy(update={"trajectory": params.trajectory.model_copy(update=small)})
@@ -164,7 +166,7 @@ class _ChunkResults(NamedTuple):
 
 
 def _run_chunks(
-    drive: Drive, chunks: Sequence[Chunk], along: Along, executor: Executor, count: ProgressCount
+    drive: Drive, chunks: Sequence[Chunk], extras: ExtraSteps, executor: Executor, count: ProgressCount
 ) -> _ChunkResults:
     """All steps that read images. along: what chunks are searched for along with their detections.
 
@@ -173,11 +175,11 @@ def _run_chunks(
     """
     calibration = _calibrate(drive, chunks[0], executor)
     rig = self_calibrated_rig(drive.rig, calibration, chunks[0].params.trajectory)
-    detected = [_detect_parts(chunks[0], rig, along, executor, count)]
+    detected = [_detect_parts(chunks[0], rig, extras, executor, count)]
     matched: list[Submitted] = []
     for chunk, following in zip_longest(chunks, chunks[1:]):
         if following is not None:  # in this order, so that matching waits for nothing
-            detected.append(_detect_parts(following, rig, along, executor, count))
+            detected.append(_detect_parts(following, rig, extras, executor, count))
         matched.append(executor.submit(match, chunk, rig, *detected[len(matched)]))
     found: list[Detected] = results([step for steps in detected for step in steps])
     motions = [each.motions for each in found if each.motions is not None]
@@ -185,14 +187,16 @@ def _run_chunks(
     return _ChunkResults([each.detections for each in found], results(matched), motions, marks, calibration, rig)
 
 
-def _detect_parts(chunk: Chunk, rig: Rig, along: Along, executor: Executor, count: ProgressCount) -> list[Submitted]:
+def _detect_parts(
+    chunk: Chunk, rig: Rig, extras: ExtraSteps, executor: Executor, count: ProgressCount
+) -> list[Submitted]:
     """Submit the detections of a chunk, part by part."""
     steps = []
     for part, within in enumerate(parts_of(chunk)):
-        steps.append(executor.submit(detect, chunk, part, rig, along, count.tick))
+        steps.append(executor.submit(detect, chunk, part, rig, extras, count.tick))
         pairs = len(chunk.frame_pairs[within])
         is_end = chunk.next_pair is None and within.stop == len(chunk.frame_pairs)
-        count.follow(steps[-1], 2 * pairs + (pairs - is_end if along.odometry else 0))
+        count.follow(steps[-1], 2 * pairs + (pairs - is_end if extras.odometry else 0))
     return steps
 
 
@@ -238,7 +242,7 @@ def fuse(
     return fuse_tracks(positions, matches, detections, drive.frame_pairs, drive.rig, params, evidence, motion)
 
 
-def weigh(
+def estimate_variances(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
     """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `estimate_variance_factors`."""
@@ -248,7 +252,7 @@ def weigh(
     return weighed, *locate_positions(weighed, drive.frame_pairs, drive.rig, params.position)
 
 
-def compare(
+def inflate_outliers(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
     """Matches of the whole drive with larger sigmas where they contradict their tracks, and their positions; see
@@ -258,7 +262,7 @@ def compare(
     return compared, *locate_positions(compared, drive.frame_pairs, drive.rig, params.position)
 
 
-def keep_standing(
+def reject_moving(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[Track], list[Rejection]]:
     """Tracks of the whole drive without those that moved; see `without_moving`."""

@@ -139,7 +139,7 @@ def plan_drives(
         if header.header_sha256 in seen:
             action, why = "skip", f"the same recording as {printable(seen[header.header_sha256])}"
         else:
-            action, why = _judge(
+            action, why = _decide_action(
                 header, receipt, known.get(header.drive_id, []), folders_of, analysis, on_hold,
                 working=receipt is not None and receipt.drive_lock in locked, once=once, recheck=recheck,
             )  # fmt: skip
@@ -158,7 +158,7 @@ def plan_drives(
     )
 
 
-def _judge(
+def _decide_action(
     header: DriveHeader,
     receipt: Receipt | None,
     on_map: Sequence[CommittedChangeset],
@@ -270,7 +270,7 @@ def write_plan(plan: Plan, parallel: int, folder: Path) -> Path:
     return path
 
 
-def reasons(plan: Plan) -> list[tuple[str, int]]:
+def reason_counts(plan: Plan) -> list[tuple[str, int]]:
     """How many drives there are for each action and kind of reason, the most frequent first."""
     words = {"ingest": "to ingest", "wait": "ingested by others", "skip": "nothing to do", "refuse": "not usable"}
     counted = Counter(

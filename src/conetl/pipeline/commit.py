@@ -24,13 +24,13 @@ from conetl.db.map.decision_store import held_drives, replaced_by_delivery
 from conetl.db.map.map_store import drive_transaction, find_changeset, find_map, read_features_as_of
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.files.parquet_store import result_key
-from conetl.geometry.linear_reference import evenly_spread
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.packing import horizontal_sigma_m
-from conetl.mapping.displacement import FARTHEST_M, far_displacement
+from conetl.mapping.displacement import FARTHEST_M, check_far_positions
 from conetl.model.base import utc_from_ns
 from conetl.model.detector_evidence import evidence_sha256
 from conetl.model.drive import Drive, DriveRecords
-from conetl.model.health import AGREES, HealthCheck, hold_reason, holding
+from conetl.model.health import AGREES, HealthCheck, hold_checks, hold_reason
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams, params_sha256
@@ -134,19 +134,19 @@ def commit(
                 map_name=settings.map_name,
                 evidence=read_model_card(settings.model_path).evidence,
                 run=run,
-                hold=holding(health),
+                hold=hold_checks(health),
             )
     if isinstance(merged, CommittedChangeset):
         return CommittedDrive(merged, drive, (), report_of(merged, settings.map_name))
     deltas = merged.changeset.deltas
-    if not holding(health):  # a recording that contradicts itself is not compared with the map
+    if not hold_checks(health):  # a recording that contradicts itself is not compared with the map
         health = (*health, merged.extension.hold or AGREES)
     hold = hold_reason(health)
     report = report_of(merged.committed, settings.map_name).model_copy(
         update={
             "status": "committed" if hold is None else "held",
             "frame_pairs_rejected": len(lost_frame_pairs(records.rejections, INPUT_REASONS)),
-            "changes": tuple(_line(delta) for delta in deltas if not delta.is_of_line),
+            "changes": tuple(_line(delta) for delta in deltas if not delta.is_line),
             "rejections": dict(sorted(Counter(r.reason for r in records.rejections).items())),
             "trajectory": analysed.trajectory.detail,
             "calibration": analysed.calibration.detail,
@@ -170,12 +170,12 @@ def _cones_elsewhere(
     if info is None or info.srid != records.drive.map_srid:
         return
     parts = [tracks[k : k + _TOGETHER] for k in range(0, len(tracks), _TOGETHER)]
-    for part in evenly_spread(parts, _MOST_PARTS):
+    for part in evenly_spaced(parts, _MOST_PARTS):
         east_m, north_m = np.array([track.xyz_m[:2] for track in part]).T
         low, high = ((float(side(east_m)), float(side(north_m))) for side in (np.min, np.max))
         box = (low[0] - FARTHEST_M, low[1] - FARTHEST_M, high[0] + FARTHEST_M, high[1] + FARTHEST_M)
         around = read_features_as_of(conn, map_name=map_name, within=box)
-        found = far_displacement(part, [one.feature for one in around], params)
+        found = check_far_positions(part, [one.feature for one in around], params)
         if found is not None:
             yield found
             return

@@ -21,16 +21,16 @@ from conetl.model.params import params_sha256
 from conetl.model.rejections import INPUT_REASONS, Rejection
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception import detector as detector_io
-from conetl.perception.detections import check_boxes
+from conetl.perception.detections import to_detections
 from conetl.perception.image_detail import fine_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, images_key, parts_of
-from conetl.pipeline.executor import Tick, ignore
+from conetl.pipeline.executor import Tick, no_tick
 from conetl.pipeline.markings import find_marking_points, points_path
-from conetl.pipeline.odometry import follow, motions_path
+from conetl.pipeline.odometry import motions_path, track_motions
 from conetl.pipeline.settings import read_settings
 from conetl.tracking.matching.epipolar_search import Region, blocks_of, has_right_only_cone, right_region
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
@@ -48,17 +48,17 @@ class Detected(NamedTuple):
     marking_points: Path | None = None
 
 
-class Along(NamedTuple):
+class ExtraSteps(NamedTuple):
     """What a part is searched for along with its detections, as long as its images are in memory."""
 
     odometry: bool = False
     markings: bool = False
 
 
-NOTHING = Along()
+NO_EXTRAS = ExtraSteps()
 
 
-def detect(chunk: Chunk, part: int, rig: Rig, along: Along = NOTHING, tick: Tick | None = None) -> Detected:
+def detect(chunk: Chunk, part: int, rig: Rig, extras: ExtraSteps = NO_EXTRAS, tick: Tick | None = None) -> Detected:
     """Detections in both images of one of the parts of a chunk, and its matches, stored where `match` finds them.
 
     The right image is searched along epipolar lines, and everywhere in some pairs of every block (`epipolar_search.py`).
@@ -67,17 +67,17 @@ def detect(chunk: Chunk, part: int, rig: Rig, along: Along = NOTHING, tick: Tick
     """
     read = _reader(chunk)
     steps: list[Iterator[None]] = []
-    if along.odometry:
-        steps.append(follow(chunk, part, rig, read, tick))
-    if along.markings:
+    if extras.odometry:
+        steps.append(track_motions(chunk, part, rig, read, tick))
+    if extras.markings:
         steps.append(find_marking_points(chunk, part, rig, read))
     together = zip_longest(*steps)
-    detections = _detections(chunk, part, rig, read, together, tick or ignore)
+    detections = _detections(chunk, part, rig, read, together, tick or no_tick)
     deque(together, maxlen=0)
     return Detected(
         detections,
-        motions_path(chunk, part, rig) if along.odometry else None,
-        points_path(chunk, part, rig) if along.markings else None,
+        motions_path(chunk, part, rig) if extras.odometry else None,
+        points_path(chunk, part, rig) if extras.markings else None,
     )
 
 
@@ -91,7 +91,7 @@ def _reader(chunk: Chunk) -> ImageReader:
     )
 
 
-def _detections(chunk: Chunk, part: int, rig: Rig, read: ImageReader, along: Iterator[object], tick: Tick) -> Path:
+def _detections(chunk: Chunk, part: int, rig: Rig, read: ImageReader, extras: Iterator[object], tick: Tick) -> Path:
     """Detections of a part; along: takes one step for every frame pair, after those of its block were searched."""
     pairs = chunk.frame_pairs[parts_of(chunk)[part]]
     params, reconcile, first_rows = chunk.params.detection, chunk.params.reconcile, _first_rows(chunk)
@@ -122,7 +122,7 @@ def _detections(chunk: Chunk, part: int, rig: Rig, read: ImageReader, along: Ite
             if k != middle:
                 seen[k] = _search(chunk, pairs[k], first_rows, rig, read, tick, everywhere=everywhere)
         found += [seen[k] for k in block]
-        deque(islice(along, len(block)), maxlen=0)
+        deque(islice(extras, len(block)), maxlen=0)
     save_result(chunk.results_folder, _detail_key(key), [d for f in found for d in f.details], [])
     detected = save_result(
         chunk.results_folder, key, [d for f in found for d in f.detections], [r for f in found for r in f.rejections]
@@ -208,7 +208,7 @@ def _detect(
         first_row=first_row, within=None if region is None else region[:4], reach_px=0.0 if region is None else region.reach_px,
     )  # fmt: skip
     names = detector.card.class_names
-    return image, *check_boxes(boxes, frame_index=pair.frame_index, side=side, params=params, categories=names)
+    return image, *to_detections(boxes, frame_index=pair.frame_index, side=side, params=params, categories=names)
 
 
 def match(chunk: Chunk, rig: Rig, *detected: Detected) -> Path:

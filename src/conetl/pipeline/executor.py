@@ -114,7 +114,7 @@ class ProgressCount:
             step.add_done_callback(lambda _: self.add(count))
 
 
-def ignore(_: int) -> None:
+def no_tick(_: int) -> None:
     """A tick that nobody counts."""
 
 

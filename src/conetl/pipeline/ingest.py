@@ -18,7 +18,7 @@ from conetl.db.receipt_store import Receipt, StepTime, write_receipt
 from conetl.files.home import make_home
 from conetl.files.storage import forget_all
 from conetl.model.drive import Drive
-from conetl.model.errors import ConetlError, ServiceError, is_of_storage, may_pass, storage_failed
+from conetl.model.errors import ConetlError, ServiceError, is_retryable, is_storage_error, storage_error
 from conetl.model.ingest_report import DriveOnHoldError, IngestReport, TooManyRejectionsError
 from conetl.model.params import IngestParams
 from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
@@ -97,7 +97,7 @@ def ingest(
             return _after_commit(report, lambda: steps.run(publish_known, report, settings, db))
 
         if (report := known()) is not None:
-            return _unless_held(report)
+            return _raise_if_held(report)
         refuse_other_delivery(drive, settings, db)
         analysed = analyse(drive, params, rejections=rejections, settings=settings, executor=steps, progress=progress)
         refuse_same_images(analysed.records, settings, db)
@@ -106,18 +106,18 @@ def ingest(
         except Exception:  # the commit may have succeeded, and the database's or Prefect's answer have been lost
             if (report := known()) is None:
                 raise
-            return _unless_held(report)
+            return _raise_if_held(report)
         if committed.report.is_known:  # another ingest of the same drive was faster
-            return _unless_held(known() or committed.report)
+            return _raise_if_held(known() or committed.report)
         report = committed.report.model_copy(update={"seconds": time.monotonic() - started})
         committed = replace(committed, report=report)
         report = _after_commit(report, lambda: steps.run(publish_new, committed, analysed, settings, db, steps.times()))
-    return unless_doubtful(report, analysed)
+    return raise_if_doubtful(report, analysed)
 
 
-def unless_doubtful(report: IngestReport, analysed: AnalysedDrive) -> IngestReport:
+def raise_if_doubtful(report: IngestReport, analysed: AnalysedDrive) -> IngestReport:
     """The report of a drive that was committed now, unless a person has to look: DriveOnHoldError, TooManyRejectionsError."""
-    _unless_held(report)
+    _raise_if_held(report)
     allowed = analysed.params.max_rejected_fraction
     lost = len(lost_frame_pairs(analysed.records.rejections, DOUBTFUL_REASONS))
     if lost > allowed * analysed.drive.expected_frame_count:
@@ -125,7 +125,7 @@ def unless_doubtful(report: IngestReport, analysed: AnalysedDrive) -> IngestRepo
     return report
 
 
-def _unless_held(report: IngestReport) -> IngestReport:
+def _raise_if_held(report: IngestReport) -> IngestReport:
     if report.on_hold is not None:
         raise DriveOnHoldError(report)
     return report
@@ -139,24 +139,24 @@ def _after_commit(report: IngestReport, publish: Callable[[], object]) -> Ingest
         _log.exception("Drive %s is on the map, but not all of it was published", report.drive_id)
         note = (
             f"Drive {report.drive_id} is on the map, but not all of its files, report and events were published: "
-            f"{reason_of(error).rstrip('.')}. Correct this and run the same command again: it publishes the rest and does not "
+            f"{error_text(error).rstrip('.')}. Correct this and run the same command again: it publishes the rest and does not "
             "change the map."
         )
         return report.model_copy(update={"unpublished": note})
     return report
 
 
-def reason_of(error: Exception) -> str:
+def error_text(error: Exception) -> str:
     """Why something failed, for a person."""
-    known = as_known(error)
+    known = as_conetl_error(error)
     return str(known) if isinstance(known, ConetlError) else f"{type(error).__name__}: {error}"
 
 
-def as_known(error: Exception) -> Exception:
+def as_conetl_error(error: Exception) -> Exception:
     """A service or a storage that failed with an error of a library or the system, as conetl's error; others as they are."""
-    refused = isinstance(error, PermissionError) or (is_of_storage(error) and not isinstance(error, ConnectionError))
+    refused = isinstance(error, PermissionError) or (is_storage_error(error) and not isinstance(error, ConnectionError))
     if isinstance(error, OSError) and refused:
-        return storage_failed(error)
+        return storage_error(error)
     if isinstance(error, httpx.HTTPError):
         return ServiceError(
             f"Prefect does not answer ({type(error).__name__}: {error}): see whether its server runs (`conetl status`, "
@@ -182,19 +182,19 @@ def new_receipt(
     )
 
 
-def keep(receipt: Receipt, settings: Settings, database: MapDatabase) -> None:
+def save_receipt(receipt: Receipt, settings: Settings, database: MapDatabase) -> None:
     """Write a receipt."""
     with database.connection() as conn:
         write_receipt(conn, receipt, settings.receipts_folder)
 
 
-def failed(begun: Receipt, error: Exception) -> Receipt:
+def failed_receipt(begun: Receipt, error: Exception) -> Receipt:
     """The receipt of work that ended before the commit; whether it is tried again depends on the error."""
-    reason = reason_of(error)[:2000] or "no reason given"
-    return replace(begun, state="failed", reason=reason, may_pass=may_pass(error))
+    reason = error_text(error)[:2000] or "no reason given"
+    return replace(begun, state="failed", reason=reason, may_pass=is_retryable(error))
 
 
-def ended(begun: Receipt, report: IngestReport, seconds: float, reason: str) -> Receipt:
+def final_receipt(begun: Receipt, report: IngestReport, seconds: float, reason: str) -> Receipt:
     """The receipt of a drive that is on the map. reason: what a person has to look at."""
     return replace(
         begun,

@@ -124,7 +124,7 @@ def search_pair(detectors: Detectors, rig: Rig, pair: FramePair) -> PairSearch:
     return PairSearch(pair, time.monotonic(), (left, right))
 
 
-def take_pair(
+def process_pair(
     conn: Connection, detectors: Detectors, drive: LiveDrive, search: PairSearch
 ) -> tuple[LiveDrive, StepTimes]:
     """Detections -> match -> locate -> tracks -> commit. Raises ImageFileError (an image is incomplete), DatabaseError."""

@@ -21,7 +21,7 @@ from conetl.db.map.map_store import require_map
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest
-from conetl.files.atomic import LATEST, aside, sweep
+from conetl.files.atomic import LATEST, remove_leftovers, temporary_path
 from conetl.model.errors import InputError
 from conetl.pipeline.settings import Settings
 from conetl.reports.night_page import write_night_page
@@ -41,12 +41,12 @@ def write_publication(
     if unknown or not formats:
         raise InputError(f"formats to publish: {', '.join(unknown) or 'none'}; choose from {', '.join(FORMATS)}")
     name = datetime.now(UTC).strftime("%Y-%m-%dT%H%M%S.%fZ")
-    unfinished = aside(folder / name)
+    unfinished = temporary_path(folder / name)
     try:
         unfinished.mkdir(parents=True)
     except OSError as error:
         raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder") from error
-    sweep([folder])
+    remove_leftovers([folder])
     try:
         # The map after its last changeset: what is committed from now on is left out of every file alike.
         believed_at = require_map(conn, settings.map_name).last_committed_at
@@ -70,6 +70,6 @@ def write_publication(
 
 def _point_at(link: Path, target: str) -> None:
     """A symbolic link that replaces the old one in one step."""
-    fresh = aside(link)
+    fresh = temporary_path(link)
     fresh.symlink_to(target)
     fresh.replace(link)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
-from conetl.geometry.linear_reference import evenly_spread
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, expected_motions, motions_between, motions_of
 from conetl.model.arrays import Image
@@ -26,7 +26,7 @@ from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, load_matches, parts_of
-from conetl.pipeline.executor import Tick, ignore
+from conetl.pipeline.executor import Tick, no_tick
 from conetl.tracking.checks.exposures import check_lost_frames, right_camera_ahead
 from conetl.tracking.checks.foreign_images import check_recording
 from conetl.tracking.checks.poses import check_trajectory
@@ -42,7 +42,7 @@ _PAIRS_AT_ONCE = 8
 _SPANS_OF_PIECE = 20
 
 
-def moved(chunks: Sequence[Chunk], drive: Drive) -> list[Chunk]:
+def with_refined_poses(chunks: Sequence[Chunk], drive: Drive) -> list[Chunk]:
     """The chunks of a drive with its rig, its frame pairs and their poses as refined."""
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
     return [
@@ -56,7 +56,7 @@ def moved(chunks: Sequence[Chunk], drive: Drive) -> list[Chunk]:
     ]
 
 
-def follow(chunk: Chunk, part: int, rig: Rig, read: ImageReader, tick: Tick | None = None) -> Iterator[None]:
+def track_motions(chunk: Chunk, part: int, rig: Rig, read: ImageReader, tick: Tick | None = None) -> Iterator[None]:
     """Motions of one of the parts of a chunk, also to the first frame pair after it: at each step one more pair is read by
     `read`; the end stores the motions.
 
@@ -65,21 +65,21 @@ def follow(chunk: Chunk, part: int, rig: Rig, read: ImageReader, tick: Tick | No
     own, params = _part(chunk, part), chunk.params.trajectory
     key = _motions_key(own, rig)
     if has_result(chunk.results_folder, key):
-        (tick or ignore)(len(own.frame_pairs) - 1)
+        (tick or no_tick)(len(own.frame_pairs) - 1)
         return
     set_up_worker()
     yield  # the first motion needs two pairs
     found: list[RelativeMotion] = []
-    followed = follow_drive(own.frame_pairs, own.rig, _fetching(read, own.frame_pairs), params)
+    followed = follow_drive(own.frame_pairs, own.rig, _prefetching(read, own.frame_pairs), params)
     for motion in motions_of(followed, own.frame_pairs, rig, params):
         found.append(motion)
-        (tick or ignore)(1)
+        (tick or no_tick)(1)
         yield
     save_result(chunk.results_folder, key, found, [])
 
 
 def motions_path(chunk: Chunk, part: int, rig: Rig) -> Path:
-    """The Parquet file of the motions that `follow` stores."""
+    """The Parquet file of the motions that `track_motions` stores."""
     return result_path(chunk.results_folder, _motions_key(_part(chunk, part), rig))
 
 
@@ -139,7 +139,7 @@ def self_calibrate(chunk: Chunk, pieces: Sequence[Chunk], followed: Sequence[Pat
 def calibrate_drive(drive: Drive, params: TrajectoryParams) -> SelfCalibration:
     """Self-calibration of a drive in one thread."""
     pairs, rig = drive.frame_pairs, drive.rig
-    spans = evenly_spread(_spans(rig, pairs, params), params.self_calibration_max_spans)
+    spans = evenly_spaced(_spans(rig, pairs, params), params.self_calibration_max_spans)
     return _calibration(rig, spans, list(_followed(spans, pairs, rig, params)), params)
 
 
@@ -168,7 +168,7 @@ def refine(
     """Refined poses of the whole drive; the logged ones, with the reason, where images or parameters do not allow it."""
     pairs = drive.frame_pairs
     found, _ = load_matches(matches, pairs)
-    params = params.model_copy(update={"trajectory": _by_its_clock(drive, params.trajectory)})
+    params = params.model_copy(update={"trajectory": _with_clock_sigma(drive, params.trajectory)})
     if is_by_course(pairs):
         pairs = with_roll(pairs, drive.rig, motions, grey_reader(drive.rig), params.trajectory)
     result = refine_with_control(pairs, drive.rig, motions, found, params, drive.control_points)
@@ -176,7 +176,7 @@ def refine(
     return result
 
 
-def without_torn(drive: Drive, motions: Sequence[RelativeMotion]) -> tuple[Drive, HealthCheck, list[Rejection]]:
+def drop_torn_pairs(drive: Drive, motions: Sequence[RelativeMotion]) -> tuple[Drive, HealthCheck, list[Rejection]]:
     """The drive without the frame pairs that have a torn image, whether there are too many, and their rejections."""
     torn = find_torn(drive, motions, grey_reader(drive.rig.rectified_from or drive.rig))
     check, rejections = check_torn(torn, drive)
@@ -198,7 +198,7 @@ def check_poses(
         for pair in trajectory.logged
         if pair.frame_index in details
     ]
-    checks = check_trajectory(pairs, drive.rig, motions, trajectory, _by_its_clock(drive, params))
+    checks = check_trajectory(pairs, drive.rig, motions, trajectory, _with_clock_sigma(drive, params))
     if motions and len(pairs) > 1:
         read = grey_reader(drive.rig)
         checks += [check(pairs, drive.rig, motions, read, params) for check in (check_lost_frames, check_recording)]
@@ -207,17 +207,17 @@ def check_poses(
     return checks if trajectory.control is None else [*checks, trajectory.control]
 
 
-def _by_its_clock(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:
+def _with_clock_sigma(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:
     """The parameters with the sigma of the drive's own clocks, where it is known."""
     return params if drive.clock_sigma_s is None else params.model_copy(update={"clock_sigma_s": drive.clock_sigma_s})
 
 
 def grey_reader(rig: Rig, in_order: Sequence[FramePair] = ()) -> ImageReader:
     """Reads the grey images of a drive's frame pairs; those that are read in order are asked for some pairs ahead."""
-    return _fetching(lambda pair, side: read_pair_image(pair, side, rig, grey=True), in_order)
+    return _prefetching(lambda pair, side: read_pair_image(pair, side, rig, grey=True), in_order)
 
 
-def _fetching(read: ImageReader, in_order: Sequence[FramePair]) -> ImageReader:
+def _prefetching(read: ImageReader, in_order: Sequence[FramePair]) -> ImageReader:
     """As `read`; images of frame pairs that are read in order are asked for some pairs ahead."""
     batches = {
         in_order[k].frame_index: in_order[k : k + _PAIRS_AT_ONCE] for k in range(0, len(in_order), _PAIRS_AT_ONCE)

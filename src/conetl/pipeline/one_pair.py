@@ -14,7 +14,7 @@ from conetl.model.feature_classes import CONE
 from conetl.model.params import DetectionParams, IngestParams, TrackParams
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig, Side
-from conetl.perception.detections import check_boxes
+from conetl.perception.detections import to_detections
 from conetl.perception.detector import Detector, detect_image
 from conetl.perception.rectified_image import read_rig_image
 from conetl.tracking.matching.matches import match_pair
@@ -40,7 +40,7 @@ def search_image(
         single_image=pair is None, categories=params.categories,
     )  # fmt: skip
     frame_index, names = 0 if pair is None else pair.frame_index, detector.card.class_names
-    return image, check_boxes(boxes, frame_index=frame_index, side=side, params=params, categories=names)[0]
+    return image, to_detections(boxes, frame_index=frame_index, side=side, params=params, categories=names)[0]
 
 
 class MatchedPair(NamedTuple):

@@ -36,7 +36,7 @@ from conetl.model.map_records import Changeset, Decisions, FeatureVersion
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.rig import Rig
-from conetl.pipeline.adjoining import WITHIN_NS, Newcomer, find_doubts
+from conetl.pipeline.adjoining import WITHIN_NS, NewDrive, find_doubts
 
 _log = logging.getLogger(__name__)
 #: Views of drives are large; the fold needs one after the other.
@@ -46,7 +46,7 @@ _MOST_ROUNDS = 5
 
 
 @contextmanager
-def no_cycle_search() -> Iterator[None]:
+def gc_paused() -> Iterator[None]:
     """Pause the search for reference cycles while many records are made.
 
     Records have none, and with millions of them the search takes a quarter of the whole time. Memory is freed by reference counts
@@ -63,7 +63,7 @@ def no_cycle_search() -> Iterator[None]:
             gc.enable()
 
 
-class Merged(NamedTuple):
+class MergeResult(NamedTuple):
     """What a drive did to the map."""
 
     changeset: Changeset
@@ -75,7 +75,7 @@ class Merged(NamedTuple):
     """Other drives that went on hold because of it, or are on hold no longer."""
 
 
-@no_cycle_search()
+@gc_paused()
 def merge_drive(
     conn: Connection,
     records: DriveRecords,
@@ -86,7 +86,7 @@ def merge_drive(
     evidence: DetectorEvidence | None = None,
     run: RunInfo | None = None,
     hold: Sequence[HealthCheck] = (),
-) -> Merged | CommittedChangeset:
+) -> MergeResult | CommittedChangeset:
     """Compare a drive with the map as the drives recorded before it left it, and commit the differences.
 
     changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: what is measured of
@@ -109,7 +109,7 @@ def merge_drive(
     def is_in_doubt(found: store.Neighbourhood) -> bool:
         """Whether adjoining drives contradict some of those that are compared; drives far away may have to be, too, then."""
         compared = [*found.aside, *(ref.drive_uuid for ref in found.later)]
-        doubts = find_doubts(conn, compared, _newcomer(found, drive)).values()
+        doubts = find_doubts(conn, compared, _new_drive(found, drive)).values()
         return any(doubt.contested or not doubt.is_settled for doubt in doubts)
 
     near = store.lock_neighbourhood(
@@ -124,7 +124,7 @@ def merge_drive(
     by_map = not hold
     if by_map:
         key = founding_key(require_map(conn, map_name).id_name, drive.content_sha256)
-        extension, replay = _compared(
+        extension, replay = _compare(
             conn, near, _own_evidence(records, changeset, key, params, figures), drive, map_name
         )
         affected = [*replay.holds]
@@ -137,7 +137,7 @@ def merge_drive(
     others: tuple[HoldChange, ...] = ()
     if held_before or affected:  # else there is no drive whose hold could begin or end
         others = hold_changes(conn, held_before, map_name=map_name, by=changeset.changeset_id, among=affected)
-    return Merged(changeset, extension, len(replay.holds), committed, others)
+    return MergeResult(changeset, extension, len(replay.holds), committed, others)
 
 
 def _own_evidence(
@@ -146,7 +146,7 @@ def _own_evidence(
     """What a drive contributes that is compared for the first time."""
     drive, spots = records.drive, [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
     view = visibility.observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
-    visible, in_view = _checks_of(lambda: view, records.markings, params.reconcile)
+    visible, in_view = _visibility_checks(lambda: view, records.markings, params.reconcile)
     return DriveEvidence(
         key=(int(view.captured_at_ns.min()), drive.content_sha256, changeset.idempotency_key),
         changeset_id=changeset.changeset_id,
@@ -161,22 +161,24 @@ def _own_evidence(
     )
 
 
-def _compared(
+def _compare(
     conn: Connection, near: store.Neighbourhood, own: DriveEvidence, drive: Drive, map_name: str
 ) -> tuple[MapUpdate, Replay]:
     """What a drive changes, and the new state of what it changes: of its neighbourhood, if others have to be compared again."""
     decisions, later = read_decisions(conn, map_name=map_name), near.later
     if later or len(near.aside) > 1 or near.reaches_far:
         again = [*near.aside, *(ref.drive_uuid for ref in later)]
-        folded, replay = replay_of(conn, again, later, decisions, own=[own], newcomer=_newcomer(near, drive))
+        folded, replay = replay_of(conn, again, later, decisions, own=[own], new_drive=_new_drive(near, drive))
         return folded.updates[own.changeset_id], replay
     standing = store.read_standing_around(conn, near.drive_uuid)
     doubts = store.read_doubts_around(conn, near.drive_uuid)
     update = apply_drive({one: version for one, (version, _) in standing.items()}, own, decisions, doubts)
-    return update, one_more(standing, update, own.changeset_id)
+    return update, replay_of_newest(standing, update, own.changeset_id)
 
 
-def one_more(standing: Mapping[UUID, tuple[FeatureVersion, int]], update: MapUpdate, changeset_id: UUID) -> Replay:
+def replay_of_newest(
+    standing: Mapping[UUID, tuple[FeatureVersion, int]], update: MapUpdate, changeset_id: UUID
+) -> Replay:
     """What one drive that is newer than all others around it changes; standing: versions with their row ids, by feature id."""
     replaced = [(*standing[new.feature_id], new) for new in update.versions if new.feature_id in standing]
     ended = [version.model_copy(update={"valid_to_ns": new.valid_from_ns}) for version, _, new in replaced]
@@ -189,8 +191,8 @@ def one_more(standing: Mapping[UUID, tuple[FeatureVersion, int]], update: MapUpd
     )
 
 
-def _newcomer(near: store.Neighbourhood, drive: Drive) -> Newcomer:
-    return Newcomer(near.drive_uuid, drive, frozenset(near.aside) - {near.drive_uuid})
+def _new_drive(near: store.Neighbourhood, drive: Drive) -> NewDrive:
+    return NewDrive(near.drive_uuid, drive, frozenset(near.aside) - {near.drive_uuid})
 
 
 def replay_of(
@@ -201,12 +203,12 @@ def replay_of(
     *,
     own: Sequence[DriveEvidence] = (),
     around: Sequence[UUID] = (),
-    newcomer: Newcomer | None = None,
+    new_drive: NewDrive | None = None,
 ) -> tuple[MapHistory, Replay]:
     """A neighbourhood of the map, computed again.
 
     aside: the drives whose changes are set aside; again: those of them that are compared again, from what is stored; own: drives
-    that are compared for the first time; newcomer: the recorded one of them. What all other drives did to the features around
+    that are compared for the first time; new_drive: the recorded one of them. What all other drives did to the features around
     `aside` and `around` stays, except for their suppression. Drives that go on hold because adjoining ones contradict them, or
     are on hold no longer, are compared again, too.
     """
@@ -214,17 +216,17 @@ def replay_of(
     fixed = [one for one in aside if one not in again_ids]
     trusted: dict[UUID, bool] = {}
     for _ in range(_MOST_ROUNDS):
-        doubts = find_doubts(conn, aside, newcomer, trusted)
+        doubts = find_doubts(conn, aside, new_drive, trusted)
         while more := [one for one, doubt in doubts.items() if not doubt.is_settled and one not in aside]:
             again = [ref for ref in store.affected_drives(conn, [*aside, *more]) if ref.drive_uuid not in fixed]
             aside = [*fixed, *(ref.drive_uuid for ref in again)]
-            doubts = find_doubts(conn, aside, newcomer, trusted)
+            doubts = find_doubts(conn, aside, new_drive, trusted)
         compared = [*own, *stored_evidence(conn, again)]
         changesets = {ref.drive_uuid: ref.changeset_id for ref in again}
-        if newcomer is not None:
-            changesets[newcomer.drive_uuid] = own[0].changeset_id
+        if new_drive is not None:
+            changesets[new_drive.drive_uuid] = own[0].changeset_id
         checks = {changesets[one]: doubt.check for one, doubt in doubts.items() if one in changesets}
-        folded, replay = _folded(
+        folded, replay = _fold(
             conn, aside, around, again,
             [replace(one, doubt=checks.get(one.changeset_id)) for one in compared], decisions,
         )  # fmt: skip
@@ -246,10 +248,10 @@ def replay_of(
 
 
 def _is_confirmed(update: MapUpdate, captured_from_ns: int) -> bool:
-    return is_confirmed([delta for delta in update.deltas if not delta.is_of_line], captured_from_ns)
+    return is_confirmed([delta for delta in update.deltas if not delta.is_line], captured_from_ns)
 
 
-def _folded(
+def _fold(
     conn: Connection,
     aside: Sequence[UUID],
     around: Sequence[UUID],
@@ -290,7 +292,7 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveE
         drive = load_stored_drive(conn, ref.drive_uuid)
         if drive.rig is not None:  # an imported map had nothing in view
             view_params[ref.drive_uuid] = drive.rig, drive.figures
-        visible, in_view = _checks_of(partial(view_of, ref.drive_uuid), drive.markings, drive.reconcile)
+        visible, in_view = _visibility_checks(partial(view_of, ref.drive_uuid), drive.markings, drive.reconcile)
         evidence.append(
             DriveEvidence(
                 key=drive.key(ref.idempotency_key),
@@ -320,11 +322,11 @@ def founding_key(id_name: str, content_sha256: str) -> str:
     return f"{id_name}/{content_sha256}"
 
 
-def _checks_of(
+def _visibility_checks(
     view: Callable[[], visibility.DriveObservations], markings: Sequence[MarkingTrack], params: ReconcileParams
 ) -> tuple[VisibilityCheck, ViewCheck]:
     """Of cones and of lane markings; view: what the drive had in view, read when it is needed; markings: that it observed."""
-    blur_px = visibility.blur_of(markings)
+    blur_px = visibility.median_blur_px(markings)
     return (
         lambda feature, offset_m, others_m: visibility.check_visibility(feature, offset_m, others_m, view(), params),
         lambda vertices_m: visibility.markings_in_view(vertices_m, view(), blur_px, params),

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from conetl.db.connection import transaction
 from conetl.db.map.commit import path_wkt
-from conetl.db.map.drive_store import DriveThen, drives_at_the_same_time, drives_with_boxes, read_frame_pairs
+from conetl.db.map.drive_store import ConcurrentDrive, drives_at_the_same_time, drives_with_boxes, read_frame_pairs
 from conetl.db.map.replay_store import other_deliveries
 from conetl.geometry import pose as se3
-from conetl.geometry.linear_reference import evenly_spread
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.rig import body_SE3_camera
 from conetl.mapping.association import near_pairs
 from conetl.model.arrays import Floats
@@ -74,7 +74,7 @@ def refuse_same_images(records: DriveRecords, settings: Settings, database: MapD
     seen = sorted({box.frame_index for box in records.detections if box.side == "left"} & at.keys())
     if len(seen) < _LEAST_PAIRS:
         return
-    chosen = set(evenly_spread(seen, _PROBES))
+    chosen = set(evenly_spaced(seen, _PROBES))
     boxes = [
         (at[box.frame_index].captured_at_ns, *at[box.frame_index].pose.map_t_body_m[:2], box.x_px, box.y_px, box.w_px, box.h_px)
         for box in records.detections
@@ -101,13 +101,13 @@ def _on_the_map(drive: Drive, drive_id: str, changeset_no: int, how: str) -> Map
     )
 
 
-def _is_same_recording(drive: Drive, other: DriveThen, pairs: Sequence[FramePair]) -> bool:
+def _is_same_recording(drive: Drive, other: ConcurrentDrive, pairs: Sequence[FramePair]) -> bool:
     if other.is_alike:
         return is_redated(drive, other.rig, pairs, within_m=_SAME_CAMERA_M, within_rad=_SAME_CAMERA_RAD)
-    return is_same_camera(drive, other.rig, pairs) or has_the_same_log(drive, other.rig, pairs)
+    return is_same_camera(drive, other.rig, pairs) or has_same_log(drive, other.rig, pairs)
 
 
-def has_the_same_log(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
+def has_same_log(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
     """Whether frame pairs, or a part of them, have the poses of a drive and time stamps that are all off by one time."""
     sigma_m = float(np.median([np.hypot(*pair.pose.sigma_enu_m[:2]) for pair in pairs]))
     sigma_rad = float(np.median([np.hypot(*pair.pose.sigma_rpy_rad[1:]) for pair in pairs]))

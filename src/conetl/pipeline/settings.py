@@ -111,7 +111,7 @@ class Settings(BaseSettings):
         return self.reports_folder / f"{file_name_part(drive_id, 120)}.png"
 
 
-def checked_map_name(name: str) -> str:
+def validated_map_name(name: str) -> str:
     """The name, if a map may have it. Raises InputError."""
     if not MAP_NAME.fullmatch(name):
         raise InputError(f"invalid map name {name!r}: {_expected_map_name(name)}")
@@ -130,7 +130,7 @@ def read_settings(map_name: str | None = None) -> Settings:
     Raises InputError naming the variable that cannot be used.
     """
     try:
-        return Settings() if map_name is None else Settings(map_name=checked_map_name(map_name))
+        return Settings() if map_name is None else Settings(map_name=validated_map_name(map_name))
     except ValidationError as error:
         first = error.errors()[0]
         name = f"CONETL_{'_'.join(str(part) for part in first['loc']).upper()}"

@@ -150,21 +150,21 @@ def watch_drive(
     with ExitStack() as stack:
         conn = stack.enter_context(open_maps(settings))
         detectors = stack.enter_context(live.open_detectors(settings, params))
-        changes = stack.enter_context(_changes_of(folder.resolve(), poll=poll))
+        changes = stack.enter_context(_watch_folder(folder.resolve(), poll=poll))
         watch = _Watch(
             conn, detectors, folder, settings, report, stop, progress, max_behind_s, patience_s, time.time_ns(), changes
         )
         processor_s, heard_s, list_s, took = time.process_time(), time.monotonic(), -np.inf, False
         progress(report)
         while not stop.is_set():
-            paths = _noticed(changes, 0.0 if took else _WAIT_S)
+            paths = _wait_for_changes(changes, 0.0 if took else _WAIT_S)
             complete = (folder / MARKER).exists()  # before the listing, which then finds everything
             if watch.source is None and (source := open_arriving(folder)) is not None:
                 _begin(watch, source, stack)
             if watch.source is not None:
                 begun_s = time.monotonic()
                 everything = (complete and not took) or begun_s >= list_s
-                _notice(watch, watch.source, None if everything else paths)
+                _register_pairs(watch, watch.source, None if everything else paths)
                 list_s = time.monotonic() + pause_s(time.monotonic() - begun_s) if everything else list_s
             took = _take_next(watch)
             heard_s = time.monotonic() if paths or took else heard_s
@@ -188,7 +188,7 @@ def pause_s(listing_s: float) -> float:
 
 
 @contextmanager
-def _changes_of(folder: Path, *, poll: bool) -> Iterator[SimpleQueue[Path]]:
+def _watch_folder(folder: Path, *, poll: bool) -> Iterator[SimpleQueue[Path]]:
     """Files below a folder that changed, as the system reports them to a thread."""
     queue: SimpleQueue[Path] = SimpleQueue()
     stop = threading.Event()
@@ -210,7 +210,7 @@ def _changes_of(folder: Path, *, poll: bool) -> Iterator[SimpleQueue[Path]]:
         thread.join()
 
 
-def _noticed(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
+def _wait_for_changes(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
     """What changed since the last call; waits for the first notice."""
     paths: list[Path] = []
     with suppress(Empty):
@@ -229,7 +229,7 @@ def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
     watch.report.cleared = clear_watches(watch.conn, map_name=watch.settings.map_name, drive_id=source.drive_id)
 
 
-def _notice(watch: _Watch, source: ArrivingDrive, paths: list[Path] | None) -> None:
+def _register_pairs(watch: _Watch, source: ArrivingDrive, paths: list[Path] | None) -> None:
     """Take in pairs that came, and the number in the recording of those that have one by now: finding it costs time."""
     new = source.new_pairs(paths)
     watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in new}
@@ -262,7 +262,7 @@ def _take_next(watch: _Watch) -> bool:
     if watch.drive is None:
         name = watch.settings.map_name
         watch.drive = live.new_drive(watch.source.drive_id, watch.folder, begun.rig, begun.srid, name, pair)
-    _notice(watch, watch.source, _noticed(watch.changes, 0.0))
+    _register_pairs(watch, watch.source, _wait_for_changes(watch.changes, 0.0))
     watch.begun = _begin_next(watch, watch.source)
     _take(watch, watch.drive, begun)
     return True
@@ -319,7 +319,7 @@ def _written_ns(pair: ArrivingPair) -> int:
 def _take(watch: _Watch, drive: live.LiveDrive, begun: _Begun) -> None:
     """Take a pair whose images are complete."""
     pair, written_ns = begun.search.pair, _written_ns(begun.arriving)
-    watch.drive, times = live.take_pair(watch.conn, watch.detectors, drive, begun.search)
+    watch.drive, times = live.process_pair(watch.conn, watch.detectors, drive, begun.search)
     watch.report.standing = watch.drive.standing
     total_s = (time.time_ns() - written_ns) * 1e-9
     worked_s = times.detect_s + times.track_s + times.commit_s

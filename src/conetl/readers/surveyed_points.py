@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.files.documents import named, shown
+from conetl.files.documents import input_errors, shown
 from conetl.files.names import printable
 from conetl.geometry import geodesy
 from conetl.geometry.packing import vec3
@@ -39,12 +39,12 @@ def read_surveyed_points(
     xyz = _with_heights(table)
     _require_finite(path, xyz, f"a point needs east, north and a height ({', '.join(_HEIGHTS)})")
     settings = TrajectoryFile(crs=source, heights=heights)
-    with named(f"{path}: crs"):
+    with input_errors(f"{path}: crs"):
         geographic = parse_crs(source).is_geographic
     own = xyz[:, [1, 0, 2]] if geographic else xyz
     count = len(own)
     records = Records(np.zeros(count, np.int64), own, None, np.full((count, 6), np.nan), {})
-    with named(path):
+    with input_errors(path):
         reading = Reading(iter([records]), axes="geodetic" if geographic else "projected")
         lat, lon, height = np.vstack([piece.positions for piece in in_wgs84(reading, settings, path)]).T
         xyz = geodesy.to_map(srid, lat, lon, height)

@@ -18,7 +18,7 @@ from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair, Track
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE
-from conetl.model.health import AGREES, HealthCheck, HoldEvent, holding
+from conetl.model.health import AGREES, HealthCheck, HoldEvent, hold_checks
 from conetl.model.map_records import DeltaKind, MapFeature
 from conetl.model.rig import Rig
 from conetl.reports.drive_passes import reasons_of
@@ -106,7 +106,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     against_map = map_checks(conn, changeset.changeset_id)
     checks = tuple(HealthCheck(**check) for check in header["facts"].get("health", ()))
     accepted = [event.what for event in events if "accept" in event.what][-1:] == ["accepted"]
-    if checks and not against_map and not accepted and not holding(checks):
+    if checks and not against_map and not accepted and not hold_checks(checks):
         against_map = (AGREES,)
     rig = Rig.model_validate(header["rig"])
     rows = [row for row in evaluated if row["marking"] is None]

@@ -19,7 +19,7 @@ from conetl.files.atomic import atomic_files
 from conetl.mapping.visibility import DriveObservations, observations_of_drive, pairs_in_view
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import StorageError
-from conetl.model.health import Verdict, what_to_do
+from conetl.model.health import Verdict, hold_remedy
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ReconcileParams
 from conetl.model.rig import SIDES, Rig
@@ -125,7 +125,7 @@ def _hold_alerts(facts: DriveFacts) -> Iterator[Alert]:
         hold = facts.changeset.hold
         reason = "it was reverted, or replaced by a later analysis or delivery of the same recording."
         if hold:
-            reason = f"the drive is on hold. {hold} {what_to_do(facts.changeset.changeset_no)}"
+            reason = f"the drive is on hold. {hold} {hold_remedy(facts.changeset.changeset_no)}"
         yield Alert(True, f"This changeset is not in effect: {reason}")
     elif facts.hold_events and facts.hold_events[-1].what == "accepted":
         yield Alert(False, f"The drive was on hold, and was {facts.hold_events[-1].sentence}")

@@ -14,7 +14,7 @@ from conetl.db.connection import Connection, stream_values
 from conetl.db.map.drive_store import read_view
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import camera_of, map_SE3_camera
-from conetl.mapping.reasons import ChangeFacts, why
+from conetl.mapping.reasons import ChangeFacts, explain_change
 from conetl.mapping.visibility import observations_of_drive, pairs_in_view, visible_pairs
 from conetl.model.arrays import Floats
 from conetl.model.base import Record, Vec3, utc_from_ns
@@ -180,7 +180,7 @@ def reasons_of(
             **{name: row[name] for name in _OF_ROW}, kind=DeltaKind(row["kind"]), is_import=row["drive_kind"] == "import",
             frames_seen=frames or row["frames_seen"], range_m=range_m, noun=noun_of(row["category"]),
         )  # fmt: skip
-        sentences.append(why(facts))
+        sentences.append(explain_change(facts))
     return sentences
 
 

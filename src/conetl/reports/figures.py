@@ -24,7 +24,7 @@ from conetl.exports.kind_marks import CASING, KIND_MARKS, PAINT, STANDING, KindM
 from conetl.files.atomic import atomic_files
 from conetl.model.arrays import Floats
 from conetl.model.base import Vec2
-from conetl.model.feature_classes import FEATURE_CLASSES, known_of, letter_of, noun_of
+from conetl.model.feature_classes import FEATURE_CLASSES, known_classes, letter_of, noun_of
 from conetl.model.map_records import Delta, DeltaKind, FeatureChange, MapFeature
 from conetl.model.markings import Marking
 
@@ -72,7 +72,7 @@ def marks_of(deltas: Iterable[Delta | FeatureChange], untouched: Iterable[MapFea
     """Those of them that are point objects; untouched: features without a change."""
     marks = [PlanMark(one.category, None, one.xyz_m[:2]) for one in untouched if one.marking is None]
     for delta in deltas:
-        if not delta.is_of_line:
+        if not delta.is_line:
             *old, at = (side.xyz_m[:2] for side in (delta.old, delta.new) if side is not None)
             moved = delta.kind is DeltaKind.MOVED
             shift = f"{delta.shift_m:.2f} m" if moved else ""
@@ -100,7 +100,7 @@ def draw_objects(
     left = axes.transData + ScaledTranslation(-(_LETTER_PT + _SYMBOL_PT / 2) / 72, 0, axes.figure.dpi_scale_trans)
     handles: list[Handle] = []
     present = set(categories)
-    for category in (*known_of(present), *sorted(present - set(FEATURE_CLASSES))):
+    for category in (*known_classes(present), *sorted(present - set(FEATURE_CLASSES))):
         x, y = xy[[one == category for one in categories]].T
         axes.scatter(x, y, marker=marker, s=_SYMBOL_PT**2, color=colour, edgecolors=edge, linewidths=0.8, zorder=zorder)
         text = f"{noun_of(category)}, {label} ({len(x)})" if by_class else f"{label} ({len(categories)})"

@@ -14,7 +14,7 @@ from conetl.db.map.map_store import list_changesets, read_paths, require_map
 from conetl.model.arrays import Floats
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
-from conetl.model.health import HeldDrive, HoldEvent, what_to_do
+from conetl.model.health import HeldDrive, HoldEvent, hold_remedy
 from conetl.model.map_records import DeltaKind
 from conetl.reports import figures
 from conetl.reports.html import render, write_page
@@ -111,7 +111,7 @@ def night_page(facts: NightFacts) -> str:
         made_at=datetime.now(UTC),
         facts=facts,
         recorded=len(recorded),
-        what_to_do=what_to_do,
+        what_to_do=hold_remedy,
         totals=[(kind, sum(row[name] for row in facts.drives)) for kind, name in _COUNTS.items()],
         frame_pairs=sum(row["frame_pair_count"] for row in recorded),
         lost=sum(row["lost_pairs"] for row in recorded),

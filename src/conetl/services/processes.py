@@ -30,7 +30,7 @@ import httpx
 
 from conetl.files.atomic import write_json
 from conetl.files.home import make_home
-from conetl.model.errors import InputError, ServiceError, storage_failed
+from conetl.model.errors import InputError, ServiceError, storage_error
 
 TOKEN = "CONETL_SERVICE_TOKEN"
 _STATE, _LOCK = "services.json", "services.lock"
@@ -268,7 +268,7 @@ def unavailable(error: BaseException) -> ServiceError | None:
         if isinstance(cause, ServiceError):
             return cause
         if isinstance(cause, OSError) and cause.errno in (errno.ENOSPC, errno.EDQUOT):
-            return storage_failed(cause)
+            return storage_error(cause)
     for cause in chain:
         failed = (
             isinstance(cause, httpx.HTTPStatusError) and cause.response.status_code >= httpx.codes.INTERNAL_SERVER_ERROR

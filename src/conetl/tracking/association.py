@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from conetl.geometry.packing import cov_matrix
 from conetl.model.arrays import Floats
 from conetl.model.drive import Position
-from conetl.model.feature_classes import exclude_each_other
+from conetl.model.feature_classes import mutually_exclusive
 from conetl.model.params import TrackParams
 
 #: Cost of a forbidden pair in the assignment; far above any gate.
@@ -121,7 +121,7 @@ def extend_chains(
     costs = np.full((len(chains), len(found)), _FORBIDDEN)
     for i, (mean, cov) in enumerate(carried):
         for j, position in enumerate(found):
-            if not exclude_each_other(chains[i].members[-1].category, position.category):
+            if not mutually_exclusive(chains[i].members[-1].category, position.category):
                 continue
             innovation = np.array(position.camera_xyz_m) - mean
             spread = cov + cov_matrix(position.camera_cov_m2)
@@ -232,7 +232,7 @@ def misfit_of(
     motion: MotionError | None,
 ) -> float | None:
     """Squared Mahalanobis distance of two groups, or None if they cannot be one cone."""
-    nearest = _nearest_in_time(a, b) if exclude_each_other(a[0].category, b[0].category) else None
+    nearest = _nearest_in_time(a, b) if mutually_exclusive(a[0].category, b[0].category) else None
     if nearest is None or (motion is None and not _within_reach(*nearest, map_SE3_left, params)):
         return None
     one, other = nearest

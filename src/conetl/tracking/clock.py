@@ -92,7 +92,7 @@ def estimate_clock(
     if gaps_s and times_s[-1] < _LEAST_RECORDS * np.median(gaps_s):
         return None
     steps_s, middle_s = np.diff(times_s), (times_s[1:] + times_s[:-1]) / 2
-    left = se3.compose(se3.se3(log.rotations, log.places), log.body_SE3_left)
+    left = se3.compose(se3.se3(log.rotations, log.positions), log.body_SE3_left)
     rates = _rates(se3.compose(se3.invert(left[1:]), left[:-1]), steps_s)
     axes = left[1:, :3, :3] if by_speeds else np.eye(3)
     rates[:, 3:] = (axes @ rates[:, 3:, None])[..., 0]
@@ -247,7 +247,7 @@ def at_images(frame_pairs: Sequence[FramePair], log: LoggedPoses, offset_s: floa
     share = (wanted_s - times_s[k]) / (times_s[k + 1] - times_s[k])
     turn = Rotation.from_matrix(np.swapaxes(log.rotations[k], 1, 2) @ log.rotations[k + 1]).as_rotvec()
     rotations = log.rotations[k] @ Rotation.from_rotvec(share[:, None] * turn).as_matrix()
-    places = log.places[k] + share[:, None] * (log.places[k + 1] - log.places[k])
+    places = log.positions[k] + share[:, None] * (log.positions[k + 1] - log.positions[k])
     return tuple(
         pair.model_copy(
             update={

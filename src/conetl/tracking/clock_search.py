@@ -14,9 +14,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.motion.position_spline import at_times, position_spline, turn_rate
+from conetl.geometry.motion.position_spline import position_spline, states_at, turn_rate
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.small_arrays import nearest
+from conetl.geometry.small_arrays import nearest_index
 from conetl.model.arrays import Bools, Floats
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
@@ -167,7 +167,7 @@ def _on_grid(rates: VehicleRates, *, attitude: bool) -> tuple[Floats | None, Flo
     turn = rates.turn_rad_s if attitude else rates.turn_rad_s * rates.speed_m_s
     values = np.stack([np.interp(at_s, times, column) for column in (turn, rates.speed_m_s)], axis=1)
     reach_s = min(max(1.5 * _STEP_S, 0.75 * float(np.median(np.diff(times)))), _GAP_S)
-    known = np.abs(times[nearest(times, at_s)] - at_s) <= reach_s
+    known = np.abs(times[nearest_index(times, at_s)] - at_s) <= reach_s
     return np.where(known[:, None], smoothed(values, known.astype(np.float64), _SMOOTHED), np.nan), at_s
 
 
@@ -184,7 +184,7 @@ def _trajectory_signal(
     spline = position_spline(
         times_s, positions_m, sigma_m, white_share=defaults.gnss_white_share, correlation_s=defaults.gnss_correlation_s
     )
-    moved = at_times(spline, grid_s[there])
+    moved = states_at(spline, grid_s[there])
     speed = np.linalg.norm(moved.velocity_m_s, axis=1)
     if rotations is None:
         turn = turn_rate(moved) * speed

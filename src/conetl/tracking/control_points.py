@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from conetl.geometry.consistency import left_out_nees
+from conetl.geometry.consistency import leave_one_out_nees
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.model.arrays import Bools, Floats
@@ -281,7 +281,7 @@ def _without_contradictions(cones: _Cones, survey: Floats, off: Floats, chosen: 
     """The points that all others confirm: the one that fits worst is left out until all do."""
     while len(chosen) > 1:
         size, off_chosen = 3 * len(chosen), np.array([off[i, g] for i, g in chosen.items()])
-        misfits = left_out_nees(off_chosen, _off_cov(cones, survey, chosen).reshape(size, size))
+        misfits = leave_one_out_nees(off_chosen, _off_cov(cones, survey, chosen).reshape(size, size))
         worst = int(misfits.argmax())
         if misfits[worst] <= _GATE_CHI2:
             break

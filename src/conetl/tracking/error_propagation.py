@@ -14,12 +14,12 @@ from scipy.linalg import cho_factor, cho_solve
 
 from conetl.geometry.calibration.covariance import calibration_jacobian, shared_cov
 from conetl.geometry.camera import pose_jacobian
-from conetl.geometry.linear_reference import evenly_spread
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion.chain_solver import cross_covariance, joint_covariance
 from conetl.geometry.motion.pose_graph import POSE, motion_jacobians
 from conetl.geometry.packing import cov_matrices, cov_matrix
 from conetl.geometry.rig import map_SE3_left
-from conetl.geometry.small_arrays import cross_matrix, nearest
+from conetl.geometry.small_arrays import cross_matrix, nearest_index
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import FramePair, Pose, Position
 from conetl.model.feature_classes import FEATURE_CLASSES
@@ -103,8 +103,8 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
 
     def changed_cov_m2(xyz_m: Floats, frame_indices: Sequence[Sequence[int]], shares: Sequence[Floats]) -> Floats:
         ranks = [len(rank) // 2, *(rank[index] for own in frame_indices for index in own)]
-        chosen = np.array(evenly_spread(np.unique(ranks).tolist(), _MOST_STATES))
-        states, at = np.unique(chosen[nearest(chosen, np.array(ranks))], return_inverse=True)
+        chosen = np.array(evenly_spaced(np.unique(ranks).tolist(), _MOST_STATES))
+        states, at = np.unique(chosen[nearest_index(chosen, np.array(ranks))], return_inverse=True)
         point = np.repeat(np.arange(len(xyz_m)), [len(own) for own in frame_indices])
         poses = [trajectory.frame_pairs[k].pose for k in states[at[1:]]]
         moved = np.concatenate(shares) @ moved_by_poses(xyz_m[point], poses)

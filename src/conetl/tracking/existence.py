@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from conetl.geometry.rig import left_SE3_right
-from conetl.geometry.small_arrays import nearest
+from conetl.geometry.small_arrays import nearest_index
 from conetl.model.arrays import Floats
 from conetl.model.detector_evidence import (
     DetectorEvidence,
@@ -140,7 +140,7 @@ def _boxes(
     poses = np.array([map_SE3_left[n] for n in frames.tolist()])
     known = sorted(group, key=lambda p: p.frame_index)
     observed = np.array([p.frame_index for p in known])
-    start = nearest(observed, frames)
+    start = nearest_index(observed, frames)
     # Like `association.carry`, for all frames at once.
     starts = np.array([map_SE3_left[p.frame_index] for p in known])[start]
     frame_SE3_start = np.linalg.inv(poses) @ starts

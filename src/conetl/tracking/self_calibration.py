@@ -24,7 +24,7 @@ from conetl.geometry.calibration.covariance import (
     square_root,
     with_covariance,
 )
-from conetl.geometry.calibration.self_calibration import SpanPoints, as_camera, estimate_right_camera
+from conetl.geometry.calibration.self_calibration import SpanPoints, equivalent_camera, estimate_right_camera
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import body_SE3_camera, right_camera_turned
@@ -140,7 +140,7 @@ def self_calibrate(
     sides = f", at the sides by {-shift_px[3]:+.2f} +- {sigma_px[3]:.2f} px more" if found[3] else ""
     figures = f"disparities {off}{sides}, rows by {shift_px[0]:+.2f} +- {sigma_px[0]:.2f} px"
     outcome = SelfCalibrationOutcome.APPLIED
-    rotation, _ = as_camera(found, rig.right.fx_px)
+    rotation, _ = equivalent_camera(found, rig.right.fx_px)
     bend_text = f", its columns are bent by {found[3] * unit_px[3]:+.2f} px at the sides" if found[3] else ""
     left_px = float(np.sqrt(posterior[1, 1]) * unit_px[1])
     detail = (
@@ -179,7 +179,7 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
         matrix=as_rows(_shared_after(prior, by_parameter, lift @ (before - after) @ back, found, _floor(rig, params))),
     )
     covariance = CalibrationCovariance(names=names, matrix=as_rows(left_over), shared=shared)
-    rotation, shift_px = as_camera(np.array([*found.rotation_rad, found.bend]), rig.right.fx_px)
+    rotation, shift_px = equivalent_camera(np.array([*found.rotation_rad, found.bend]), rig.right.fx_px)
     rig = right_camera_turned(rig, rotation)
     if rig.rectified_from is None:
         rig = rig.model_copy(update={"right": rig.right.model_copy(update={"cx_px": rig.right.cx_px + shift_px})})

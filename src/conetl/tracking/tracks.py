@@ -13,7 +13,7 @@ from conetl.geometry.intersection import fit_point
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.arrays import Floats
-from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, evidence_of
+from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, class_evidence
 from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.feature_classes import FEATURE_CLASSES, noun_of
 from conetl.model.params import IngestParams, TrackParams
@@ -169,7 +169,7 @@ def fuse_group(
 
     existence = existence_probability(
         group, height_m, rig, data.map_SE3_left, data.detections, data.params,
-        evidence_of(data.evidence, category), is_of_other, category,
+        class_evidence(data.evidence, category), is_of_other, category,
     )  # fmt: skip
     if existence < limits.min_existence_probability:
         detail = f"existence probability {existence:.2f}, expected at least {limits.min_existence_probability}"

@@ -132,13 +132,13 @@ def refine_trajectory(
     common_sigmas = [params.scale_sigma, _TURN_RAD_PER_M] if sparse else [params.scale_sigma]
     solved = adjust(log, kept, sightings, params.robust_sigmas, common_sigmas, priors)
     if solved is not None and sparse:
-        share = _white_share(log, log.places - solved[1], frame_pairs, params)
+        share = _white_share(log, log.positions - solved[1], frame_pairs, params)
         log = read_log(frame_pairs, rig, params.model_copy(update={"gnss_white_share": share}))
         solved = adjust(log, kept, sightings, params.robust_sigmas, common_sigmas, priors)
     if solved is None:
         return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
     rotations, places, scale, normal = solved
-    shift = places - log.places
+    shift = places - log.positions
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
     worst = float(np.max(np.sum((shift / log.sigma_p) ** 2, axis=1)))
     if worst > params.max_shift_chi2:
@@ -289,21 +289,21 @@ def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: f
     GNSS/INS is smooth: errors of GNSS/INS last longer than one interval.
     """
     k = motions.start
-    residual, from_first, from_second = motion_residuals(log, log.rotations, log.places, motions, 0.0)
+    residual, from_first, from_second = motion_residuals(log, log.rotations, log.positions, motions, 0.0)
 
     def moved(jacobian: Floats, variance: Floats) -> Floats:
         return np.asarray(jacobian * variance[:, None, :] @ np.swapaxes(jacobian, 1, 2))
 
     # What both poses have in common counts too: an attitude error turns the distance between them to the side.
-    kept = log.keep[k] * log.slow[k + 1] / log.slow[k]
-    fresh = log.slow[k + 1] ** 2 * (1 - log.keep[k] ** 2) + log.new[k + 1] ** 2
+    kept = log.correlation[k] * log.drift[k + 1] / log.drift[k]
+    fresh = log.drift[k + 1] ** 2 * (1 - log.correlation[k] ** 2) + log.noise[k + 1] ** 2
     scaled = motions.next_SE3_first[:, :3, 3] * scale_sigma
-    spread = motions.cov + moved(from_first, log.new[k] ** 2) + moved(from_second, fresh)
-    spread += moved(from_first + from_second * kept[:, None, :], log.slow[k] ** 2)
+    spread = motions.cov + moved(from_first, log.noise[k] ** 2) + moved(from_second, fresh)
+    spread += moved(from_first + from_second * kept[:, None, :], log.drift[k] ** 2)
     spread[:, 3:, 3:] += scaled[:, :, None] * scaled[:, None, :]
     chi2 = np.einsum("mi,mi->m", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0])
     inside = chi2 <= _GATE_CHI2
-    change = log.slow[k] ** 2 * 2 * (1 - log.keep[k]) + log.new[k] ** 2 + log.new[k + 1] ** 2
+    change = log.drift[k] ** 2 * 2 * (1 - log.correlation[k]) + log.noise[k] ** 2 + log.noise[k + 1] ** 2
     sigma = np.sqrt(np.diagonal(motions.cov + moved(from_first, change), axis1=1, axis2=2))
     observed = motions.next_SE3_first[:, :3, 3]
     by_log = observed - residual[:, 3:]

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from conetl.geometry.intersection import pair_jacobian
-from conetl.geometry.linear_reference import evenly_spread
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair, Pose, StereoMatch, Track
@@ -115,7 +115,7 @@ def estimate_variance_factors(
 def usable_pairs(track: Track, match_of: Mapping[tuple[int, int], StereoMatch]) -> list[StereoMatch]:
     """Matches of a track whose shared errors are known, not too many. match_of: by (frame_index, match_index)."""
     usable = [match_of[member] for member in track.members if _is_usable(match_of[member])]
-    return evenly_spread(usable, _MOST_PAIRS)
+    return evenly_spaced(usable, _MOST_PAIRS)
 
 
 def with_variance_factors(

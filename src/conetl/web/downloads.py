@@ -53,7 +53,7 @@ def download(
     WZDx requires the publisher and the name of the road, and describes the whole map as the database knows it now.
     """
     from conetl.exports.export import export_map  # here: Arrow takes a second to load
-    from conetl.exports.source import ExportRequest, What
+    from conetl.exports.source import ExportContent, ExportRequest
     from conetl.pipeline.maps.work_zones import export_wzdx
 
     for instant in (valid_at, known_at, from_valid_at):
@@ -78,7 +78,7 @@ def download(
             else:
                 asked = ExportRequest(map_name, believed_at=known_at, as_of=valid_at, box_m=_corners(box))
                 if from_valid_at is not None:
-                    asked = replace(asked, what=What.CHANGES, as_of=None, since=from_valid_at, until=valid_at)
+                    asked = replace(asked, what=ExportContent.CHANGES, as_of=None, since=from_valid_at, until=valid_at)
                 export_map(conn, path, file_format, asked)
     except InputError as error:
         folder.cleanup()

@@ -9,7 +9,7 @@ from uuid import UUID
 from fastapi import APIRouter, HTTPException, Query, Request
 
 from conetl.db import serve_store as store
-from conetl.db.connection import latest_or
+from conetl.db.connection import or_infinity
 from conetl.db.map.archive import list_maps
 from conetl.db.map.map_store import list_changesets, require_map
 from conetl.model.base import Vec3, utc_from_ns
@@ -86,8 +86,8 @@ def changes_between(
     found, truncated = store.read_some(
         conn, "serving.changes_between", MAX_FEATURES, map_name=map_name, moved_from_m=moved_from_m,
         line_moved_from_m=ReconcileParams().marking_gate_m,
-        from_valid_at=latest_or(from_valid_at), from_known_at=latest_or(from_known_at),
-        to_valid_at=latest_or(to_valid_at), to_known_at=latest_or(to_known_at),
+        from_valid_at=or_infinity(from_valid_at), from_known_at=or_infinity(from_known_at),
+        to_valid_at=or_infinity(to_valid_at), to_known_at=or_infinity(to_known_at),
     )  # fmt: skip
     return _changes(found, origin, truncated=truncated)
 

@@ -54,7 +54,7 @@ def allowed_spacing_m(speed_kmh: float, rules: LayoutParams) -> tuple[float, flo
     )
 
 
-def _sure(norm: str | None) -> Level:
+def _certain_level(norm: str | None) -> Level:
     """Level of a finding that certainly exceeds a limit; norm: the rule that states the limit, if any."""
     return Level.VIOLATION if norm else Level.DEVIATION
 
@@ -112,7 +112,7 @@ def _gaps(check: _Check, row: ConeRow) -> Iterator[Finding]:
         lacks = read.lacks or (sure and read.own > rules.missing_cone_ratio)
         where, limit_m = "taper" if read.inside > 0.5 else "tangent", read.limit_m
         norm = rules.sources.get(f"{where}_spacing_ft_per_mph")
-        level = _sure(norm) if sure else Level.NOTICE if noted else Level.CANNOT_TELL
+        level = _certain_level(norm) if sure else Level.NOTICE if noted else Level.CANNOT_TELL
         if not math.isfinite(limit_m):  # the only rule is the row's own spacing
             limit_m = gap / read.own * rules.missing_cone_ratio
         words = f"{gap:.1f} m from cone to cone in the {where}, at most {limit_m:.1f} m at {speed_kmh:g} km/h{doubt}"
@@ -246,7 +246,7 @@ def _taper_lengths(check: _Check, row: ConeRow) -> Iterator[Finding]:
             yield check.finding(
                 members[[taper.first, taper.last]],
                 rule=Rule.TAPER_LENGTH,
-                level=_sure(norm) if sure else Level.CANNOT_TELL,
+                level=_certain_level(norm) if sure else Level.CANNOT_TELL,
                 norm=norm or NO_NORM,
                 text=f"taper of {length_m:.1f} m over {taper.shift_m:.1f} m of width, a {kind} taper needs {wanted_m:.1f} m "
                 f"at {check.speed_kmh:g} km/h{doubt}",
@@ -296,7 +296,7 @@ def _in_lane(check: _Check) -> Iterator[Finding]:
         yield check.finding(
             [k],
             rule=Rule.CONE_IN_LANE,
-            level=_sure(rules.sources.get("in_lane_tolerance_m")) if sure else Level.CANNOT_TELL,
+            level=_certain_level(rules.sources.get("in_lane_tolerance_m")) if sure else Level.CANNOT_TELL,
             norm=rules.sources.get("in_lane_tolerance_m", NO_NORM_IN_LANE),
             text=f"a cone stands {away:.2f} m from its row towards traffic{doubt}",
             value=away,

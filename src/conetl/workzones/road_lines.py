@@ -109,7 +109,9 @@ def _lengthened(line_m: Floats, cones_m: Floats, passes: Sequence[DrivePath], pa
         if covered.all():
             break
         both = (_joined(start, one.xy_m) for one in passes for start in (line_m, line_m[::-1]))
-        longer = next((line for line in both if line is not None and _gains(line, cones_m, covered, params)), None)
+        longer = next(
+            (line for line in both if line is not None and _covers_more(line, cones_m, covered, params)), None
+        )
         if longer is None:
             break
         # A line extended at its start was reversed for that.
@@ -117,7 +119,7 @@ def _lengthened(line_m: Floats, cones_m: Floats, passes: Sequence[DrivePath], pa
     return line_m
 
 
-def _gains(line_m: Floats, cones_m: Floats, covered: Bools, params: WorkZoneParams) -> bool:
+def _covers_more(line_m: Floats, cones_m: Floats, covered: Bools, params: WorkZoneParams) -> bool:
     """Whether a line covers more cones than those given, and all of these."""
     own = _covered(line_m, *project(line_m, cones_m), params)
     return bool((own & ~covered).any() and not (covered & ~own).any())
@@ -167,14 +169,14 @@ def lane_bands(
     near = [
         line.xy_m for line in lines if (line.xy_m.max(axis=0) >= low).all() and (line.xy_m.min(axis=0) <= high).all()
     ]
-    bands = _joined_bands([piece for line_m in near for piece in _along(axis_m, line_m, at, reach_m)])
+    bands = _joined_bands([piece for line_m in near for piece in _offsets_along(axis_m, line_m, at, reach_m)])
     if not bands:
         return None
     order = np.argsort([float(np.nanmedian(band)) for band in bands], kind="stable")
     return LaneBands(at, np.stack([bands[k] for k in order], axis=1))
 
 
-def _along(axis_m: Floats, line_m: Floats, at: Floats, reach_m: float) -> list[Floats]:
+def _offsets_along(axis_m: Floats, line_m: Floats, at: Floats, reach_m: float) -> list[Floats]:
     """Offsets of one line by station, one array per stretch along the axis."""
     points = resampled(line_m, _STEP_M)
     s, o = project(axis_m, points)

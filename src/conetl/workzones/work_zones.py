@@ -56,7 +56,7 @@ def zones_over_time(
     return sorted(zones, key=lambda zone: (zone.start_ns, str(zone.zone_id)))
 
 
-def chain(stations_m: Floats, params: WorkZoneParams) -> list[Ints]:
+def chain_stations(stations_m: Floats, params: WorkZoneParams) -> list[Ints]:
     """Ints of cones (C,) along one road in successive groups, each sorted by station.
 
     A gap separates if it exceeds `link_factor` times the spacing beside it.
@@ -77,9 +77,9 @@ def clusters(features: Sequence[MapFeature], passes: Sequence[DrivePath], params
     places = np.array([feature.xyz_m[:2] for feature in features])
     found = []
     for axis in axes_of(places, passes, params):
-        for group in chain(axis.stations_m, params):
+        for group in chain_stations(axis.stations_m, params):
             for one in _both_sides(group, axis.offsets_m) if axis.source == "drives" else [group]:
-                parts = chain(axis.stations_m[one], params) if len(one) < len(group) else [np.arange(len(one))]
+                parts = chain_stations(axis.stations_m[one], params) if len(one) < len(group) else [np.arange(len(one))]
                 found += [{features[int(axis.members[one[k]])].feature_id for k in part} for part in parts]
     return found
 
@@ -152,7 +152,7 @@ def _zones_of_neighbourhood(
                 del shown[key]
         standing = {key: version.feature for key, version in shown.items()}
         found = clusters(list(standing.values()), [p for p in passes if p.captured_from_ns <= instant_ns], params)
-        assigned = _continue(live, found, standing, params)
+        assigned = _assign_chains(live, found, standing, params)
         live, over = _end(live, standing, gone, instant_ns)
         ended += over
         for number, cluster in enumerate(found):
@@ -167,7 +167,7 @@ def _zones_of_neighbourhood(
     return [*ended, *(one.zone for one in live)]
 
 
-def _continue(
+def _assign_chains(
     live: Sequence[_Live], found: Sequence[set[UUID]], standing: dict[UUID, MapFeature], params: WorkZoneParams
 ) -> set[int]:
     """Assign the current chains to the live zones (sets their members); returns the numbers of the assigned chains.

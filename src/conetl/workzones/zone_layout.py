@@ -50,7 +50,7 @@ def layout_of(
     reference = _lane_axis(line, cones_m, lanes) if lanes else None
     if reference is not None:
         line, source = reference, "lanes"
-    return _along(line, source, known, zone.cones, passes, lanes, params)
+    return _layout_along(line, source, known, zone.cones, passes, lanes, params)
 
 
 def describe(history: ZoneHistory, layout: ZoneLayout, params: WorkZoneParams) -> WorkZone:
@@ -76,7 +76,7 @@ def describe(history: ZoneHistory, layout: ZoneLayout, params: WorkZoneParams) -
     )
 
 
-def _along(
+def _layout_along(
     line: Floats,
     source: AxisSource,
     known: bool,
@@ -147,7 +147,7 @@ def _direction(
             continue
         beside = [float(np.median(project(one.xy_m, cones_m)[1])) for one in those]
         kerb = sum(value * kerb_sign > 0 for value in beside) * 2 > len(beside)
-        layout = _along(line[::heading], "drives", True, cones, those, (), params)
+        layout = _layout_along(line[::heading], "drives", True, cones, those, (), params)
         tapers = layout.rows[0].tapers if layout.rows else ()
         scores[heading] = (kerb, bool(tapers) and tapers[0].converging, -min(abs(value) for value in beside))
     return max(scores, key=lambda heading: (scores[heading], heading))

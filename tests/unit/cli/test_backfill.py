@@ -13,7 +13,7 @@ import pytest
 from conetl.cli.backfill import _print_plan, _print_summary
 from conetl.model.errors import ConetlError, MapMismatchError, ServiceError
 from conetl.pipeline.backfill_plan import Analysis, Plan, PlanLine
-from conetl.pipeline.ingest import failed, new_receipt
+from conetl.pipeline.ingest import failed_receipt, new_receipt
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader, read_header
 from flows.backfill import Standing
@@ -31,7 +31,7 @@ def test_a_retry_is_advised_only_where_it_can_help(
 ) -> None:
     begun = new_receipt(read_header(tmp_path), Settings(), "0" * 64, uuid4(), None)
     plan: Any = SimpleNamespace(map_name="default")
-    _print_summary(Standing(plan, 1, "here", 0.0, [], [failed(begun, error) for error in errors]))
+    _print_summary(Standing(plan, 1, "here", 0.0, [], [failed_receipt(begun, error) for error in errors]))
     said = capsys.readouterr().out
     assert ("to retry" in said, "fail again" in said) == (retry, correct)
 

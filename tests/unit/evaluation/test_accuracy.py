@@ -10,8 +10,8 @@ import pytest
 from conetl.evaluation.accuracy import (
     PointErrors,
     by_range,
+    conditional_errors,
     drive_consistency,
-    given_others,
     members_of,
     position_errors,
     select,
@@ -21,7 +21,7 @@ from conetl.evaluation.accuracy import (
 from conetl.evaluation.nees_table import parts_of
 from conetl.evaluation.truth import TruthCone, TruthLine, compare_with_truth
 from conetl.geometry.calibration.covariance import calibration_jacobian
-from conetl.geometry.consistency import left_out_nees
+from conetl.geometry.consistency import leave_one_out_nees
 from conetl.model.drive import Position, Track
 from conetl.tracking.association import MotionError
 from tests import records
@@ -152,13 +152,13 @@ def test_a_class_is_judged_given_what_the_others_show_of_the_common_errors() -> 
         "nij,dj->dni", common, rng.standard_normal((200, 6)) * np.sqrt(np.diag(cov))
     )
     for chosen, of_class in ((few, 3), (~few, 0)):
-        nees = drive_consistency(*(given_others(errors(one), chosen) for one in drawn))
+        nees = drive_consistency(*(conditional_errors(errors(one), chosen) for one in drawn))
         assert nees is not None
         assert (nees.absolute.dof, nees.common.dof) == (200 * 3 * chosen.sum(), 200 * of_class)
         assert nees.absolute.holds() and nees.relative.holds()
-    off = given_others(errors(drawn[0] + (0.3, 0.0, 0.0)), few)
-    np.testing.assert_allclose(off.difference_m, given_others(errors(drawn[0]), few).difference_m, atol=0.02)
-    alone = given_others(errors(drawn[0]), np.ones(count, dtype=bool))
+    off = conditional_errors(errors(drawn[0] + (0.3, 0.0, 0.0)), few)
+    np.testing.assert_allclose(off.difference_m, conditional_errors(errors(drawn[0]), few).difference_m, atol=0.02)
+    alone = conditional_errors(errors(drawn[0]), np.ones(count, dtype=bool))
     np.testing.assert_allclose(alone.difference_m, drawn[0], err_msg="without others nothing is known")
     np.testing.assert_allclose(alone.own_cov_m2, 1e-4 * np.eye(3 * count), atol=1e-9)
 
@@ -171,5 +171,5 @@ def test_without_found_cones_there_are_no_figures() -> None:
         assert statistics(errors) is None
         assert drive_consistency(errors) is None
         assert by_range(errors) == []
-        assert left_out_nees(errors.difference_m, errors.joint_cov_m2()).shape == (0,)
+        assert leave_one_out_nees(errors.difference_m, errors.joint_cov_m2()).shape == (0,)
     assert set(parts_of(None).values()) == {None}

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from conetl.evaluation.truth import TruthCone, by_extent, compare_with_truth, read_truth_cones
+from conetl.evaluation.truth import TruthCone, compare_with_truth, read_truth_cones, split_by_extent
 from conetl.model.errors import InputError
 from conetl.model.map_records import MapFeature
 from tests import records
@@ -68,6 +68,6 @@ def test_objects_are_compared_with_the_truth_of_their_class() -> None:
 def test_what_stands_outside_of_a_partial_survey_is_not_judged() -> None:
     truth = [cone("a", 5.0, 3.0), cone("b", 15.0, 3.0)]
     beside, beyond = feature(1, 10.0, 1.5), feature(2, 25.0, 3.0)
-    assert by_extent(truth, [beside, beyond]) == ([beside], [beyond])
-    assert by_extent(truth[:1], [beside, beyond]) == ([], [beside, beyond])
-    assert by_extent(truth, []) == ([], [])
+    assert split_by_extent(truth, [beside, beyond]) == ([beside], [beyond])
+    assert split_by_extent(truth[:1], [beside, beyond]) == ([], [beside, beyond])
+    assert split_by_extent(truth, []) == ([], [])

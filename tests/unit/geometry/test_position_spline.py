@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
-from conetl.geometry.motion.position_spline import PositionSpline, at_times, course_attitude, position_spline
+from conetl.geometry.motion.position_spline import PositionSpline, course_attitude, position_spline, states_at
 
 Floats = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ def test_a_bend_at_1_hz_is_covered_by_the_sigmas() -> None:
     times_s, between_s = np.arange(0.0, 21.0), np.arange(1.0, 19.0, 0.1)
     found = spline(times_s, bend(times_s)[0])
     truth, yaw = bend(between_s)
-    moved = at_times(found, between_s)
+    moved = states_at(found, between_s)
     off = np.abs(moved.positions_m - truth)
     assert (off < 3 * moved.sigma_m).all()
     assert off.max() < 0.1
@@ -52,7 +52,7 @@ def test_the_sigma_grows_between_the_records_and_with_their_distance() -> None:
     for step_s in (0.5, 1.0, 2.0):
         times_s = np.arange(0.0, 20.1, step_s)
         found = spline(times_s, bend(times_s)[0])
-        at_record, between = (at_times(found, [t]).sigma_m[0, 0] for t in (10.0, 10.0 + step_s / 2))
+        at_record, between = (states_at(found, [t]).sigma_m[0, 0] for t in (10.0, 10.0 + step_s / 2))
         assert between > 1.5 * at_record
         middle.append(between)
     assert middle[0] < middle[1] < middle[2]
@@ -98,7 +98,7 @@ def test_positions_that_cannot_be_smoothed_are_refused(times_s: Floats, position
 def test_instants_beyond_the_records_are_refused() -> None:
     found = spline(np.arange(4.0), np.zeros((4, 3)))
     with pytest.raises(ValueError, match="between the first and the last"):
-        at_times(found, [3.5])
+        states_at(found, [3.5])
 
 
 @settings(max_examples=20, deadline=None)
@@ -118,7 +118,7 @@ def test_a_turned_and_shifted_path_turns_and_shifts_the_result(
     between_s = np.linspace(times_s[0], times_s[-1], 20)
     one, other = spline(times_s, path), spline(times_s, path @ turn.T + shift_m)
     np.testing.assert_allclose(
-        at_times(one, between_s).positions_m @ turn.T + shift_m, at_times(other, between_s).positions_m, atol=1e-6
+        states_at(one, between_s).positions_m @ turn.T + shift_m, states_at(other, between_s).positions_m, atol=1e-6
     )
     np.testing.assert_allclose(
         turn @ course_attitude(one, between_s)[0], course_attitude(other, between_s)[0], atol=1e-6

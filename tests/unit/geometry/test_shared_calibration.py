@@ -12,11 +12,11 @@ from conetl.geometry.calibration.covariance import (
     calibration_id,
     calibration_jacobian,
     jacobian_of,
-    pack_all,
+    pack_jacobians,
     shared_cov,
     shared_errors,
     square_root,
-    unpack_all,
+    unpack_jacobians,
     with_covariance,
 )
 from conetl.model.rig import CalibrationCovariance, Rig
@@ -71,7 +71,7 @@ def test_levers_are_the_square_root_of_the_calibrations_part() -> None:
     jacobian = calibration_jacobian(np.array([[2.0, 1.0, 9.0]]), RIG)[0]
     shared_jacobian = jacobian_of(jacobian, RIG)
     assert shared_jacobian is not None and shared_jacobian.calibrations == (calibration_id(RIG),)
-    moved = unpack_all(shared_jacobian.calibrations, [shared_jacobian])[0, 0]
+    moved = unpack_jacobians(shared_jacobian.calibrations, [shared_jacobian])[0, 0]
     assert moved.shape == (3, 4)  # one of the five parameters is exact
     np.testing.assert_allclose(moved @ moved.T, shared_cov(jacobian, RIG), rtol=1e-5, atol=1e-9)
 
@@ -102,7 +102,7 @@ def test_a_calibration_that_is_stated_to_be_exact_has_none_either() -> None:
 def test_levers_are_unpacked_as_they_were_packed(count: int) -> None:
     ids = tuple(sorted(calibration_id(with_covariance(RIG, covariance(0.1 * k))) for k in range(count)))
     moved = np.random.default_rng(0).normal(0, 0.1, (4, count, 3, 5)).astype(np.float32).astype(np.float64)
-    packed = pack_all(ids, moved)
+    packed = pack_jacobians(ids, moved)
     assert (packed == [None] * 4) == (count == 0)
     if count:
-        np.testing.assert_array_equal(unpack_all(ids, packed), moved)
+        np.testing.assert_array_equal(unpack_jacobians(ids, packed), moved)

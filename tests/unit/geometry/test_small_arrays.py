@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.small_arrays import apart, cross_matrix, inverse_of_symmetric, median, stepped
+from conetl.geometry.small_arrays import apply_steps, cross_matrix, inverse_of_symmetric, median, pose_distance
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40))
@@ -31,13 +31,13 @@ def test_steps_turn_before_the_pose_and_move_its_place() -> None:
     poses = np.tile(np.eye(4), (40, 1, 1))
     poses[:, :3, :3] = Rotation.random(40, random_state=5).as_matrix()
     poses[:, :3, 3] = rng.normal(size=(40, 3))
-    for pose, step, found in zip(poses, steps, stepped(poses, steps), strict=True):
+    for pose, step, found in zip(poses, steps, apply_steps(poses, steps), strict=True):
         np.testing.assert_allclose(found[:3, :3], expm(cross_matrix(step[:3])) @ pose[:3, :3], rtol=0, atol=1e-12)
         np.testing.assert_array_equal(found[:3, 3], pose[:3, 3] + step[3:])
-        np.testing.assert_allclose(stepped(pose, step), found, rtol=0, atol=2e-14)
+        np.testing.assert_allclose(apply_steps(pose, step), found, rtol=0, atol=2e-14)
 
 
 def test_how_far_poses_are_apart() -> None:
     step = np.array([0.0, 0.3, 0.0, 3.0, 0.0, 4.0])
-    turn_rad, distance_m = apart(stepped(np.eye(4)[None], step[None]), np.eye(4))
+    turn_rad, distance_m = pose_distance(apply_steps(np.eye(4)[None], step[None]), np.eye(4))
     np.testing.assert_allclose([turn_rad[0], distance_m[0]], [0.3, 5.0])

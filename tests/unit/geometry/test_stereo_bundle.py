@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from conetl.geometry.calibration import tables
-from conetl.geometry.calibration.stereo_bundle import moved, pair_system, parameter_names, residuals_px, shape_basis
+from conetl.geometry.calibration.stereo_bundle import (
+    apply_step,
+    pair_system,
+    parameter_names,
+    residuals_px,
+    shape_basis,
+)
 from conetl.geometry.calibration.stereo_calibration import calibrate_stereo, rig_of
 from conetl.model.rig import LENS_COEFFICIENTS, Lens, LensModel
 from tests.synthetic.calibration_world import board_points, observe, start_near, true_bundle
@@ -35,7 +41,7 @@ def test_jacobians_agree_with_differences(lens: Lens, free: bool) -> None:
     assert by_global.shape[1] == size
 
     def change(step: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        trial = moved(bundle, step, {0: pose})
+        trial = apply_step(bundle, step, {0: pose})
         return np.concatenate([residuals_px(trial, v).ravel() for v in views])
 
     for n in range(size + 6):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.mapping.agreement import _blind, contradiction
+from conetl.mapping.agreement import _check_removals, check_agreement
 from conetl.mapping.changes import reconcile
-from conetl.mapping.deltas import Terms
-from conetl.mapping.displacement import far_displacement, imported_displacement
+from conetl.mapping.deltas import ReconcileContext
+from conetl.mapping.displacement import check_far_positions, check_import
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
 from conetl.model.map_records import DeltaKind, MapFeature
@@ -55,9 +55,9 @@ def finding(
     """What a drive that sees cones at `places` (N, 3) finds against a map with cones at `before`."""
     tracks, known = tracks_at(places, sigma_m, seed), features_at(before, sigma_m)
     unseen = NotObserved(20, START_NS + DAY_NS, -6.0) if in_view else None
-    deltas = reconcile(tracks, known, lambda *_: unseen, Terms(PARAMS, "d"))
-    found = contradiction(tracks, known, deltas, PARAMS)
-    backwards = contradiction(tracks[::-1], known[::-1], deltas[::-1], PARAMS)
+    deltas = reconcile(tracks, known, lambda *_: unseen, ReconcileContext(PARAMS, "d"))
+    found = check_agreement(tracks, known, deltas, PARAMS)
+    backwards = check_agreement(tracks[::-1], known[::-1], deltas[::-1], PARAMS)
     assert found == backwards, "the order matters"
     assert found is None or (found.value is not None and found.limit is not None and abs(found.value) > found.limit)
     return found and found.detail
@@ -183,7 +183,7 @@ def test_the_same_zone_farther_along_the_road_is_told_from_one_like_it() -> None
 def test_a_blind_drive_is_found_on_maps_of_any_size() -> None:
     for removed, confirmed in ((9, 0), (50, 10), (5000, 1000)):
         kinds = Counter({DeltaKind.REMOVED: removed, DeltaKind.CONFIRMED: confirmed})
-        found = _blind(kinds, PARAMS)
+        found = _check_removals(kinds, PARAMS)
         assert found is not None and f"remove {removed} of the {removed + confirmed}" in found.detail
 
 
@@ -192,7 +192,7 @@ def test_a_drive_whose_classes_are_others_is_one_finding(renamed: int, found: bo
     tracks = tracks_at(ZONE)
     tracks = [one.model_copy(update={"category": "drum"}) for one in tracks[:renamed]] + tracks[renamed:]
     for drive in (tracks, tracks[::-1]):
-        check = contradiction(drive, features_at(ZONE), [], PARAMS)
+        check = check_agreement(drive, features_at(ZONE), [], PARAMS)
         said = f"{renamed} have another class, such as drum instead of traffic_cone"
         assert (check is not None and said in check.detail) == found
 
@@ -200,9 +200,9 @@ def test_a_drive_whose_classes_are_others_is_one_finding(renamed: int, found: bo
 def test_a_sign_above_a_cone_is_no_cone_of_a_higher_drive() -> None:
     cones = features_at(ZONE[:1])
     above = tracks_at(ZONE[:1] + np.array([0.0, 0.1, 2.0]))
-    assert "higher" in str(contradiction(above, cones, (), PARAMS))
+    assert "higher" in str(check_agreement(above, cones, (), PARAMS))
     signs = [track.model_copy(update={"category": "work_zone_sign"}) for track in above]
-    assert contradiction(signs, cones, (), PARAMS) is None
+    assert check_agreement(signs, cones, (), PARAMS) is None
 
 
 #: The zone as people set it up, and another one like it.
@@ -212,7 +212,7 @@ SET_UP, LIKE_IT = (ZONE + np.random.default_rng(seed).normal(0, (0.2, 0.1, 0), Z
 def imported(places: Floats, before: Floats, sigma_m: float = 0.03) -> str | None:
     """What an imported map of cones at `places` (N, 3), measured anew, finds against a map with cones at `before`."""
     stated = features_at(places + np.random.default_rng(5).normal(0, 0.01, places.shape), sigma_m)
-    found = imported_displacement(stated, features_at(before), PARAMS)
+    found = check_import(stated, features_at(before), PARAMS)
     return found and found.detail
 
 
@@ -261,7 +261,7 @@ def test_other_cones_of_an_imported_map_are_no_displacement(places: Floats, befo
 )
 def test_the_same_cones_far_away_are_known_by_their_arrangement(places: Floats, says: str | None) -> None:
     measured = places + np.random.default_rng(6).normal(0, 0.01, places.shape)
-    found = far_displacement(tracks_at(measured), features_at(SET_UP), PARAMS)
+    found = check_far_positions(tracks_at(measured), features_at(SET_UP), PARAMS)
     assert (found and found.name) == (says and "the same cones elsewhere")
     assert found is None or str(says) in found.detail
 
@@ -276,6 +276,6 @@ def test_the_same_cones_far_away_are_known_by_their_arrangement(places: Floats, 
     ],
 )
 def test_a_section_in_another_height_system_is_known_by_the_cones_before_it(places: Floats, says: str | None) -> None:
-    found = far_displacement(tracks_at(places), features_at(ZONE), PARAMS)
+    found = check_far_positions(tracks_at(places), features_at(ZONE), PARAMS)
     assert (found and found.name) == (says and "heights of another section")
     assert found is None or str(says) in found.detail

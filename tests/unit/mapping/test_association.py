@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from conetl.mapping.association import Comparison, assign, common_offset, near_pairs, pair
+from conetl.mapping.association import Comparison, assign, common_offset, match_unmoved, near_pairs
 from conetl.mapping.changes import reconcile
-from conetl.mapping.deltas import Terms
+from conetl.mapping.deltas import ReconcileContext
 from conetl.mapping.existence_update import summarize_miss
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
@@ -46,7 +46,7 @@ def test_a_row_is_paired_cone_by_cone_despite_the_drives_offset(seed: int) -> No
     estimated, weight = common_offset(tracks, features, PARAMS)
     assert estimated[:2] == pytest.approx(offset, abs=0.1)
     map_xyz_m = np.array([t.xyz_m for t in tracks]) - weight * estimated
-    pairs = pair(Comparison(tracks, features, map_xyz_m, PARAMS), estimated, weight)
+    pairs = match_unmoved(Comparison(tracks, features, map_xyz_m, PARAMS), estimated, weight)
     assert {j: tracks[i].track_index for j, i in pairs.items()} == {i: i for i in observed}
 
 
@@ -68,7 +68,7 @@ def test_many_cones_are_compared_without_a_full_matrix() -> None:
     offset, weight = common_offset(tracks, features, PARAMS)
     assert offset[:2] == pytest.approx((0.4, -0.3), abs=1e-6)
     map_xyz_m = np.array([t.xyz_m for t in tracks]) - weight * offset
-    pairs = pair(Comparison(tracks, features, map_xyz_m, PARAMS), offset, weight)
+    pairs = match_unmoved(Comparison(tracks, features, map_xyz_m, PARAMS), offset, weight)
     assert pairs == {i: i for i in range(len(positions))}
 
 
@@ -131,7 +131,7 @@ def test_misses_of_several_drives_remove_from_the_first_miss_on() -> None:
             return NotObserved(8, at_ns, -0.9)
 
         summaries = {cone.feature_id: summary} if summary else {}
-        (delta,) = reconcile([], [cone], check_visibility, Terms(PARAMS, "d", summaries=summaries))
+        (delta,) = reconcile([], [cone], check_visibility, ReconcileContext(PARAMS, "d", summaries=summaries))
         assert delta.evidence is not None
         if delta.kind is DeltaKind.REMOVED:
             break

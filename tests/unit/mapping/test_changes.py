@@ -10,8 +10,8 @@ import pytest
 from conetl.geometry.packing import cov_matrix
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import reconcile
-from conetl.mapping.deltas import Terms, confirmed
-from conetl.mapping.existence_update import observed
+from conetl.mapping.deltas import ReconcileContext, confirm_features
+from conetl.mapping.existence_update import sighting_evidence
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
@@ -48,7 +48,7 @@ def changes(
     def check(unseen: MapFeature, _offset: object, _others: object) -> NotObserved | None:
         return None if unseen.feature_id.int in hidden else NotObserved(frames_empty, START_NS + DAY_NS, ratio)
 
-    deltas = reconcile(tracks, features, check, Terms(PARAMS, "d"))
+    deltas = reconcile(tracks, features, check, ReconcileContext(PARAMS, "d"))
     return {kind: [d for d in deltas if d.kind == kind] for kind in DeltaKind}
 
 
@@ -136,8 +136,8 @@ def absent(_feature: MapFeature, _offset: object, _others: object) -> NotObserve
 def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
     features = [feature(0, *ROW[0]), feature(1, *ROW[1])]
     tracks = [track(0, ROW[1][0], ROW[1][1] + 1.5)]
-    free = reconcile(tracks, features, absent, Terms(PARAMS, "d"))
-    pinned = reconcile(tracks, features, absent, Terms(PARAMS, "d", pinned={UUID(int=0), UUID(int=1)}))
+    free = reconcile(tracks, features, absent, ReconcileContext(PARAMS, "d"))
+    pinned = reconcile(tracks, features, absent, ReconcileContext(PARAMS, "d", pinned={UUID(int=0), UUID(int=1)}))
     assert {d.kind for d in free} == {DeltaKind.REMOVED, DeltaKind.MOVED}
     assert {d.kind for d in pinned} == {DeltaKind.ADDED, DeltaKind.MISSED}
 
@@ -145,8 +145,8 @@ def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
 def test_the_order_of_tracks_and_features_does_not_matter() -> None:
     features = [feature(i, *at) for i, at in enumerate(ROW)]
     tracks = [track(i, x + 0.05, y) for i, (x, y) in enumerate(ROW[1:])]
-    one = reconcile(tracks, features, absent, Terms(PARAMS, "d"))
-    assert one == reconcile(tracks[::-1], features[::-1], absent, Terms(PARAMS, "d"))
+    one = reconcile(tracks, features, absent, ReconcileContext(PARAMS, "d"))
+    assert one == reconcile(tracks[::-1], features[::-1], absent, ReconcileContext(PARAMS, "d"))
 
 
 def test_a_moved_cone_that_was_founded_again_is_merged() -> None:
@@ -194,9 +194,9 @@ def test_an_uncertain_track_beside_a_far_cone_founds_no_feature(along_sigma_m: f
 def test_covariances_that_cannot_be_fused_are_refused() -> None:
     broken = feature(0, *ROW[0]).model_copy(update={"cov_m2": (float("inf"), 0.0, 0.0, 1.0, 0.0, 1.0)})
     with pytest.raises(ValueError, match="cannot be fused"):
-        confirmed(
+        confirm_features(
             {0: 0},
             [broken],
             [track(0, *ROW[0])],
-            {0: observed(broken, None, track(0, *ROW[0]))},
+            {0: sighting_evidence(broken, None, track(0, *ROW[0]))},
         )

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration.covariance import pack_all, unpack_all
+from conetl.geometry.calibration.covariance import pack_jacobians, unpack_jacobians
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.mapping.fusion import MOST_CALIBRATIONS, fuse, tracks_in_map_frame
 from conetl.model.base import Cov3, SharedErrorJacobian
@@ -35,7 +35,7 @@ def spd(rng: np.random.Generator, size_m: float) -> Floats:
 
 def shared_jacobian(moved_m: dict[UUID, Floats]) -> SharedErrorJacobian | None:
     ids = tuple(sorted(moved_m))
-    return pack_all(ids, np.stack([moved_m[one] for one in ids])[None])[0] if ids else None
+    return pack_jacobians(ids, np.stack([moved_m[one] for one in ids])[None])[0] if ids else None
 
 
 def estimate(own: Floats, moved_m: dict[UUID, Floats]) -> Estimate:
@@ -51,7 +51,7 @@ def by_formula(old: Estimate, new: Estimate) -> tuple[Floats, Floats]:
     """Gain and covariance by the formulas of Bar-Shalom & Campo, calibration by calibration."""
     p1, p2 = cov_matrix(old[0]), cov_matrix(new[0])
     a, b = (
-        dict(zip(s[1].calibrations, unpack_all(s[1].calibrations, [s[1]])[0], strict=True)) if s[1] else {}
+        dict(zip(s[1].calibrations, unpack_jacobians(s[1].calibrations, [s[1]])[0], strict=True)) if s[1] else {}
         for s in (old, new)
     )
     c = np.zeros((3, 3))
@@ -92,7 +92,7 @@ def test_weights_and_covariances_are_those_of_the_formula(pair: tuple[Estimate, 
     for one in pair:
         assert np.linalg.eigvalsh(cov_matrix(one[0]) - cov).min() > -1e-6 * float(np.trace(cov_matrix(one[0])))
     if kept is not None:
-        moved = unpack_all(kept.calibrations, [kept])[0]
+        moved = unpack_jacobians(kept.calibrations, [kept])[0]
         assert np.linalg.eigvalsh(cov - sum(a @ a.T for a in moved)).min() > -1e-7 * scale
 
 
@@ -103,7 +103,7 @@ def test_jacobians_of_opposite_sides_cancel_and_independent_parts_average() -> N
         estimate(own, {CALIBRATIONS[0]: rounded(a)}), estimate(own, {CALIBRATIONS[0]: rounded(-a)})
     )
     assert kept is not None
-    np.testing.assert_allclose(unpack_all(kept.calibrations, [kept])[0, 0], 0, atol=1e-7)
+    np.testing.assert_allclose(unpack_jacobians(kept.calibrations, [kept])[0, 0], 0, atol=1e-7)
     np.testing.assert_allclose(cov, own / 2, rtol=1e-6, atol=1e-12)
 
 
@@ -168,7 +168,7 @@ def on_map(number: int, own: SharedErrorJacobian | None = None) -> MapFeature:
 
 
 def shared_part(own: SharedErrorJacobian | None) -> Floats:
-    moved = unpack_all(own.calibrations, [own])[0] if own else np.zeros((1, 3, 1))
+    moved = unpack_jacobians(own.calibrations, [own])[0] if own else np.zeros((1, 3, 1))
     return np.asarray(sum(a @ a.T for a in moved))
 
 
@@ -199,7 +199,7 @@ def test_jacobians_are_those_of_the_drive_less_those_of_its_difference_from_the_
     features = [on_map(0, eastwards(one=[-0.1], other=[0.04])), on_map(1, eastwards(one=[-0.1]))]
     moved_to_map = tracks_in_map_frame([2], tracks, features, {0: 0, 1: 1}, weight=0.5)[2]
     assert moved_to_map.shared_jacobian is not None and moved_to_map.shared_jacobian.calibrations == (ONE, OTHER)
-    moved = unpack_all((ONE, OTHER), [moved_to_map.shared_jacobian])[0]
+    moved = unpack_jacobians((ONE, OTHER), [moved_to_map.shared_jacobian])[0]
     np.testing.assert_allclose(moved[:, 0], [[0.2 - 0.5 * 0.2, 0.02 - 0.5 * 0.02], [0.5 * 0.02, 0.0]], rtol=1e-6)
     own = cov_matrix(moved_to_map.cov_m2) - sum(a @ a.T for a in moved)
     wanted = RELATIVE_M2 + 0.25 * DRIVE_M2 + 0.25 * MAP_M2

@@ -6,7 +6,7 @@ from uuid import UUID
 
 import pytest
 
-from conetl.mapping.deltas import Terms
+from conetl.mapping.deltas import ReconcileContext
 from conetl.mapping.existence_update import MAX_LOG_ODDS, log_odds, probability
 from conetl.mapping.imported_maps import reconcile_imported
 from conetl.model.map_records import DeltaKind, ImportedFeature, MapFeature, MissSummary
@@ -25,7 +25,9 @@ def cone(number: int, x_m: float, *, height_m: float = 0.5, exists: float = 0.9)
 
 def deltas_of(imported, present, **options):
     statements = [ImportedFeature(feature=feature, valid_from_ns=5) for feature in imported]
-    return {d.kind: d for d in reconcile_imported(statements, present, Terms(PARAMS, "k", **options), at_ns=9)}
+    return {
+        d.kind: d for d in reconcile_imported(statements, present, ReconcileContext(PARAMS, "k", **options), at_ns=9)
+    }
 
 
 def test_an_import_adds_to_the_probability_after_misses():

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from conetl.geometry.packing import cov_matrix
 from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
 from conetl.mapping.marking_deltas import STRETCH_M
-from conetl.mapping.visibility import MarkingView, not_in_view
+from conetl.mapping.visibility import MarkingView, empty_view
 from conetl.model.map_records import Decisions, Delta, Location, MapFeature
 from conetl.model.markings import MarkingTrack
 from tests.synthetic.painted_road import Paint, painted_drive
@@ -115,7 +115,7 @@ def test_drives_that_show_no_line_at_all_remove_nothing_before_a_person_looks() 
     assert not standing(replay_drives(drives, Decisions(accepted=frozenset(holds))))
     glimpse = replace(drives[1], check_view=lambda v, seen=drives[1].check_view: few_frames(seen(v)))
     assert kinds_of(replay_drives([drives[0], glimpse]), glimpse) == {}
-    blind = replace(drives[1], check_view=not_in_view)
+    blind = replace(drives[1], check_view=empty_view)
     assert kinds_of(replay_drives([drives[0], blind]), blind) == {}, "a drive that did not search says nothing"
 
 

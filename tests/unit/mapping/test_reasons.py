@@ -6,7 +6,7 @@ from uuid import UUID
 
 import pytest
 
-from conetl.mapping.reasons import ChangeFacts, probability_text, why
+from conetl.mapping.reasons import ChangeFacts, explain_change, probability_text
 from conetl.model.map_records import DeltaKind
 
 OTHER = UUID("0123abcd-0000-0000-0000-000000000000")
@@ -41,7 +41,7 @@ SEEN_TEXT = "drive x observed it in 12 frame pairs at 6–30 m"
     ],
 )  # fmt: skip
 def test_a_sentence_with_numbers_for_each_kind(kind, existence, facts, sentence):
-    assert why(ChangeFacts(DeltaKind(kind), "x", existence, **facts)) == sentence
+    assert explain_change(ChangeFacts(DeltaKind(kind), "x", existence, **facts)) == sentence
 
 
 @pytest.mark.parametrize(
@@ -54,4 +54,4 @@ def test_a_probability_never_reads_as_certain(value, text):
 
 def test_every_kind_has_a_sentence_without_any_number_stored():
     for kind in DeltaKind:
-        assert why(ChangeFacts(kind, "x", 0.5)).endswith(".")
+        assert explain_change(ChangeFacts(kind, "x", 0.5)).endswith(".")

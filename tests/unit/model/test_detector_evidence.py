@@ -17,8 +17,8 @@ from conetl.model.detector_evidence import (
     absence_log_ratio,
     box_log_ratio,
     calibrated_probability,
+    class_evidence,
     detect_probability,
-    evidence_of,
     evidence_sha256,
     false_boxes_per_image,
     joint_log_ratio,
@@ -155,8 +155,8 @@ def test_the_hash_depends_on_all_figures_and_is_that_of_older_files() -> None:
 
 def test_counted_false_boxes_of_a_class_change_its_prior_odds_alone() -> None:
     counted = UNMEASURED.model_copy(update={"false_boxes_by_class": {"drum": 0.03}})
-    assert evidence_of(counted, "traffic_cone") is counted
-    drum, sign = evidence_of(counted, "drum"), evidence_of(counted, "traffic_sign")
+    assert class_evidence(counted, "traffic_cone") is counted
+    drum, sign = class_evidence(counted, "drum"), class_evidence(counted, "traffic_sign")
     assert false_boxes_per_image(drum, 22.0, 0.3) == pytest.approx(0.03)
-    assert sign == evidence_of(UNMEASURED, "drum") and false_boxes_per_image(sign, 22.0, 0.3) == pytest.approx(0.3)
+    assert sign == class_evidence(UNMEASURED, "drum") and false_boxes_per_image(sign, 22.0, 0.3) == pytest.approx(0.3)
     assert box_log_ratio(drum, 0.7, 30.0, 0.0, 0.02) == box_log_ratio(sign, 0.7, 30.0, 0.0, 0.02)

@@ -36,7 +36,7 @@ def caused(error: Exception, cause: Exception) -> Exception:
     ids=lambda error: f"{type(error).__name__} {error}"[:40],
 )
 def test_temporary_errors_may_pass(error: Exception) -> None:
-    assert errors.may_pass(error)
+    assert errors.is_retryable(error)
 
 
 @pytest.mark.parametrize(
@@ -51,4 +51,4 @@ def test_temporary_errors_may_pass(error: Exception) -> None:
     ids=lambda error: f"{type(error).__name__} {error}"[:40],
 )
 def test_errors_of_the_drive_stay(error: errors.ConetlError) -> None:
-    assert not errors.may_pass(error)
+    assert not errors.is_retryable(error)

@@ -170,8 +170,8 @@ def test_a_part_of_a_better_and_larger_box_is_dropped() -> None:
     large = np.array([[0.0, 0.0, 100.0, 200.0, 0.8]])
     inside, beside = [10.0, 50.0, 90.0, 110.0, 0.5], [90.0, 50.0, 170.0, 110.0, 0.5]
     better = [*inside[:4], 0.9]
-    np.testing.assert_array_equal(decoding.without_parts(np.array([inside, better, beside]), large), [better, beside])
-    assert len(decoding.without_parts(np.zeros((0, 5)), large)) == 0
+    np.testing.assert_array_equal(decoding.suppress_parts(np.array([inside, better, beside]), large), [better, beside])
+    assert len(decoding.suppress_parts(np.zeros((0, 5)), large)) == 0
 
 
 #: Of the overlaps that suppression computes.

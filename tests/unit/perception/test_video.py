@@ -93,7 +93,7 @@ def test_frames_that_are_read_in_order_are_decoded_once(video: Path, decoded: li
         read_frame(FrameRef(video, pts))
     assert decoded == list(index.pts)
     for pts in index.pts[40:]:  # of another reader, from the next key frame on
-        video_frames._decoders._begin()
+        video_frames._decoders._reset()
         decoded.clear()
         read_frame(FrameRef(video, pts))
         assert len(decoded) <= 24

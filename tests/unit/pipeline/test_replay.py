@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import gc
 
-from conetl.pipeline.replay import no_cycle_search
+from conetl.pipeline.replay import gc_paused
 
 
 def test_what_was_made_meanwhile_is_not_searched_right_afterwards():
     assert gc.isenabled()
-    with no_cycle_search():
+    with gc_paused():
         assert not gc.isenabled()
         made = [[number] for number in range(10_000)]
     assert gc.isenabled()

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.model.drive import FramePair
 from conetl.model.rig import Rig
-from conetl.pipeline.same_recording import has_the_same_log, is_redated, is_same_camera
+from conetl.pipeline.same_recording import has_same_log, is_redated, is_same_camera
 from tests.synthetic.world import drive_of, make_path, make_rig, shifted
 
 RIG = make_rig()
@@ -96,7 +96,7 @@ def test_time_stamps_of_another_zone_are_those_of_the_same_recording(pairs: list
 )
 def test_the_log_of_a_recording_is_known_whatever_its_clock(pairs: list[FramePair], same: bool) -> None:
     drive = DRIVE if len({pair.pose for pair in pairs}) > 1 else DRIVE.model_copy(update={"frame_pairs": tuple(pairs)})
-    assert has_the_same_log(drive, RIG, [later(pair, 3600.0) for pair in pairs]) is same
+    assert has_same_log(drive, RIG, [later(pair, 3600.0) for pair in pairs]) is same
 
 
 @pytest.mark.parametrize(("frames", "step_m", "same"), [(20, 1.0, False), (40, 1.02, False), (40, 1.0, True)])
@@ -104,9 +104,9 @@ def test_two_drives_in_one_lane_at_about_one_speed_are_not_one(frames: int, step
     """Of a GNSS without a fix (0.3 m), whose cameras have a regular trigger; the last is a recording itself."""
     drive = DRIVE.model_copy(update={"frame_pairs": tuple(make_path(frames, sigma_m=0.3))})
     other = [shifted(pair, (-0.4, 0.2, 0.0)) for pair in make_path(frames, step_m, sigma_m=0.3)]
-    assert has_the_same_log(drive, RIG, [later(pair, 3600.0) for pair in other]) is same
+    assert has_same_log(drive, RIG, [later(pair, 3600.0) for pair in other]) is same
 
 
 def test_a_few_frames_are_not_known_by_their_log() -> None:
     few = DRIVE.model_copy(update={"frame_pairs": PAIRS[:5]})
-    assert not has_the_same_log(few, RIG, [later(pair, 3600.0) for pair in PAIRS])
+    assert not has_same_log(few, RIG, [later(pair, 3600.0) for pair in PAIRS])

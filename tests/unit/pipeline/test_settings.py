@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from conetl.model.errors import InputError
 from conetl.model.map_records import MAP_NAME
-from conetl.pipeline.settings import Settings, checked_map_name, ignored_variables, read_settings
+from conetl.pipeline.settings import Settings, ignored_variables, read_settings, validated_map_name
 from tests.command import ROOT, conetl
 
 
@@ -31,8 +31,8 @@ def test_a_variable_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch
 @given(st.text(max_size=60).filter(lambda name: not MAP_NAME.fullmatch(name)))
 def test_a_refused_map_name_comes_with_one_that_is_accepted(name: str) -> None:
     with pytest.raises(InputError) as refused:
-        checked_map_name(name)
-    checked_map_name(str(refused.value).rpartition("for example ")[2])
+        validated_map_name(name)
+    validated_map_name(str(refused.value).rpartition("for example ")[2])
 
 
 def test_variables_that_nothing_reads_are_named() -> None:

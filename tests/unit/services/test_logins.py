@@ -113,7 +113,7 @@ def test_only_its_owner_reads_a_secret(tmp_path: Path) -> None:
         homes.read_secret(tmp_path / "none")
     for short in ("short", "with a space in it all", "ümlaut-ümlaut-ümlaut", ""):
         with pytest.raises(InputError, match="at least 16") as refused:
-            homes.checked_secret(SecretStr(short), "CONETL_WRITER_TOKEN")
+            homes.validated_secret(SecretStr(short), "CONETL_WRITER_TOKEN")
         assert not short or short not in str(refused.value)
 
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import calibration_cov, calibration_id, shared_errors
 from conetl.geometry.camera import project
-from conetl.geometry.linear_reference import evenly_spread
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.rectification import raw_from_rectified
 from conetl.geometry.rig import infinity_shift_px, left_SE3_right
 from conetl.model.params import TrajectoryParams
@@ -213,11 +213,11 @@ def test_infinity_is_where_a_turned_camera_projects_it() -> None:
 def test_a_long_drive_is_represented_by_spans_from_all_of_it() -> None:
     spans = list(choose_spans(moves(*[2.0] * 1000), 2.0))
     assert len(spans) == 1000
-    chosen = evenly_spread(spans, 120)
+    chosen = evenly_spaced(spans, 120)
     assert (len(chosen), chosen[0], chosen[-1]) == (120, spans[0], spans[-1])
     steps = np.diff([span.first for span in chosen])
     assert set(steps) == {8, 9}
-    assert evenly_spread(spans[:120], 120) == spans[:120]
+    assert evenly_spaced(spans[:120], 120) == spans[:120]
 
 
 def test_spans_are_consecutive() -> None:

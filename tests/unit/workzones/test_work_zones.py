@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from conetl.model.map_records import FeatureVersion
 from conetl.model.params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath
-from conetl.workzones.work_zones import chain, zones_over_time
+from conetl.workzones.work_zones import chain_stations, zones_over_time
 from conetl.workzones.zone_layout import describe, layout_of
 from tests.synthetic.tapers import ORIGIN_M, cone
 
@@ -81,17 +81,17 @@ def test_two_zones_on_one_road_stay_apart_and_a_missing_cone_does_not_split_one(
 
 def test_a_tangent_belongs_to_its_taper():
     gaps = np.array([10.0] * 6 + [20.0] * 5)
-    assert len(chain(np.concatenate([[0.0], np.cumsum(gaps)]), PARAMS)) == 1
+    assert len(chain_stations(np.concatenate([[0.0], np.cumsum(gaps)]), PARAMS)) == 1
     # The last cone of the taper missing: four times its spacing, but not much for the tangent.
-    assert len(chain(np.delete(np.concatenate([[0.0], np.cumsum(gaps)]), 6), PARAMS)) == 1
-    assert len(chain(np.array([0.0, 10, 20, 30, 70, 80, 90]), PARAMS)) == 2
+    assert len(chain_stations(np.delete(np.concatenate([[0.0], np.cumsum(gaps)]), 6), PARAMS)) == 1
+    assert len(chain_stations(np.array([0.0, 10, 20, 30, 70, 80, 90]), PARAMS)) == 2
 
 
 @given(shift=st.floats(-1e4, 1e4), gaps=st.lists(st.floats(1, 60), min_size=1, max_size=20))
 def test_chains_do_not_depend_on_where_counting_begins_or_in_which_direction(shift, gaps):
     s = np.round(np.concatenate([[0.0], np.cumsum(np.round(gaps, 1))]), 1)
-    groups = [set(group.tolist()) for group in chain(s, PARAMS)]
-    other = [set(group.tolist()) for group in chain(np.round(-s, 1), PARAMS)]
+    groups = [set(group.tolist()) for group in chain_stations(s, PARAMS)]
+    other = [set(group.tolist()) for group in chain_stations(np.round(-s, 1), PARAMS)]
     assert other == groups[::-1]
     assert sorted(k for group in groups for k in group) == list(range(len(s)))
 

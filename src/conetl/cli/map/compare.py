@@ -47,7 +47,7 @@ def diff(
     with open_map(map_name) as (conn, info):
         old, new = state_of(conn, info.map_name, before), state_of(conn, info.map_name, after)
         changes = map_diff.diff(old, new)
-        points = [change for change in changes if not change.is_of_line]
+        points = [change for change in changes if not change.is_line]
         origins = {} if output is None else _origins(conn, points, instants_of(conn, info.map_name, after))
     if output is not None:
         export_diff_geojson(points, output, srid=info.srid, origins=origins)
@@ -63,7 +63,7 @@ def diff(
     if as_json:
         ui.print_json(changes)
         return
-    lines = [change for change in changes if change.is_of_line]
+    lines = [change for change in changes if change.is_line]
     ui.say(_counts(points) or ("No differences." if not lines else "No differences of cones."))
     if lines:
         ui.say(f"Stretches of lane markings: {_counts(lines)}")

@@ -19,7 +19,7 @@ from conetl.db.retention import parse_age
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.qgis_project import write_qgis_project
-from conetl.exports.source import ExportRequest, What
+from conetl.exports.source import ExportContent, ExportRequest
 from conetl.files.documents import first_message
 from conetl.geometry.geodesy import check_map_srid, map_crs
 from conetl.model.errors import InputError
@@ -40,8 +40,8 @@ def export(
         str | None, typer.Option("--format", help=f"One of {', '.join(ALL_FORMATS)}; default: by the file name.")
     ] = None,
     what: Annotated[
-        What, typer.Option(help="Current features, all versions, or the changes between two times.")
-    ] = What.FEATURES,
+        ExportContent, typer.Option(help="Current features, all versions, or the changes between two times.")
+    ] = ExportContent.FEATURES,
     as_of: Annotated[
         str | None, typer.Option(help="State of the road at this time, e.g. 2026-03-02T10:00+01:00; default: latest.")
     ] = None,
@@ -78,7 +78,7 @@ def export(
     file_format = _format_by_name(output) if file_format is None else file_format
     category = None if category == "all" else category
     if file_format in (WZDX, WZDX_DEVICES):
-        if what is not What.FEATURES or believed_at or since or until or crs or category:
+        if what is not ExportContent.FEATURES or believed_at or since or until or crs or category:
             raise InputError(
                 f"--what, --believed-at, --from, --to, --crs and --category cannot be used with --format {file_format}"
             )
@@ -106,13 +106,13 @@ def export(
     rows, lines = manifest["rows"], manifest.get("lane_markings")
     count_of_lines = 0 if lines is None else lines["rows"]
     first = {name: count for name, count in manifest["rows_by_class"].items() if lines is None or name != LANE_MARKING}
-    if what is What.FEATURES:
+    if what is ExportContent.FEATURES:
         text, of_lines = (
             counted_by_class(first or {category or CONE: 0}),
             counted_by_class({LANE_MARKING: count_of_lines}),
         )
     else:
-        noun = "version" if what is What.HISTORY else "change"
+        noun = "version" if what is ExportContent.HISTORY else "change"
         text, of_lines = counted(sum(first.values()), noun), f"{counted(count_of_lines, noun)} of lane markings"
     text += f" -> {output}"
     if lines is not None:

@@ -14,15 +14,15 @@ from conetl.cli.database import open_map, require_maps
 from conetl.db.connection import transaction
 from conetl.db.map.archive import delete_map, list_maps, rename_map, restore_map
 from conetl.db.map.map_store import find_map, insert_map
-from conetl.geometry.geodesy import map_crs, system_name
+from conetl.geometry.geodesy import height_system_name, map_crs
 from conetl.model.errors import InputError
 from conetl.pipeline.database import open_maps
-from conetl.pipeline.settings import checked_map_name, read_settings
+from conetl.pipeline.settings import read_settings, validated_map_name
 
 _MAPS: Columns = {
     "map": "map_name",
     "CRS": lambda m: f"EPSG:{m['srid']}",
-    "heights": lambda m: system_name(m["vertical_srid"]),
+    "heights": lambda m: height_system_name(m["vertical_srid"]),
     "features": "feature_count",
     "changesets": "changeset_count",
     "base layers": "layer_count",
@@ -65,7 +65,9 @@ def create(
             raise InputError(f"a map named {name} already exists: choose another name (`conetl map list` lists all)")
         insert_map(conn, name, srid, vertical_srid=vertical_srid)
     facts = {"map": name, "srid": srid, "vertical_srid": vertical_srid}
-    text = f"Map {name}: EPSG:{srid}, heights {system_name(vertical_srid)}. Next: conetl ingest --map {name} DRIVE"
+    text = (
+        f"Map {name}: EPSG:{srid}, heights {height_system_name(vertical_srid)}. Next: conetl ingest --map {name} DRIVE"
+    )
     answer(as_json, facts, text)
 
 
@@ -76,7 +78,7 @@ def rename(
 ) -> None:
     """Rename a map. Its history, decisions, receipts and reports are kept."""
     settings = read_settings(name)
-    reports, target = settings.reports_folder, settings.reports_folder.with_name(checked_map_name(new_name))
+    reports, target = settings.reports_folder, settings.reports_folder.with_name(validated_map_name(new_name))
     with open_map(name) as (conn, _):
         if target.exists() and find_map(conn, new_name) is None:
             raise InputError(f"{target}: contains reports of an earlier map {new_name}; move them away first")
@@ -128,7 +130,7 @@ def restore(
     """Restore a deleted map with its whole history, in this or another database with the same schema."""
     settings = read_settings()
     with open_maps(settings) as conn:
-        info = restore_map(conn, file, None if name is None else checked_map_name(name))
+        info = restore_map(conn, file, None if name is None else validated_map_name(name))
         size = next(one for one in list_maps(conn) if one["map_name"] == info.map_name)
     text = f"Map {info.map_name}: {counted(size['feature_count'], 'feature')}, {counted(size['changeset_count'], 'changeset')}."
     answer(

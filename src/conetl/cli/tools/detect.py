@@ -14,7 +14,7 @@ from conetl.cli import console as ui
 from conetl.files.atomic import atomic_text_file
 from conetl.model.detector_evidence import calibrated_probability
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
-from conetl.model.feature_classes import known_of
+from conetl.model.feature_classes import known_classes
 from conetl.model.params import DetectionParams, IngestParams
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_upright_image
@@ -170,7 +170,7 @@ def locate(
     rig = read_rig_for_images(calibration, first_size([left]))
     settings = read_settings()
     detector = load_detector(settings.model_path, providers=settings.onnx_providers)
-    params = IngestParams(detection=DetectionParams(categories=known_of(detector.card.class_names)))
+    params = IngestParams(detection=DetectionParams(categories=known_classes(detector.card.class_names)))
     try:
         found = locate_pair((left, right), rig, detector, params)
     except ImageFileError as error:

@@ -26,7 +26,7 @@ from conetl.evaluation.marking_evaluation import evaluate_markings
 from conetl.evaluation.markings import TRUTH_FILE, read_truth_markings
 from conetl.evaluation.truth import TABLE_3_COLUMNS, TruthCone, median_error, read_truth_cones
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES, known_of
+from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES, known_classes
 from conetl.model.params import IngestParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.odometry import calibrate_drive
@@ -146,7 +146,9 @@ def _truths_of(
         known, srid = read_truth_cones(file)
         searched = [cone for cone in known if cone.category in categories]
         if not searched:
-            wanted, present = (", ".join(known_of(names)) for names in (categories, {cone.category for cone in known}))
+            wanted, present = (
+                ", ".join(known_classes(names)) for names in (categories, {cone.category for cone in known})
+            )
             raise InputError(f"{file}: contains no {wanted}, only {present}; choose classes with --category")
         truths[drive] = (file, searched, srid)
     return truths

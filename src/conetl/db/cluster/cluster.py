@@ -156,7 +156,7 @@ def _initialise(location: ClusterLocation, install: PostgresInstall) -> None:
     """
     new = f"{NEW_DATA_PREFIX}{uuid4().hex}"
     initdb = [install.program("initdb"), "-D", new, "-U", SUPERUSER, "-A", "peer", "-E", "UTF8", "--locale=C", "-k"]
-    _must(run_as(location, initdb, timeout_s=120), "PostgreSQL could not create a new cluster", location)
+    _require_success(run_as(location, initdb, timeout_s=120), "PostgreSQL could not create a new cluster", location)
     allowed = dict.fromkeys([location.user.pw_name, location.caller_name, "root"])
     _write_as(location, f"{new}/pg_hba.conf", f"local all all peer map={SUPERUSER}\n")
     _write_as(location, f"{new}/pg_ident.conf", "".join(f'{SUPERUSER} "{n}" {SUPERUSER}\n' for n in allowed if n))
@@ -166,9 +166,13 @@ def _initialise(location: ClusterLocation, install: PostgresInstall) -> None:
         raise DatabaseError(
             f"PostgreSQL could not create the database {DATABASE} in {location.directory}: {made.stdout.strip()}"
         )
-    _must(made, f"PostgreSQL could not create the database {DATABASE}", location)
-    _must(run_as(location, ["mkdir", "-p", "log"], timeout_s=10), "the log folder could not be created", location)
-    _must(run_as(location, ["mv", "-T", new, "data"], timeout_s=10), "the new cluster could not be renamed", location)
+    _require_success(made, f"PostgreSQL could not create the database {DATABASE}", location)
+    _require_success(
+        run_as(location, ["mkdir", "-p", "log"], timeout_s=10), "the log folder could not be created", location
+    )
+    _require_success(
+        run_as(location, ["mv", "-T", new, "data"], timeout_s=10), "the new cluster could not be renamed", location
+    )
 
 
 def _start(location: ClusterLocation, install: PostgresInstall) -> None:
@@ -264,10 +268,10 @@ def _wait_until_answering(location: ClusterLocation, timeout_s: float) -> bool:
 
 def _write_as(location: ClusterLocation, relative_path: str, text: str) -> None:
     done = run_as(location, ["sh", "-c", 'cat > "$0"', relative_path], stdin=text, timeout_s=10)
-    _must(done, f"{relative_path} could not be written", location)
+    _require_success(done, f"{relative_path} could not be written", location)
 
 
-def _must(done: CompletedProcess[str], what: str, location: ClusterLocation) -> None:
+def _require_success(done: CompletedProcess[str], what: str, location: ClusterLocation) -> None:
     if done.returncode != 0:
         raise DatabaseError(f"{what} in {location.directory} (as user {location.user.pw_name}): {done.stdout.strip()}")
 

@@ -28,7 +28,7 @@ from conetl.db.live_store import drop_watched_recording
 from conetl.db.map import rows as map_rows
 from conetl.db.map.decision_store import write_holds
 from conetl.db.map.map_store import find_changeset, map_for, system_time
-from conetl.db.map.replay_store import merge_replay, stage_replay, take_turn
+from conetl.db.map.replay_store import apply_stages, load_stages, take_turn
 from conetl.db.map.results import NOTHING, CommittedChangeset, MapInfo, Replay, RunInfo
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.drive import Drive, DriveRecords
@@ -119,7 +119,7 @@ def commit_changeset(
     # Encoding takes nearly as long as sending, during which this process would only wait: a thread encodes the next block.
     with ThreadPoolExecutor(1) as pool:
         upcoming = pool.submit(next, blocks, None)
-        staged = stage_replay(conn, info, replay)
+        staged = load_stages(conn, info, replay)
         while (block := upcoming.result()) is not None:
             upcoming = pool.submit(next, blocks, None)
             db.copy_block(conn, block)
@@ -128,7 +128,7 @@ def commit_changeset(
     insert_changeset(conn, info, placed, changeset, records, run, committed_at)
     db.copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
-    versions_written = merge_replay(conn, staged, replay, committed_at)
+    versions_written = apply_stages(conn, staged, replay, committed_at)
     write_holds(conn, {changeset.changeset_id: hold} if hold else {}, committed_at, by_map=held_by_map)
     renew_statistics(conn, versions_written)
     return committed_changeset(conn, changeset, map_name=map_name)
@@ -149,7 +149,7 @@ def insert_changeset(
         kept = {"finished_at": committed_at, "params": json_text(dict(run.params)), "facts": facts}
         db.query(conn, "commit.insert_run", **vars(run) | kept)
     kinds, line_kinds = (
-        Counter(delta.kind for delta in changeset.deltas if delta.is_of_line is of_line) for of_line in (False, True)
+        Counter(delta.kind for delta in changeset.deltas if delta.is_line is of_line) for of_line in (False, True)
     )
     counts = {f"{kind.value}_count": kinds[kind] for kind in DeltaKind}
     counts |= {f"{name}_count": len(getattr(records, some, ())) for name, some in _COUNTED.items()}

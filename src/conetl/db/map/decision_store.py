@@ -8,7 +8,7 @@ from uuid import UUID, uuid4
 
 from conetl.db.connection import Connection, query, read
 from conetl.db.copy_rows import clean_text, json_text
-from conetl.db.map.results import Decidable, MapInfo, StoredDecision
+from conetl.db.map.results import DecisionTarget, MapInfo, StoredDecision
 from conetl.model.health import HealthCheck, HeldDrive, HoldChange, HoldEvent, hold_reason
 from conetl.model.map_records import Classification, Decisions, Location
 
@@ -32,11 +32,11 @@ def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
     )
 
 
-def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[Decidable]:
+def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[DecisionTarget]:
     """Changesets and decisions whose id begins with a text, or the changeset of that number; at most two."""
     wanted = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
     rows = read(conn, f"The map {map_name} cannot be read", "decisions.find_decisions", **wanted)
-    return [Decidable(**row) for row in rows]
+    return [DecisionTarget(**row) for row in rows]
 
 
 def insert_decision(

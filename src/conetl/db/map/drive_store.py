@@ -15,7 +15,7 @@ import numpy as np
 from conetl.db.connection import Connection, read, stream, stream_values
 from conetl.db.copy_rows import json_text
 from conetl.db.map.import_store import read_statements
-from conetl.db.map.rows import Row, covariances, jacobian_of, marking_of, record_of
+from conetl.db.map.rows import Row, covariances, marking_of, read_jacobian, record_of
 from conetl.model.arrays import Floats
 from conetl.model.base import Vec3
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
@@ -94,7 +94,7 @@ def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
     )
 
 
-class DriveThen(NamedTuple):
+class ConcurrentDrive(NamedTuple):
     """A drive that may be another delivery of a recording."""
 
     drive_uuid: UUID
@@ -107,7 +107,7 @@ class DriveThen(NamedTuple):
 
 def drives_at_the_same_time(
     conn: Connection, drive: Drive, path_wkt: str, same_ns: int, *, map_name: str
-) -> list[DriveThen]:
+) -> list[ConcurrentDrive]:
     """The drives that count, of other content, whose areas and times meet those of a drive that is not stored yet; of its own
     length and id, or past the same positions at the same intervals, at any time.
 
@@ -122,12 +122,12 @@ def drives_at_the_same_time(
         content_sha256=drive.content_sha256, captured_from_ns=captured_from_ns, captured_to_ns=captured_to_ns,
         frame_count=drive.expected_frame_count, path_wkt=path_wkt, srid=drive.map_srid,
     )  # fmt: skip
-    return [DriveThen(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
+    return [ConcurrentDrive(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
 
 
 def drives_with_boxes(
     conn: Connection, drive: Drive, boxes: Sequence[tuple[float, ...]], *, map_name: str, **limits: float
-) -> list[DriveThen]:
+) -> list[ConcurrentDrive]:
     """The drives that count, of other content, whose left images have boxes of a drive, in time as in space.
 
     boxes: time stamp (ns), easting, northing (m) of the image, left, top, width, height (px), at least one; limits: of the query.
@@ -137,7 +137,7 @@ def drives_with_boxes(
     size = {"width_px": drive.rig.left.width_px, "height_px": drive.rig.left.height_px}
     own = {"map_name": map_name, "content_sha256": drive.content_sha256, "srid": drive.map_srid}
     rows = read(conn, _UNREAD, "drives.drives_with_boxes", **own, **size, **columns, **limits)
-    return [DriveThen(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
+    return [ConcurrentDrive(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
 
 
 class AdjoiningDrive(NamedTuple):
@@ -208,11 +208,11 @@ def _frame_pair(row: Row) -> FramePair:
 
 
 def _track(row: Row) -> Track:
-    return record_of(Track, row, members=tuple(map(tuple, row["members"])), shared_jacobian=jacobian_of(row))
+    return record_of(Track, row, members=tuple(map(tuple, row["members"])), shared_jacobian=read_jacobian(row))
 
 
 def _marking_track(row: Row) -> MarkingTrack:
     return record_of(
         MarkingTrack, row, marking=marking_of(row), relative_cov_m2=covariances(row["relative_cov"]), image_cov_m2=(),
-        shared_jacobian=jacobian_of(row),
+        shared_jacobian=read_jacobian(row),
     )  # fmt: skip

@@ -108,7 +108,7 @@ def read_features_as_of(
         "map_name": map_name, "srid": info.srid if info else 0, "max_rows": None,
         "west_m": west_m, "south_m": south_m, "east_m": east_m, "north_m": north_m,
         "lines": lines,
-        "valid_at": db.latest_or(valid_at), "known_at": db.latest_or(known_at),
+        "valid_at": db.or_infinity(valid_at), "known_at": db.or_infinity(known_at),
     }  # fmt: skip
     own = ("valid_from", "valid_to", "changeset_id", "seen_count", "missed_count")
     for row in db.stream(conn, f"The features of map {map_name} cannot be read", "map.features_as_of", **parameters):
@@ -190,14 +190,14 @@ def system_time(conn: Connection, info: MapInfo) -> datetime:
 
 def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[FeatureVersion]:
     """Every current version that began until then (None: all), by feature; [] if the map does not exist."""
-    parameters = {"map_name": map_name, "feature_id": None, "valid_until": db.latest_or(until)}
+    parameters = {"map_name": map_name, "feature_id": None, "valid_until": db.or_infinity(until)}
     rows = db.stream(conn, f"The history of map {map_name} cannot be read", "map.current_versions", **parameters)
     return [version_of(row) for row in rows]
 
 
 def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[DrivePath]:
     """The paths of the active drives that began until then (None: all), by time."""
-    parameters = {"map_name": map_name, "valid_until": db.latest_or(until), "tolerance_m": _PATH_TOLERANCE_M}
+    parameters = {"map_name": map_name, "valid_until": db.or_infinity(until), "tolerance_m": _PATH_TOLERANCE_M}
     rows = db.stream(conn, f"The drives of map {map_name} cannot be read", "drives.paths_of_map", **parameters)
     return [
         DrivePath(row["drive_id"], row["captured_from_ns"], np.column_stack([row["eastings_m"], row["northings_m"]]))

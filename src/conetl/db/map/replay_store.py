@@ -123,11 +123,11 @@ def read_deltas(conn: Connection, drive_uuids: Sequence[UUID]) -> StoredDeltas:
 
 def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: datetime) -> int:
     """Write the new state where it differs from the old one; the number of versions written. Does not commit."""
-    return merge_replay(conn, stage_replay(conn, info, replay), replay, committed_at)
+    return apply_stages(conn, load_stages(conn, info, replay), replay, committed_at)
 
 
-def stage_replay(conn: Connection, info: MapInfo, replay: Replay) -> dict[str, Any]:
-    """Load what differs from the old state into temporary tables; parameters of the statements of `merge_replay`."""
+def load_stages(conn: Connection, info: MapInfo, replay: Replay) -> dict[str, Any]:
+    """Load what differs from the old state into temporary tables; parameters of the statements of `apply_stages`."""
     wanted, known = set(replay.versions), replay.deltas_before
     values = {
         (changeset_id, *map_rows.change_values(delta)): (changeset_id, delta) for changeset_id, delta in replay.deltas
@@ -148,8 +148,8 @@ def stage_replay(conn: Connection, info: MapInfo, replay: Replay) -> dict[str, A
     }
 
 
-def merge_replay(conn: Connection, staged: dict[str, Any], replay: Replay, committed_at: datetime) -> int:
-    """Write what `stage_replay` loaded; the number of versions written. MapMismatchError if the map is not as it was read."""
+def apply_stages(conn: Connection, staged: dict[str, Any], replay: Replay, committed_at: datetime) -> int:
+    """Write what `load_stages` loaded; the number of versions written. MapMismatchError if the map is not as it was read."""
     parameters = staged | {"committed_at": committed_at}
     db.query(conn, "replay.insert_staged_features", **parameters)
     for rows in ("versions", "deltas"):

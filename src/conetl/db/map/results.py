@@ -175,7 +175,7 @@ class StoredDecision(DecisionFacts):
 
 
 @dataclass(frozen=True)
-class Decidable:
+class DecisionTarget:
     """A changeset, which can be reverted, or a decision, which can be withdrawn."""
 
     id: UUID

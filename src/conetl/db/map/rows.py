@@ -13,7 +13,7 @@ import shapely
 
 from conetl.db import copy_rows as copy
 from conetl.db.copy_rows import Columns
-from conetl.geometry.packing import stacked
+from conetl.geometry.packing import stack_rows
 from conetl.model.base import Cov3, Record, SharedErrorJacobian
 from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.map_records import Delta, FeatureVersion, MapFeature
@@ -44,7 +44,7 @@ def record_of(record_type: type[R], row: Row, **computed: Any) -> R:
 
 def feature_of(row: Row) -> MapFeature:
     """Columns as in `map.features_as_of`."""
-    return record_of(MapFeature, row, shared_jacobian=jacobian_of(row), marking=marking_of(row))
+    return record_of(MapFeature, row, shared_jacobian=read_jacobian(row), marking=marking_of(row))
 
 
 def version_of(row: Row) -> FeatureVersion:
@@ -81,7 +81,7 @@ def match_columns(drive_uuid: UUID, matches: Sequence[StereoMatch]) -> Columns:
     }
     for point in ("foot", "centre", "tip"):
         for side in ("left", "right"):
-            uv_px = stacked([getattr(m, f"{point}_{side}_uv_px") for m in matches], 2)
+            uv_px = stack_rows([getattr(m, f"{point}_{side}_uv_px") for m in matches], 2)
             columns[f"{point}_{side}_u_px"] = uv_px[:, 0]
             columns[f"{point}_{side}_v_px"] = uv_px[:, 1]
     return columns
@@ -89,11 +89,11 @@ def match_columns(drive_uuid: UUID, matches: Sequence[StereoMatch]) -> Columns:
 
 def position_columns(drive_uuid: UUID, srid: int, positions: Sequence[Position]) -> Columns:
     """Table position."""
-    camera = stacked([p.camera_xyz_m for p in positions], 3)
+    camera = stack_rows([p.camera_xyz_m for p in positions], 3)
     names = "frame_index match_index iterations range_m ray_angle_rad residual_rms_px score"
     return {
         "drive_uuid": [drive_uuid] * len(positions),
-        **_located(srid, positions),
+        **_position_columns(srid, positions),
         **{f"camera_{axis}_m": camera[:, i] for i, axis in enumerate("xyz")},
         **_covariance("camera_cov", [p.camera_cov_m2 for p in positions]),
         **_attributes(positions, names),
@@ -128,9 +128,9 @@ def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
     deltas = [delta for _, delta in changes]
     return {
         "changeset_id": [changeset_id for changeset_id, _ in changes],
-        "of_line": [d.is_of_line for d in deltas],
+        "of_line": [d.is_line for d in deltas],
         "changed_at": copy.timestamps_from_ns([d.changed_at_ns for d in deltas]),
-        **_named(_CHANGE, map(change_values, deltas)),
+        **_to_columns(_CHANGE, map(change_values, deltas)),
     }
 
 
@@ -185,7 +185,7 @@ def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Co
     """What tracks, feature versions and statements of imported maps have in common."""
     names = "cone_height_sigma_m existence_probability observation_count first_seen_ns last_seen_ns"
     return {
-        **_located(srid, cones),
+        **_position_columns(srid, cones),
         **_attributes(cones, names),
         **jacobian_columns([c.shared_jacobian for c in cones]),
     }
@@ -193,15 +193,15 @@ def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Co
 
 def _attributes(records: Sequence[Any], names: str) -> Columns:
     """Columns that are named as the attributes, at least two. Each record is read once: half the time."""
-    return _named(names.split(), map(attrgetter(*names.split()), records))
+    return _to_columns(names.split(), map(attrgetter(*names.split()), records))
 
 
-def _named(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Columns:
+def _to_columns(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Columns:
     """Columns by name of rows that have a value for each."""
     return dict(zip(names, list(zip(*rows, strict=True)) or [()] * len(names), strict=True))
 
 
-def _located(srid: int, records: Sequence[Position] | Sequence[Track] | Sequence[MapFeature]) -> Columns:
+def _position_columns(srid: int, records: Sequence[Position] | Sequence[Track] | Sequence[MapFeature]) -> Columns:
     """Columns of class, foot, centre and height."""
     return {
         **_attributes(records, "category cone_height_m"),
@@ -212,7 +212,7 @@ def _located(srid: int, records: Sequence[Position] | Sequence[Track] | Sequence
 
 
 def _covariance(prefix: str, covariances: Sequence[tuple[float, ...]]) -> Columns:
-    values = stacked(covariances, 6)
+    values = stack_rows(covariances, 6)
     return {f"{prefix}_{name}": values[:, i] for i, name in enumerate(_COV_NAMES)}
 
 
@@ -225,7 +225,7 @@ def jacobian_columns(jacobians: Sequence[SharedErrorJacobian | None]) -> Columns
     return {"calibrations": copy.arrays(ids), "shared_jacobian_m": copy.arrays(moved_m)}
 
 
-def jacobian_of(row: Row) -> SharedErrorJacobian | None:
+def read_jacobian(row: Row) -> SharedErrorJacobian | None:
     """Of the column shared_jacobian: both arrays as `array_send` makes them, concatenated."""
     if (wire := row["shared_jacobian"]) is None:
         return None

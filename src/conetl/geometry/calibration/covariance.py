@@ -1,21 +1,20 @@
-"""Errors of a rig's calibration: their covariance, their effect on the points that are intersected with it, and what of them
-several drives share.
+"""Errors of a rig's calibration: their covariance, their effect on intersected points, and the part that several drives share.
 
 The least-squares point moves by dX = -(A^T A)^-1 A^T B dp, A and B being the derivatives of the collinearity equations by point
 and calibration (implicit function theorem on the normal equations; e.g. Mikhail & Ackermann 1976, ch. 4). These errors are common
-to all images of a rig: over the sightings of one cone the Jacobians are averaged, never the covariances.
+to all images of a rig: the Jacobians of all sightings of a cone are averaged, never their covariances.
 
-A calibration is wrong by L z: z are independent errors of one sigma each, L L^T is the stated covariance. A position that was
-found with it is wrong by A z with the shared-error Jacobian A = J L (metres), J from `calibration_jacobian`; two positions with
-Jacobians A and B have the covariance A B^T in common, for any drives. L is the symmetric square root of the correlations
-times the sigmas, which does not depend on the order of parameters. Stored as float32 (`SharedErrorJacobian`): 3 x K numbers for
-every version of every cone.
+The error of a calibration is L z: z are independent errors of one sigma each, L L^T is the stated covariance. It moves a position
+by A z with the shared-error Jacobian A = J L (metres), J from `calibration_jacobian`. Two positions with Jacobians A and B have
+the cross-covariance A B^T, whichever drives they are from. L is the symmetric square root of the correlations times the sigmas,
+which does not depend on the order of parameters. Stored as float32 (`SharedErrorJacobian`): 3 x K numbers for every version of a
+cone.
 
 Covariance from a board (`rig_covariance`): least squares assumes independent corner errors, but motion blur, light, a bent board
-and the detector move the corners of one image together. Each pair is a cluster: the influence of its residuals is compared with
+and the detector move all corners of an image together. Each pair is a cluster: the influence of its residuals is compared with
 that of independent errors of the same variance, its leverage removed (cluster-robust "sandwich", Liang & Zeger 1986; correction
 by Bell & McCaffrey 2002). The least-squares covariance is multiplied by the ratio of the two sums over all pairs and directions,
-the design effect (Kish 1965), drawn towards 1 where it differs by no more than chance.
+the design effect (Kish 1965), shrunk towards 1 by the amount that chance explains.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ _DECIMALS = 9
 
 
 def known_covariance(rig: Rig) -> CalibrationCovariance | None:
-    """Covariance of the calibration that took the images: of the raw rig where there is one. None where it is unknown."""
+    """Covariance of the calibration of the cameras that took the images (the raw rig, if there is one); None if unknown."""
     return (rig.rectified_from or rig).calibration_covariance
 
 
@@ -115,10 +114,8 @@ def _column(name: str, left: Floats, right: Floats, relative: Floats) -> Floats:
 
 
 def calibration_id(rig: Rig) -> UUID:
-    """Id of a calibration: equal for rigs with the same cameras, relative pose and covariance, to all digits.
-
-    Names of rigs and their pose on the body do not count.
-    """
+    """Id of a calibration: equal for rigs with exactly the same cameras, relative pose and covariance. Names of rigs and their
+    pose on the body do not count."""
     taken = rig.rectified_from or rig
     covariance = known_covariance(rig)
     content = [
@@ -161,9 +158,10 @@ def as_rows(matrix: Floats) -> tuple[tuple[float, ...], ...]:
 
 
 def jacobian_of(jacobian: Floats, rig: Rig, others: Sequence[tuple[UUID, Floats]] = ()) -> SharedErrorJacobian | None:
-    """Shared-error Jacobian of a position from its derivative (3, N) by the parameters of `known_covariance`, if any.
+    """Shared-error Jacobian of a position from its derivative (3, N) with respect to the parameters of `known_covariance`, if
+    any.
 
-    others: ids and Jacobians (3, K) of what drives share beside the calibration.
+    others: ids and Jacobians (3, K) of errors that drives share besides the calibration.
     """
     shared, parts = shared_errors(rig), dict(others)
     if shared is not None:
@@ -171,16 +169,16 @@ def jacobian_of(jacobian: Floats, rig: Rig, others: Sequence[tuple[UUID, Floats]
     moved_m = np.zeros((1, len(parts), 3, max((part.shape[1] for part in parts.values()), default=0)))
     for k, key in enumerate(sorted(parts)):
         moved_m[0, k, :, : parts[key].shape[1]] = parts[key]
-    [shared_jacobian] = pack_all(tuple(sorted(parts)), moved_m)
+    [shared_jacobian] = pack_jacobians(tuple(sorted(parts)), moved_m)
     return shared_jacobian
 
 
-def pack_all(
+def pack_jacobians(
     calibrations: tuple[UUID, ...], moved_m: Floats, *, most: int | None = None
 ) -> list[SharedErrorJacobian | None]:
-    """(N, C, 3, K) metres -> N records, rounded as stored; None for empty ones.
+    """(N, C, 3, K) metres -> N records, rounded for storage; None for empty ones.
 
-    calibrations: C, in ascending order. most: keep at most this many, those of the largest effect.
+    calibrations: C ids, ascending. most: keep at most this many, those with the largest effect.
     """
     count, number = moved_m.shape[:2]
     if moved_m[:1].size == 0:
@@ -196,12 +194,12 @@ def pack_all(
     ]
 
 
-def unpack_all(
+def unpack_jacobians(
     calibrations: tuple[UUID, ...], shared_jacobian: Sequence[SharedErrorJacobian | None], width: int = 0
 ) -> Floats:
-    """N records, all None or all of the same calibrations -> (N, C, 3, K) metres.
+    """N records (all None, or all with the same calibrations) -> (N, C, 3, K) metres.
 
-    calibrations: the C of the result, which include theirs; 0 for the others. width: least K; 0 for the errors that they lack.
+    calibrations: the C ids of the result, a superset of theirs; missing ones are 0. width: least K; missing errors are 0.
     """
     first = next((one for one in shared_jacobian if one is not None), None)
     if first is None:

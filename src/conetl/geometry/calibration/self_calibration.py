@@ -26,7 +26,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.motion.stereo_motion import MotionStatus, StereoCameras, estimate_motion, triangulate
-from conetl.geometry.small_arrays import cross_matrix, inverse_of_symmetric, median, stepped
+from conetl.geometry.small_arrays import apply_steps, cross_matrix, inverse_of_symmetric, median
 from conetl.model.arrays import Floats
 from conetl.model.params import TrajectoryParams
 
@@ -72,16 +72,16 @@ class RightCameraError(NamedTuple):
 
 
 def corrected(cameras: StereoCameras, turn_and_bend: Floats) -> StereoCameras:
-    """The rig with a right camera that is turned and bent by (4,) rx, ry, rz and bend."""
-    rotation_rad, shift_px = as_camera(turn_and_bend, float(cameras.right_px[0]))
+    """The rig whose right camera is turned and bent by (4,) rx, ry, rz and bend."""
+    rotation_rad, shift_px = equivalent_camera(turn_and_bend, float(cameras.right_px[0]))
     back = np.eye(4)
     back[:3, :3] = Rotation.from_rotvec(-rotation_rad).as_matrix()
     moved = cameras.right_px + np.array([0.0, 0.0, shift_px, 0.0])
     return replace(cameras, right_px=moved, right_SE3_left=back @ cameras.right_SE3_left)
 
 
-def as_camera(turn_and_bend: Floats, focal_px: float) -> tuple[Floats, float]:
-    """Rotation vector (3,) of the camera and shift of its principal point in columns, px, equivalent to (4,) turn and bend."""
+def equivalent_camera(turn_and_bend: Floats, focal_px: float) -> tuple[Floats, float]:
+    """Rotation vector (3,) and shift of the principal point in columns (px) that are equivalent to (4,) turn and bend."""
     rx, ry, rz, bend = turn_and_bend
     return np.array([rx, ry - bend, rz]), float(-focal_px * bend)
 
@@ -97,7 +97,7 @@ def estimate_right_camera(
     starts: list[Floats | None] = [None] * len(spans)
     for _ in range(_OUTER):
         own = corrected(cameras, state[:_SKEW])
-        chosen = [_still(own, span, params, seed, starts[seed]) for seed, span in enumerate(spans)]
+        chosen = [_static_points(own, span, params, seed, starts[seed]) for seed, span in enumerate(spans)]
         starts = [None if c is None else c.last_SE3_first for c in chosen]
         used = [c for c in chosen if c is not None]
         if len(used) < params.self_calibration_min_spans:
@@ -144,10 +144,10 @@ def _joined(cameras: StereoCameras, spans: Sequence[SpanPoints]) -> _JointSpans:
     )
 
 
-def _still(
+def _static_points(
     cameras: StereoCameras, span: SpanPoints, params: TrajectoryParams, seed: int, start: Floats | None
 ) -> SpanPoints | None:
-    """The points of a span that one motion explains, and that motion; None where there are too few."""
+    """The points of a span that fit one rigid motion, and that motion; None if they are too few."""
     motion = estimate_motion(
         cameras, span.first_px[:, :3], span.last_px[:, :3], span.sigma_px, span.last_SE3_first, params, seed, start
     )
@@ -195,7 +195,7 @@ def _step_spans(cameras: StereoCameras, skew: float, spans: _JointSpans) -> tupl
     new_points = points + np.einsum("nij,nj->ni", own, residual - np.concatenate(by_motion))
     new_points[:, 2] = np.maximum(new_points[:, 2], 2 * _NEAREST_M)  # a point may not pass through the camera
     reduced, left = normal[:, 6:, 6:] - gain @ normal[:, :6, 6:], score[:, 6:] - gain @ score[:, :6]
-    return reduced, left[:, :, 0], replace(spans, poses=stepped(spans.poses, steps), points=new_points)
+    return reduced, left[:, :, 0], replace(spans, poses=apply_steps(spans.poses, steps), points=new_points)
 
 
 def _image(cameras: StereoCameras, skew: float, points: Floats) -> tuple[Floats, Floats, Floats]:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import intrinsics, project, project_with_jacobian
-from conetl.geometry.small_arrays import cross_matrix, stepped
+from conetl.geometry.small_arrays import apply_steps, cross_matrix
 from conetl.model.arrays import Bools, Floats
 from conetl.model.rig import INTERIOR, LENS_COEFFICIENTS, RELATIVE, SIDES, Camera, Lens, LensModel, Side
 
@@ -82,11 +82,8 @@ class BundleError(ValueError):
 
 @dataclass(frozen=True)
 class Bundle:
-    """All unknowns of the adjustment.
-
-    board_SE3: poses left_SE3_board (4, 4) by pair. shape: (m,) coordinates of the board's deformation in `basis` (3n, m), both
-    with m = 0 for a board that is taken as it is drawn.
-    """
+    """All unknowns of the adjustment. board_SE3: poses left_SE3_board (4, 4) by pair. shape: (m,) coordinates of the board's
+    deformation in `basis` (3n, m); m = 0 if the board's nominal points are exact."""
 
     left: Camera
     right: Camera
@@ -249,27 +246,27 @@ def _stepped(bundle: Bundle, systems: dict[int, PairSystem], prior: Floats, damp
     except np.linalg.LinAlgError as error:
         raise BundleError("the images do not determine the calibration: singular normal equations") from error
     poses = {pair: inner[:, -1] - inner[:, :-1] @ step for pair, inner in kept.items()}
-    return moved(bundle, step, poses)
+    return apply_step(bundle, step, poses)
 
 
-def moved(bundle: Bundle, step: Floats, pose_steps: dict[int, Floats]) -> Bundle:
+def apply_step(bundle: Bundle, step: Floats, pose_steps: dict[int, Floats]) -> Bundle:
     """The bundle after a step (g,) of the global unknowns and (6,) steps of the board poses (rotation vector, shift)."""
     count = bundle.rig_parameters
     own = (count - len(RELATIVE)) // 2
     r, t = bundle.left_SE3_right[:3, :3], bundle.left_SE3_right[:3, 3]
     relative = se3.se3(r @ Rotation.from_rotvec(step[count - 6 : count - 3]).as_matrix(), t + step[count - 3 : count])
-    poses = bundle.board_SE3 | {pair: stepped(bundle.board_SE3[pair], d) for pair, d in pose_steps.items()}
+    poses = bundle.board_SE3 | {pair: apply_steps(bundle.board_SE3[pair], d) for pair, d in pose_steps.items()}
     return replace(
         bundle,
-        left=_moved_camera(bundle.left, step[:own]),
-        right=_moved_camera(bundle.right, step[own : 2 * own]),
+        left=_step_camera(bundle.left, step[:own]),
+        right=_step_camera(bundle.right, step[own : 2 * own]),
         left_SE3_right=relative,
         board_SE3=poses,
         shape=bundle.shape + step[count:],
     )
 
 
-def _moved_camera(camera: Camera, step: Floats) -> Camera:
+def _step_camera(camera: Camera, step: Floats) -> Camera:
     fx, fy, cx, cy = (intrinsics(camera) + step[:4]).tolist()
     coefficients = tuple((np.array(camera.lens.coefficients) + step[4:]).tolist())
     lens = Lens.model_construct(model=camera.lens.model, coefficients=coefficients)

@@ -108,33 +108,33 @@ def calibrate_stereo(
     models: Sequence[LensModel] = MODELS,
     board_shapes: Sequence[BoardShape] = ("flat", "free"),
 ) -> StereoCalibration:
-    """Calibrate a rig; of several lens models and board shapes the one of the lowest BIC.
+    """Calibrate a rig with the lens model and board shape of the lowest BIC.
 
     points_m: (n, 3) nominal board. board_shapes: "flat" uses the nominal board, "free" estimates its shape as well. The
-    information criterion counts observations as independent ones: their number and the sum of squares are divided by the
-    design effect of the richest model (see `rig_covariance`). Raises BundleError.
+    information criterion assumes independent observations: their number and the sum of squares are divided by the design effect
+    of the richest model (see `rig_covariance`). Raises BundleError.
     """
-    bundle, kept, rejected = _assembled(np.asarray(points_m, dtype=np.float64), views, start)
+    bundle, kept, rejected = _initial_bundle(np.asarray(points_m, dtype=np.float64), views, start)
     # Blunders are found with a flexible model, so that good corners of a distorted lens or bent board are kept.
     first: LensModel = models[0] if len(models) == 1 else "brown"
     richest: BoardShape = "free" if "free" in board_shapes else "flat"
-    bundle, kept, more, corners = _robust(_remodelled(bundle, first, richest), kept)
-    covariance, factor, _ = _judged(bundle, kept)
+    bundle, kept, more, corners = _adjust_robustly(_convert(bundle, first, richest), kept)
+    covariance, factor, _ = _covariance_of(bundle, kept)
     scale = factor * max(covariance.design_effect, 1.0)
     shape = richest
     tried: dict[tuple[LensModel, BoardShape], tuple[Candidate, Bundle | None]] = {}
     if len(board_shapes) > 1:
-        tried = {(first, option): _tried(bundle, kept, first, option, scale, factor) for option in board_shapes}
+        tried = {(first, option): _try_model(bundle, kept, first, option, scale, factor) for option in board_shapes}
         shape = min(board_shapes, key=lambda option: _bic_or_inf(tried[first, option][0]))
     for model in models:
         if (model, shape) not in tried:
-            tried[model, shape] = _tried(bundle, kept, model, shape, scale, factor)
+            tried[model, shape] = _try_model(bundle, kept, model, shape, scale, factor)
     candidates = tuple(candidate for candidate, _ in tried.values())
     best, chosen = min((tried[model, shape] for model in models), key=lambda pair: _bic_or_inf(pair[0]))
     if chosen is None:
         reasons = "; ".join(f"{c.model}: {c.problem}" for c in candidates if c.problem)
         raise BundleError(f"no lens model fits the images ({reasons})")
-    covariance, factor, freedom = _judged(chosen, kept)
+    covariance, factor, freedom = _covariance_of(chosen, kept)
     return StereoCalibration(
         chosen, best.board, tuple(kept), covariance, factor, freedom, (*rejected, *more), corners, candidates
     )
@@ -163,10 +163,10 @@ def rig_of(calibration: StereoCalibration, rig_id: str, *, scale_sigma_relative:
 # --------------------------------------------------------------------------- start
 
 
-def _assembled(
+def _initial_bundle(
     points_m: Floats, views: Sequence[BoardView], start: Start
 ) -> tuple[Bundle, list[BoardView], list[ViewRejection]]:
-    """A first bundle in one frame, without the pairs whose two images contradict the others."""
+    """A first bundle in one frame, without the pairs whose two images contradict those of the others."""
     by_key = {(view.pair_index, view.side): view for view in views}
     both = stereo_pairs(views)
     if len(both) < MIN_PAIRS:
@@ -175,7 +175,7 @@ def _assembled(
             "take more pairs, near and far, tilted, and into the corners of the images"
         )
     relatives = {p: se3.compose(start.left_SE3_board[p], se3.invert(start.right_SE3_board[p])) for p in both}
-    relative = _central(np.array([relatives[p] for p in both]))
+    relative = _medoid(np.array([relatives[p] for p in both]))
     as_drawn = np.zeros((points_m.size, 0))
     bundle = Bundle(start.left, start.right, relative, dict(start.left_SE3_board), points_m, as_drawn, np.zeros(0))
     rejected: list[ViewRejection] = []
@@ -203,7 +203,7 @@ def _assembled(
     return replace(bundle, board_SE3={p: pose for p, pose in poses.items() if p in used}), kept, rejected
 
 
-def _central(poses: Floats) -> Floats:
+def _medoid(poses: Floats) -> Floats:
     """The pose of (n, 4, 4) with the least median distance to the others."""
     turns = np.einsum("aij,bij->ab", poses[:, :3, :3], poses[:, :3, :3])
     angles = np.arccos(np.clip((turns - 1.0) / 2.0, -1.0, 1.0))
@@ -212,17 +212,17 @@ def _central(poses: Floats) -> Floats:
     return np.asarray(poses[int(np.argmin(np.median(angles + shifts / size, axis=1)))])
 
 
-def _remodelled(bundle: Bundle, model: LensModel, shape: BoardShape) -> Bundle:
+def _convert(bundle: Bundle, model: LensModel, shape: BoardShape) -> Bundle:
     """The bundle with another lens model, fitted to the old one over the image, and another board shape."""
     basis = shape_basis(bundle.points_m) if shape == "free" else np.zeros((bundle.points_m.size, 0))
     start = bundle.shape if bundle.shape.size == basis.shape[1] else np.zeros(basis.shape[1])
     left, right = (
-        camera.model_copy(update={"lens": _refitted(camera, model)}) for camera in (bundle.left, bundle.right)
+        camera.model_copy(update={"lens": _fit_lens(camera, model)}) for camera in (bundle.left, bundle.right)
     )
     return replace(bundle, left=left, right=right, basis=basis, shape=start)
 
 
-def _refitted(camera: Camera, model: LensModel) -> Lens:
+def _fit_lens(camera: Camera, model: LensModel) -> Lens:
     """Lens of another model that is nearest to a camera's own over its image."""
     if camera.lens.model == model:
         return camera.lens
@@ -251,7 +251,7 @@ def _grid(camera: Camera, steps: int) -> Floats:
 # --------------------------------------------------------------------------- blunders
 
 
-def _robust(
+def _adjust_robustly(
     bundle: Bundle, views: Sequence[BoardView]
 ) -> tuple[Bundle, list[BoardView], tuple[ViewRejection, ...], tuple[CornerRejection, ...]]:
     """Adjusted bundle, remaining views, and the views and corners that were removed.
@@ -313,7 +313,7 @@ def _robust_sigma(misses: Sequence[Floats]) -> float:
 # --------------------------------------------------------------------------- choice
 
 
-def _judged(bundle: Bundle, views: Sequence[BoardView]) -> tuple[RigCovariance, float, int]:
+def _covariance_of(bundle: Bundle, views: Sequence[BoardView]) -> tuple[RigCovariance, float, int]:
     """Covariance, variance factor (px^2) and degrees of freedom of an adjusted bundle."""
     observations = 2 * sum(len(v.point_ids) for v in views)
     freedom = observations - bundle.rig_parameters - _shape_parameters(bundle, views) - 6 * len(pair_indices(views))
@@ -334,16 +334,16 @@ def _sum_of_squares(bundle: Bundle, views: Sequence[BoardView]) -> float:
     return float(sum((residuals_px(bundle, v) ** 2).sum() for v in views))
 
 
-def _tried(
+def _try_model(
     bundle: Bundle, views: Sequence[BoardView], model: LensModel, shape: BoardShape, scale: float, factor: float
 ) -> tuple[Candidate, Bundle | None]:
-    """One model, adjusted and rated. scale: variance of one independent observation; factor: of one coordinate (px^2)."""
-    fit = _remodelled(bundle, model, shape)
+    """Adjust and rate one model. scale: variance of one independent observation; factor: of one coordinate (px^2)."""
+    fit = _convert(bundle, model, shape)
     parameters = fit.rig_parameters + _shape_parameters(fit, views)
     observations = 2 * sum(len(v.point_ids) for v in views)
     try:
         fit = adjust(fit, views)
-        _judged(fit, views)
+        _covariance_of(fit, views)
         _check_invertible(fit)
     except BundleError as error:
         return Candidate(model, shape, parameters, None, None, str(error)), None

@@ -79,10 +79,10 @@ def covariance(normal: ChainNormal) -> ChainCovariance:
 
 
 def with_common_errors(result: ChainCovariance, reach: Floats, sigma: Floats) -> ChainCovariance:
-    """The covariance with errors that all states share and that the observations do not show.
+    """The covariance plus errors that all states share and the observations do not show.
 
-    reach (K, n, c): change of each state by one of c independent errors; sigma (c,). As the "considered" parameters of Schmidt
-    (1966).
+    reach (K, n, c): change of each state by one of c independent errors; sigma (c,). These are the "considered" parameters of
+    Schmidt (1966).
     """
     shared = np.zeros((result.shared.shape[0] + len(sigma),) * 2)
     known = len(result.shared)

@@ -1,7 +1,7 @@
 """Poses of a body from logged poses with slowly varying errors and measured motions, in one adjustment.
 
-Unknown for each frame are the pose and the slowly varying error of its log (a first-order Gauss-Markov process). Measured motions
-of the left camera tie each frame to the next, sightings of static points tie all frames that saw them; a scale common to all
+The unknowns of each frame are its pose and the drift of the log (a first-order Gauss-Markov process). Measured motions of the
+left camera tie each frame to the next; observations of static points tie all frames that show them. A scale common to all
 measured motions models the error of the rig's calibration, a turn about the optical axis per metre that of followed points.
 Gauss-Newton with Huber's weights; normal equations of `chain_solver.py`.
 
@@ -32,21 +32,21 @@ _CONVERGED = 1e-4
 
 @dataclass(frozen=True)
 class LoggedPoses:
-    """The logged trajectory and how far its errors may change from frame to frame."""
+    """The logged trajectory and the model of its errors: drift (first-order Gauss-Markov) and white noise."""
 
     rotations: Floats
-    places: Floats
+    positions: Floats
     sigma_p: Floats
     white: Floats
-    """(K, 6): sigma of the error that is new in every record, position and attitude."""
-    slow: Floats
+    """(K, 6): sigma of the error that is independent in every record, position and attitude."""
+    drift: Floats
     """(K, 6): sigma of the slowly varying part."""
-    keep: Floats
-    """(K - 1, 6): share of the slow part that remains at the next frame."""
+    correlation: Floats
+    """(K - 1, 6): of the drift between a frame and the next."""
     body_SE3_left: Floats
-    new: Floats
-    """(K, 6): sigma of what a record's error has beside its slow part and that of the frame before: the white part, of
-    interpolated poses far less."""
+    noise: Floats
+    """(K, 6): sigma of the error that changes between neighbouring records apart from the drift: the white part, or far less
+    where poses are interpolated."""
 
 
 class MeasuredMotions(NamedTuple):
@@ -70,7 +70,7 @@ class LandmarkObservation(NamedTuple):
 
 
 class LandmarkPrior(NamedTuple):
-    """What is known of one cone beside its observations: the foot in the map's frame, (3,) m and (3, 3) inverse covariance."""
+    """Prior knowledge of one cone: the foot in the map's frame, (3,) m and (3, 3) inverse covariance."""
 
     cone: int
     xyz: Floats
@@ -81,9 +81,9 @@ class _State(NamedTuple):
     """The unknowns."""
 
     rotations: Floats
-    places: Floats
+    positions: Floats
     bias: Floats
-    """(K, 6): slow error of the log."""
+    """(K, 6): drift of the log."""
     shared: Floats
     """Errors common to the measured motions (`adjust`), then the feet of the cones."""
     common: int
@@ -102,17 +102,17 @@ def adjust(
     common_sigmas: Sequence[float],
     priors: Sequence[LandmarkPrior] = (),
 ) -> tuple[Floats, Floats, float, ChainNormal] | None:
-    """Rotations (K, 3, 3), positions (K, 3), scale of the measured motions less one, and the last normal equations, whose first
-    shared unknown it is; None where the iteration does not converge.
+    """Rotations (K, 3, 3), positions (K, 3), scale error of the measured motions, and the last normal equations, whose first
+    shared unknown is that scale. None if the iteration does not converge.
 
-    common_sigmas: what is known of errors common to all motions: of their scale, and, where that is an unknown, of their turn
-    about the optical axis (rad per metre).
+    common_sigmas: prior sigmas of the errors common to all motions: of their scale and, if it is estimated, of their turn about
+    the optical axis (rad per metre).
     """
-    left = se3.compose(se3.se3(log.rotations, log.places), log.body_SE3_left)
+    left = se3.compose(se3.se3(log.rotations, log.positions), log.body_SE3_left)
     cones = 1 + max((s.cone for s in sightings), default=-1)
     common = len(common_sigmas)
     shared = np.zeros(common + 3 * cones)
-    state = _State(log.rotations, log.places, np.zeros((len(log.places), POSE)), shared, common)
+    state = _State(log.rotations, log.positions, np.zeros((len(log.positions), POSE)), shared, common)
     for cone in range(cones):
         feet = [se3.apply(left[s.frame], s.xyz) for s in sightings if s.cone == cone]
         shared[state.foot(cone)] = np.median(feet, axis=0) if feet else 0.0
@@ -129,25 +129,25 @@ def adjust(
         except np.linalg.LinAlgError:
             return None
         state = _State(
-            state.rotations @ Rotation.from_rotvec(step[:, 3:6]).as_matrix(), state.places + step[:, :3],
+            state.rotations @ Rotation.from_rotvec(step[:, 3:6]).as_matrix(), state.positions + step[:, :3],
             state.bias + step[:, POSE:], state.shared + step_shared, common,
         )  # fmt: skip
         if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
-            return state.rotations, state.places, float(state.shared[0]), normal
+            return state.rotations, state.positions, float(state.shared[0]), normal
     return None
 
 
 def _normal_equations(log: LoggedPoses, state: _State, common_sigmas: Floats) -> ChainNormal:
     """Normal equations of the log and of what is known of the motions' common errors."""
-    rotations, places, bias, shared, _ = state
-    count = len(places)
+    rotations, positions, bias, shared, _ = state
+    count = len(positions)
     diagonal, upper = np.zeros((count, STATE, STATE)), np.zeros((count - 1, STATE, STATE))
     border, corner = np.zeros((count, STATE, len(shared))), np.zeros((len(shared), len(shared)))
     right, right_shared = np.zeros((count, STATE)), np.zeros(len(shared))
     pose, slow = np.arange(POSE), np.arange(POSE, STATE)
     # The logged pose is the true one plus the slow error plus the white one.
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
-    gap = np.hstack([places - log.places, turn]) - bias
+    gap = np.hstack([positions - log.positions, turn]) - bias
     weight = 1 / log.white**2
     diagonal[:, pose, pose] += weight
     diagonal[:, slow, slow] += weight
@@ -156,10 +156,10 @@ def _normal_equations(log: LoggedPoses, state: _State, common_sigmas: Floats) ->
     right[:, :POSE] -= weight * gap
     right[:, POSE:] += weight * gap
     # The slow error: stationary at the first frame, then from frame to frame.
-    diagonal[0, slow, slow] += 1 / log.slow[0] ** 2
-    right[0, POSE:] -= bias[0] / log.slow[0] ** 2
-    ratio = log.keep * log.slow[1:] / log.slow[:-1]  # the stated sigma may change from frame to frame
-    fresh = 1 / (log.slow[1:] ** 2 * (1 - log.keep**2))
+    diagonal[0, slow, slow] += 1 / log.drift[0] ** 2
+    right[0, POSE:] -= bias[0] / log.drift[0] ** 2
+    ratio = log.correlation * log.drift[1:] / log.drift[:-1]  # the stated sigma may change from frame to frame
+    fresh = 1 / (log.drift[1:] ** 2 * (1 - log.correlation**2))
     jump = bias[1:] - ratio * bias[:-1]
     diagonal[1:, slow, slow] += fresh
     diagonal[:-1, slow, slow] += ratio**2 * fresh
@@ -207,12 +207,12 @@ def _add_sightings(
     normal: ChainNormal, log: LoggedPoses, state: _State, sightings: Sequence[LandmarkObservation], robust_sigmas: float
 ) -> None:
     """Add cones as landmarks; their feet follow the motions' common errors among the shared unknowns."""
-    rotations, places, _, shared, _ = state
+    rotations, positions, _, shared, _ = state
     body_R_left, lever = log.body_SE3_left[:3, :3], log.body_SE3_left[:3, 3]
     for s in sightings:
         at = state.foot(s.cone)
         camera_R_map = (rotations[s.frame] @ body_R_left).T
-        centre = places[s.frame] + rotations[s.frame] @ lever
+        centre = positions[s.frame] + rotations[s.frame] @ lever
         local = camera_R_map @ (shared[at] - centre)
         residual = s.xyz - local
         information = s.information * _huber(np.asarray(residual @ s.information @ residual / 3), robust_sigmas)
@@ -230,10 +230,10 @@ def _add_sightings(
 
 
 def motion_residuals(
-    log: LoggedPoses, rotations: Floats, places: Floats, motions: MeasuredMotions, scale: float
+    log: LoggedPoses, rotations: Floats, positions: Floats, motions: MeasuredMotions, scale: float
 ) -> tuple[Floats, Floats, Floats]:
     """Measured minus computed motions (M, 6), and the derivatives (M, 6, 6) of the computed ones by the two poses' errors."""
-    left = se3.compose(se3.se3(rotations, places), log.body_SE3_left)
+    left = se3.compose(se3.se3(rotations, positions), log.body_SE3_left)
     first, second = left[motions.start], left[motions.start + 1]
     computed = se3.compose(se3.invert(second), first)
     measured = motions.next_SE3_first

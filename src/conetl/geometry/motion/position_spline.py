@@ -43,7 +43,7 @@ _MEDIAN_CHI2 = 0.4549
 
 
 class PositionSpline(NamedTuple):
-    """Smoothed states at K records that are used."""
+    """Smoothed states at the K records that are used."""
 
     origin_m: Floats
     """(3,) subtracted from all positions."""
@@ -61,8 +61,8 @@ class PositionSpline(NamedTuple):
     """Correlation time of the slow error."""
 
 
-class Moved(NamedTuple):
-    """The vehicle at M instants."""
+class VehicleStates(NamedTuple):
+    """Position and motion of the vehicle at M instants."""
 
     positions_m: Floats
     """(M, 3) as a record of that instant would have it, with the slow error of the records around."""
@@ -90,7 +90,7 @@ def position_spline(
     times, positions, sigma = (np.asarray(a, dtype=np.float64) for a in (times_s, positions_m, sigma_m))
     if not all(np.isfinite(a).all() for a in (times, positions, sigma)) or (np.diff(times) <= 0).any():
         raise ValueError("expected finite positions and sigmas at rising times")
-    used = _thinned(times)
+    used = _select_records(times)
     if len(used) < 3:
         raise ValueError(f"expected at least three positions {_LEAST_STEP_S:g} s apart, found {len(times)}")
     times, sigma = times[used], np.maximum(sigma[used], 1e-4)
@@ -134,8 +134,9 @@ def position_spline(
     return PositionSpline(origin, times, means, covs * factor[:, None, None], gain, slow, correlation_s)
 
 
-def at_times(spline: PositionSpline, times_s: ArrayLike) -> Moved:
-    """The vehicle at instants (M,) between the first and the last record, meaningless in gaps of more than `LONGEST_GAP_S`.
+def states_at(spline: PositionSpline, times_s: ArrayLike) -> VehicleStates:
+    """Interpolate the spline at instants (M,) between its first and last record; meaningless in gaps of more than
+    `LONGEST_GAP_S`.
 
     Raises ValueError beyond the records.
     """
@@ -157,15 +158,15 @@ def at_times(spline: PositionSpline, times_s: ArrayLike) -> Moved:
     slow = (1 - share) * spline.slow_m[k] + share * spline.slow_m[k + 1]
     apart_s = (spline.times_s[k + 1] - spline.times_s[k])[:, None]
     recorded = cov[..., 0, 0] + slow**2 * cov[..., 3, 3] + 2 * slow * cov[..., 0, 3]
-    return Moved(
+    return VehicleStates(
         spline.origin_m + state[..., 0] + slow * state[..., 3], np.sqrt(np.maximum(recorded, 1e-8)), state[..., 1],
         np.sqrt(np.maximum(cov[..., 1, 1], 1e-8)), state[..., 2],
         (spline.state[k + 1, :, 0] - spline.state[k, :, 0]) / apart_s,
     )  # fmt: skip
 
 
-def turn_rate(moved: Moved) -> Floats:
-    """(M,) rad/s by which the course turns, counter-clockwise; no more than a vehicle can at its speed."""
+def turn_rate(moved: VehicleStates) -> Floats:
+    """(M,) rad/s of the course, counter-clockwise; limited to what a vehicle can do at its speed."""
     east, north = moved.velocity_m_s[:, 0], moved.velocity_m_s[:, 1]
     speed = np.maximum(np.hypot(east, north), 1e-3)
     turned = (east * moved.acceleration_m_s2[:, 1] - north * moved.acceleration_m_s2[:, 0]) / speed**2
@@ -183,12 +184,12 @@ def course_attitude(spline: PositionSpline, times_s: ArrayLike) -> tuple[Floats,
     times = np.asarray(times_s, dtype=np.float64).reshape(-1)
     middle = ((spline.times_s[1:] + spline.times_s[:-1]) / 2)[np.diff(spline.times_s) <= LONGEST_GAP_S]
     steady = np.sort(np.concatenate([spline.times_s, middle]))
-    around, moved = at_times(spline, steady), at_times(spline, times)
-    moving = np.flatnonzero(_moves(around))
+    around, moved = states_at(spline, steady), states_at(spline, times)
+    moving = np.flatnonzero(_is_moving(around))
     if not len(moving):
         raise ValueError("the positions never show the vehicle moving, so that its heading is unknown")
     yaw, own = _course(moved)
-    edge_yaw, edge_sigma = _course(at_times(spline, steady[moving]))
+    edge_yaw, edge_sigma = _course(states_at(spline, steady[moving]))
     at = np.searchsorted(steady[moving], times)
     candidates = []
     for side in (np.maximum(at - 1, 0), np.minimum(at, len(moving) - 1)):
@@ -199,7 +200,7 @@ def course_attitude(spline: PositionSpline, times_s: ArrayLike) -> tuple[Floats,
     apart = np.angle(np.exp(1j * (second - first)))
     weight = first_sigma**2 / (first_sigma**2 + second_sigma**2)
     held_sigma = np.hypot(np.minimum(first_sigma, second_sigma), np.abs(apart) / 2)
-    still = ~_moves(moved)
+    still = ~_is_moving(moved)
     yaw = np.where(still, first + weight * apart, yaw)
     own = np.where(still, np.minimum(held_sigma, _UNKNOWN_RAD), own)
     speed = np.maximum(np.hypot(moved.velocity_m_s[:, 0], moved.velocity_m_s[:, 1]), 1e-3)
@@ -209,7 +210,7 @@ def course_attitude(spline: PositionSpline, times_s: ArrayLike) -> tuple[Floats,
     return se3.rotation_from_rpy(np.zeros(len(times)), pitch, yaw), np.hypot(short, _UNSEEN_RAD), short
 
 
-def _course(moved: Moved) -> tuple[Floats, Floats]:
+def _course(moved: VehicleStates) -> tuple[Floats, Floats]:
     """Yaw (M,) of the course and its sigma (M,), rad."""
     east, north = moved.velocity_m_s[:, 0], moved.velocity_m_s[:, 1]
     speed = np.maximum(np.hypot(east, north), 1e-3)
@@ -218,15 +219,15 @@ def _course(moved: Moved) -> tuple[Floats, Floats]:
     return np.arctan2(north, east), np.minimum(np.hypot(across / speed, slip), _UNKNOWN_RAD)
 
 
-def _moves(moved: Moved) -> Bools:
-    """(M,) whether the course is a heading: after a sudden stop the spline swings back, but the records do not."""
+def _is_moving(moved: VehicleStates) -> Bools:
+    """(M,) whether the course is a heading. After a sudden stop the spline swings back although the records do not."""
     least = np.maximum(_MOVING_M_S, _MOVING_SIGMAS * moved.velocity_sigma_m_s[:, :2].max(axis=1))
     here, mean = moved.velocity_m_s[:, :2], moved.mean_velocity_m_s[:, :2]
     fast = np.minimum(np.linalg.norm(here, axis=1), np.linalg.norm(mean, axis=1)) > least
     return np.asarray(fast & ((here * mean).sum(axis=1) > 0))
 
 
-def _thinned(times_s: Floats) -> Ints:
+def _select_records(times_s: Floats) -> Ints:
     """Indices of records at least `_LEAST_STEP_S` apart, the first and the last included."""
     kept = spaced(times_s[:, None], _LEAST_STEP_S)
     if kept and kept[-1] != len(times_s) - 1:

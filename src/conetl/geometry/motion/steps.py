@@ -18,7 +18,7 @@ _STOP_AND_GO = np.array([4.0, 1.0])
 
 
 class StepMisfit(NamedTuple):
-    """By how much a step is not what the speeds around it make it."""
+    """Difference between a step of a trajectory and what the speeds around it predict."""
 
     off_m: tuple[float, float]
     """Horizontal distance and height difference, m."""
@@ -33,10 +33,11 @@ class StepMisfit(NamedTuple):
         return float(np.hypot(*self.off_m)) if beyond else 0.0
 
 
-def driven_apart_m(apart_s: float) -> Floats:
-    """(2,) m, horizontal and vertical: how far a vehicle may be from where the mean of two velocities leads in the time between.
+def max_deviation_m(apart_s: float) -> Floats:
+    """(2,) m, horizontal and vertical: largest deviation of a vehicle from the path that the mean of two velocities predicts
+    between them.
 
-    If its acceleration is nowhere farther than a from an even one, that is at most a t^2 / 4.
+    If its acceleration stays within a of a constant one, the deviation is at most a t^2 / 4.
     """
     return _STOP_AND_GO * apart_s**2 / 4
 
@@ -58,7 +59,7 @@ def step_misfit(steps_m: Floats, speeds: Floats, times_s: Floats, k: int) -> Ste
     if min((near < k).sum(), (near > k).sum()) >= 2:
         speed = np.polynomial.polynomial.polyfit(middle_s[near] - middle_s[k], speeds[near], 1)[0]
         within_reach_m = np.array([_UNEVEN, _UNEVEN_UP]) * step_s * reach_s / 8
-        horizontal_m, vertical_m = np.maximum(within_reach_m, driven_apart_m(step_s)).tolist()
+        horizontal_m, vertical_m = np.maximum(within_reach_m, max_deviation_m(step_s)).tolist()
         driven_m = horizontal_m, vertical_m
     else:
         speed = np.median(speeds[near], axis=0)

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
-from conetl.geometry.small_arrays import apart, cross_matrix, inverse_of_symmetric, median, stepped
+from conetl.geometry.small_arrays import apply_steps, cross_matrix, inverse_of_symmetric, median, pose_distance
 from conetl.model.arrays import Bools, Floats
 from conetl.model.base import Matrix4, Record
 from conetl.model.params import TrajectoryParams
@@ -70,7 +70,7 @@ class RelativeMotion(Record):
 
 
 class MotionStatus(StrEnum):
-    """What came of one estimate."""
+    """Outcome of one estimate."""
 
     OK = "ok"
     TOO_FEW_POINTS = "too_few_points"
@@ -129,7 +129,7 @@ def project(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, B
 
     Also returns the derivatives (..., 3, 3) px/m and which points lie in front of both cameras.
     """
-    image, jacobian, valid = _image_of(cameras, np.moveaxis(points_m, -1, 0))
+    image, jacobian, valid = _project_components(cameras, np.moveaxis(points_m, -1, 0))
     return np.moveaxis(image, 0, -1), np.moveaxis(jacobian, (0, 1), (-2, -1)), valid
 
 
@@ -142,8 +142,8 @@ def _directions(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Float
     return points_m[..., 0] / z, points_m[..., 1] / z, z, right_x / zr, zr, valid
 
 
-def _followers(cameras: StereoCameras, points: Floats, second_px: Floats, reach_px: Floats, poses: Floats) -> Bools:
-    """(H, N): which points follow motions (H, 4, 4) to within their reach."""
+def _consensus(cameras: StereoCameras, points: Floats, second_px: Floats, reach_px: Floats, poses: Floats) -> Bools:
+    """(H, N): which points agree with motions (H, 4, 4) to within their tolerance."""
     moved = points @ np.swapaxes(poses[:, :3, :3], 1, 2) + poses[:, None, :3, 3]
     x, y, _, xr, _, valid = _directions(cameras, moved)
     fx, fy, cx, cy = cameras.left_px
@@ -191,14 +191,14 @@ def estimate_motion(
 
     def best_of(poses: Floats) -> tuple[Floats, Bools]:
         """The motion near the expected one that most points follow, and which do."""
-        turn, shift = apart(poses, expected)
+        turn, shift = pose_distance(poses, expected)
         poses = poses[(shift <= params.gate_m) & (turn <= params.gate_rad)]
-        follows = _followers(cameras, points, second_px, reach, poses)
+        follows = _consensus(cameras, points, second_px, reach, poses)
         winner = int(follows.sum(axis=1).argmax())
         return poses[winner], follows[winner]
 
     if start is not None:
-        pose, inliers = start, _followers(cameras, points, second_px, reach, start[None])[0]
+        pose, inliers = start, _consensus(cameras, points, second_px, reach, start[None])[0]
     if start is None or inliers.sum() < params.min_points:
         pose, inliers = best_of(expected[None] if guess is None else np.stack([guess, expected]))
         if inliers.sum() < max(params.min_points, _MAJORITY * len(points)):
@@ -227,7 +227,7 @@ def _hypotheses(cameras: StereoCameras, points: Floats, second_px: Floats, expec
         scale = np.einsum("hni,hni->hi", design, design)
         normal = np.swapaxes(design, 1, 2) @ design + (1e-9 * scale + 1e-12)[:, :, None] * np.eye(6)
         step = np.linalg.solve(normal, np.einsum("hni,hn->hi", design, residual)[..., None])[..., 0]
-        poses = stepped(poses, np.clip(np.nan_to_num(step), -1.0, 1.0))
+        poses = apply_steps(poses, np.clip(np.nan_to_num(step), -1.0, 1.0))
     return poses
 
 
@@ -251,7 +251,7 @@ def _refine(
     inliers = np.ones(len(points), dtype=bool)
     for iteration in range(_MAX_ITERATIONS):
         turned = pose[:3, :3] @ at
-        image, jacobian, valid = _image_of(cameras, turned + pose[:3, 3:])
+        image, jacobian, valid = _project_components(cameras, turned + pose[:3, 3:])
         r, spread_of, var = seen - image, d_at, variance
         if iteration < _CHOOSING_ITERATIONS:  # later a point at the bound could alternate
             inliers = valid & (np.abs(r).max(axis=0) <= reach_px)
@@ -284,7 +284,7 @@ def _refine(
         except np.linalg.LinAlgError:
             return MotionStatus.DEGENERATE, pose, inliers, None
         step = inverse @ (wide @ r.ravel())
-        pose = stepped(pose, step)
+        pose = apply_steps(pose, step)
         if iteration >= _CHOOSING_ITERATIONS and float((step**2 * np.diag(normal)).max()) < _CONVERGED:
             # Sandwich of M-estimation: scatter of the weighted scores around the curvature (Huber 1981, ch. 6).
             scores = np.einsum("in,ain->an", r, weighted)
@@ -296,7 +296,7 @@ def _refine(
     return MotionStatus.NOT_CONVERGED, pose, inliers, None
 
 
-def _image_of(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, Bools]:
+def _project_components(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, Bools]:
     """As `project`, with the points last: (3, ...), (3, 3, ...), (...) of points (3, ...)."""
     x, y, z, xr, zr, valid = _directions(cameras, np.moveaxis(points_m, 0, -1))
     fx, fy, cx, cy = cameras.left_px
@@ -312,7 +312,7 @@ def _image_of(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats,
 
 def _spread_px(cameras: StereoCameras, points: Floats, d_points: Floats, sigma_px: Floats, pose: Floats) -> Floats:
     """Expected sigma (N,) of a residual, the largest of its three coordinates."""
-    _, jacobian, _ = _image_of(cameras, pose[:3, :3] @ points.T + pose[:3, 3:])
+    _, jacobian, _ = _project_components(cameras, pose[:3, :3] @ points.T + pose[:3, 3:])
     carried = np.einsum("ikn,kjn->ijn", np.einsum("ikn,kj->ijn", jacobian, pose[:3, :3]), d_points.transpose(1, 2, 0))
     variance = 1 + (carried * carried).sum(axis=1).max(axis=0)
     return np.asarray(sigma_px * np.sqrt(np.clip(np.nan_to_num(variance, nan=2.0), 2.0, 50.0)))

@@ -33,7 +33,7 @@ from conetl.model.rig import Rig
 
 
 class NoMeasurement(StrEnum):
-    """Why there are no points between two frame pairs."""
+    """Why no points were followed between two frame pairs."""
 
     IMAGE_UNREADABLE = "image_unreadable"
     IMAGE_BLANK = "image_blank"
@@ -60,7 +60,7 @@ PackedPoints = Annotated[
 
 
 class StereoTracks(Record):
-    """Points followed between two frame pairs, in pixels of the rectified images; with the reason where there are none."""
+    """Points followed between two frame pairs, in pixels of the rectified images; without points, the reason."""
 
     first_frame_index: int = Field(ge=0)
     second_frame_index: int = Field(ge=0)

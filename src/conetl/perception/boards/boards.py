@@ -196,7 +196,7 @@ def _find_chessboard(image: Grey, size: tuple[int, int]) -> Floats | None:
     fine = _sectors(part, size, cv2.CALIB_CB_ACCURACY, enlarge)
     if fine is None:
         fine = _sectors(part, size, accurate, enlarge)
-    if fine is None or np.hypot(*(_same_way(fine + top, rough) - rough).T).max() > 0.25 * length:
+    if fine is None or np.hypot(*(_nearest_order(fine + top, rough) - rough).T).max() > 0.25 * length:
         fine = rough - top  # seen in the whole image only: rougher, and the adjustment will say whether it fits
     return _right_handed(np.asarray(fine + top), size)
 
@@ -209,7 +209,7 @@ def _sectors(image: Grey, size: tuple[int, int], flags: int, scale: int) -> Floa
     return np.asarray((corners.reshape(-1, 2).astype(np.float64) + 0.5) / scale - 0.5)
 
 
-def _same_way(corners: Floats, like: Floats) -> Floats:
+def _nearest_order(corners: Floats, like: Floats) -> Floats:
     """Corners in the order, forwards or backwards, that is nearer to `like`."""
     return min((corners, corners[::-1]), key=lambda c: float(((c - like) ** 2).sum()))
 

@@ -87,7 +87,7 @@ def pairs_in_videos(
     cannot be found, ImageFileError where a video cannot be decoded.
     """
     files = [videos.left] if videos.layout else [videos.left, videos.right]
-    in_step = [_in_step(video) for video in files]
+    in_step = [_sample_frames(video) for video in files]
     total = sum(map(len, in_step))
     smalls: list[Image] = []
     for video, numbers in zip(files, in_step, strict=True):
@@ -120,7 +120,7 @@ def _frame(videos: Videos, side: Side, number: int) -> FrameRef:
     return FrameRef(video.path, video.pts[number], region_of(video, videos.layout, side))
 
 
-def _in_step(video: VideoIndex) -> list[int]:
+def _sample_frames(video: VideoIndex) -> list[int]:
     """Numbers of the frames nearest to instants `_STEP_S` apart."""
     times_s = video.times_s() - video.times_s()[0]
     instants = np.arange(0.0, times_s[-1], _STEP_S)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.small_arrays import nearest
+from conetl.geometry.small_arrays import nearest_index
 from conetl.model.arrays import Floats, Image, Ints
 from conetl.model.params import MarkingParams
 from conetl.model.rig import Rig
@@ -123,7 +123,7 @@ def find_points(frame_index: int, left: Image, right: Image, rig: Rig, params: M
     uv = np.stack([u_left, grid.rows_px[row]], axis=1)
     height, focal_base = road.height_m(uv, disparity), rig.left.fx_px * rig.baseline_m
     width = (fall - rise + theirs.fall[second] - theirs.rise[second]) / 2 * _STEP_M
-    blue, red = _tints(sides[0][0], ours, first)
+    blue, red = _log_colour_ratios(sides[0][0], ours, first)
     found = PointColumns(
         u_px=u_left,
         v_px=uv[:, 1],
@@ -256,7 +256,7 @@ def _matched(ours: _Bands, theirs: _Bands) -> tuple[Ints, Ints]:
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     apart = 1e6
     ours_key, theirs_key = ours.row * apart + ours.middle, theirs.row * apart + theirs.middle
-    forth, back = nearest(theirs_key, ours_key), nearest(ours_key, theirs_key)
+    forth, back = nearest_index(theirs_key, ours_key), nearest_index(ours_key, theirs_key)
     first = np.flatnonzero(back[forth] == np.arange(len(forth)))
     second = forth[first]
     ratio = (ours.fall - ours.rise)[first] / (theirs.fall - theirs.rise)[second]
@@ -279,7 +279,7 @@ def _road_height_beside(road: RoadPlane, grid: _RoadGrid, row: Ints, edge_px: Fl
     return np.where(count >= _LEAST_ON_SIDE, (lower + upper) / 2, np.nan)
 
 
-def _tints(colours: Image, bands: _Bands, chosen: Ints) -> tuple[Floats, Floats]:
+def _log_colour_ratios(colours: Image, bands: _Bands, chosen: Ints) -> tuple[Floats, Floats]:
     """(N,) logarithms of how much brighter than the road the paint is in blue, and in red, each against green.
 
     Ratios of paint to road do not depend on the white balance; of white paint they are equal in all colours.

@@ -18,7 +18,7 @@ from conetl.db.map import decision_store as store
 from conetl.db.map import replay_store as replays
 from conetl.db.map.decision_store import hold_changes
 from conetl.db.map.map_store import find_features, list_changesets, map_transaction, require_map, system_time
-from conetl.db.map.results import CommittedChangeset, Decidable, MapInfo, Replay
+from conetl.db.map.results import CommittedChangeset, DecisionTarget, MapInfo, Replay
 from conetl.mapping.history import is_within
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.feature_classes import FEATURE_CLASSES
@@ -67,7 +67,7 @@ class DecisionOutcome(NamedTuple):
     """Number of the later delivery that keeps this drive from counting, although nothing else does."""
 
 
-class _Deciding(NamedTuple):
+class _OpenDecision(NamedTuple):
     """A map under its lock while a decision is made."""
 
     info: MapInfo
@@ -96,7 +96,7 @@ def decide_place(
     """
     if not 0 < radius_m <= MAX_RADIUS_M:
         raise InputError(f"radius {radius_m:g} m: expected more than 0 and at most {MAX_RADIUS_M:g} m")
-    with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
+    with _open_decision(conn, map_name, note, decided_by, lock_timeout_s) as at:
         state = _feature(conn, map_name, feature)
         known = store.list_decisions(conn, map_name=map_name)
         here = {one.kind: one for one in known if one.place is not None and is_within(state, [one.place])}
@@ -132,8 +132,8 @@ def revert(
     """Revert a changeset (its drive does not count any more) or a decision. what: its id, the beginning of it, or the changeset's
     number. Nothing is lost: reverting the decision brings everything back. Raises InputError, ConflictError where that was done
     already."""
-    with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
-        target, known = _target(conn, map_name, what), store.list_decisions(conn, map_name=map_name)
+    with _open_decision(conn, map_name, note, decided_by, lock_timeout_s) as at:
+        target, known = _find_target(conn, map_name, what), store.list_decisions(conn, map_name=map_name)
         if target.kind == "changeset":
             if any(one.changeset_id == target.id and one.kind == REVERT for one in known):
                 raise ConflictError(f"changeset {target.id} has already been reverted: see `conetl map decisions`")
@@ -166,7 +166,7 @@ def accept_drive(
 ) -> DecisionOutcome:
     """Let a drive on hold count as it is. drive: its id, or its changeset's number or id. Reverting the decision puts it on hold
     again. Raises ConflictError where no such drive is on hold, or another delivery of it counts."""
-    with _deciding(conn, map_name, note, decided_by, lock_timeout_s) as at:
+    with _open_decision(conn, map_name, note, decided_by, lock_timeout_s) as at:
         found = [
             known
             for known in list_changesets(conn, map_name=map_name)
@@ -205,15 +205,15 @@ def _classification(state: MapFeature, category: str | None, place: Location) ->
 
 
 @contextmanager
-def _deciding(
+def _open_decision(
     conn: Connection, map_name: str, note: str, decided_by: str | None, lock_timeout_s: float
-) -> Iterator[_Deciding]:
+) -> Iterator[_OpenDecision]:
     """The map under its lock, the instant of the decision, `insert_decision` for it, and the drives on hold."""
     with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
         info = require_map(conn, map_name)
         decided_at = system_time(conn, info)
         insert = partial(store.insert_decision, conn, info, decided_at=decided_at, note=note, decided_by=decided_by)
-        yield _Deciding(info, decided_at, insert, store.held_drives(conn, map_name=map_name))
+        yield _OpenDecision(info, decided_at, insert, store.held_drives(conn, map_name=map_name))
 
 
 def _not_held(conn: Connection, known: CommittedChangeset) -> str:
@@ -232,7 +232,7 @@ def _not_held(conn: Connection, known: CommittedChangeset) -> str:
 
 def _outcome(
     conn: Connection,
-    at: _Deciding,
+    at: _OpenDecision,
     decision_id: UUID,
     kind: str,
     written: int,
@@ -260,7 +260,7 @@ def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, de
 
 
 def _judge_drive(
-    conn: Connection, at: _Deciding, drive_uuid: UUID, decide: Callable[[], UUID], changeset_id: UUID | None
+    conn: Connection, at: _OpenDecision, drive_uuid: UUID, decide: Callable[[], UUID], changeset_id: UUID | None
 ) -> tuple[UUID, int, int, tuple[RevertConflict, ...]]:
     """Write by `decide` that a drive starts or ceases to count, and compute what changes by it."""
     counted_before = replays.superseded_drives(conn, drive_uuid)
@@ -309,7 +309,7 @@ def _feature(conn: Connection, map_name: str, beginning: str) -> MapFeature:
     return version.feature
 
 
-def _target(conn: Connection, map_name: str, beginning: str) -> Decidable:
+def _find_target(conn: Connection, map_name: str, beginning: str) -> DecisionTarget:
     found = store.find_decisions(conn, beginning, map_name=map_name)
     if not found:
         for known in store.list_decisions(conn, map_name=map_name):

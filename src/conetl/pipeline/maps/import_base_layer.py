@@ -13,7 +13,7 @@ import numpy as np
 
 from conetl.db import base_store as store
 from conetl.db.connection import Connection
-from conetl.files.documents import named
+from conetl.files.documents import input_errors
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
@@ -262,5 +262,5 @@ def _unchanged(file: store.BaseFile, kept: int) -> ImportedFile:
 
 
 def _sha256(path: Path) -> str:
-    with named(path):
+    with input_errors(path):
         return file_sha256(path)

@@ -21,7 +21,7 @@ from conetl.db.map.replay_store import affected_drives, superseded_drives
 from conetl.db.map.results import MapInfo, RunInfo
 from conetl.files.parquet_store import result_key
 from conetl.geometry.geodesy import to_crs
-from conetl.mapping.displacement import imported_displacement
+from conetl.mapping.displacement import check_import
 from conetl.mapping.history import DriveEvidence
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -244,7 +244,7 @@ def _refuse_displaced(conn: Connection, imported: ImportedMap, params: ImportPar
     """Positions of another datum, or heights of another system, would put a second cone beside or below each one of the map."""
     stated = [statement.feature for statement in imported.statements]
     standing = read_current_features(conn, map_name=map_name)
-    found = imported_displacement(stated, standing, params.reconcile)
+    found = check_import(stated, standing, params.reconcile)
     if found is None or found.value is None:
         return
     where, sigma = f"{imported.source_path}: its cones lie {abs(found.value):.1f} m", f"at a stated {found.sigma:.2f} m"

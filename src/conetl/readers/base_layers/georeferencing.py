@@ -15,7 +15,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 from scipy.spatial import cKDTree
 
-from conetl.files.documents import named, shown
+from conetl.files.documents import input_errors, shown
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.arrays import Bools, Floats
 from conetl.model.errors import InputError
@@ -157,7 +157,7 @@ def ground_under(poses_m: Floats, feet_m: Floats) -> Floats:
 def resolve_crs(path: Path, stated: CRS | None, given: str | None, ground: MapGround) -> tuple[LayerCrs, list[str]]:
     """The CRS of a file: `given` by the user, else the one it states, and warnings. Raises InputError without a usable one."""
     warnings: list[str] = []
-    with named(path):
+    with input_errors(path):
         crs = parse_crs(given) if given else stated
         if crs is None:
             raise InputError(

@@ -12,7 +12,7 @@ import lazrs  # type: ignore[import-untyped]
 import numpy as np
 from pyproj import CRS
 
-from conetl.files.documents import MAX_SHOWN, named
+from conetl.files.documents import MAX_SHOWN, input_errors
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.point_tiles import Cloud
 
@@ -125,7 +125,7 @@ def _check_chunks(path: Path, header: laspy.LasHeader) -> None:
 
 def _check_header(path: Path) -> None:
     """Reject a number of records or chunks that cannot be true: laspy would try to read as many, its decoder abort."""
-    with named(path), path.open("rb") as file:
+    with input_errors(path), path.open("rb") as file:
         size, head = path.stat().st_size, file.read(247)
         chunks = _laz_chunks(file, int.from_bytes(head[96:100], "little"), size) if head[104:105] >= b"@" else 0
     if head[:4] != b"LASF":

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pyproj import CRS
 
-from conetl.files.documents import XmlFile, named
+from conetl.files.documents import XmlFile, input_errors
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
@@ -75,7 +75,7 @@ def read_lanelet2(path: Path) -> LineFile:
     """Boundaries of a Lanelet2 file. Raises InputError where it is not one or has none."""
     refused: list[str] = []
     try:
-        with named(path), XmlFile(path) as file:
+        with input_errors(path), XmlFile(path) as file:
             nodes, ways, bounding = _read(file, path, refused)
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is not OSM XML ({error}); expected a Lanelet2 map") from error

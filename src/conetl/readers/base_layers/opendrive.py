@@ -18,7 +18,7 @@ import shapely
 from numpy.polynomial.polynomial import polyder, polyval
 from pyproj import CRS
 
-from conetl.files.documents import MAX_SHOWN, XmlFile, named, shown
+from conetl.files.documents import MAX_SHOWN, XmlFile, input_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -158,7 +158,7 @@ def param_poly3(unit_m: float, u: Sequence[float], v: Sequence[float], ds: Float
 def read_opendrive(path: Path) -> LineFile:
     """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
     try:
-        with named(path), XmlFile(path) as file:
+        with input_errors(path), XmlFile(path) as file:
             root = ElementTree.parse(file).getroot()
     except ElementTree.ParseError as error:
         raise InputError(f"{path}: is not XML ({error}); expected an OpenDRIVE file") from error
@@ -166,7 +166,7 @@ def read_opendrive(path: Path) -> LineFile:
         raise InputError(f"{path}: its root is <{root.tag}>, expected <OpenDRIVE>")
     lines: list[Line] = []
     refused: list[str] = []
-    with named(path):
+    with input_errors(path):
         move = _header_offset(root)
     left = float(MAX_POINTS)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 
 from conetl.files.names import require_utf8
-from conetl.files.storage import as_path, forget_listing, is_remote, reached
+from conetl.files.storage import as_path, forget_listing, is_remote, storage_errors
 from conetl.model.drive import Drive, SurveyedPoint
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.rejections import Rejection
@@ -55,7 +55,7 @@ def read_drive(
     """
     path = as_path(path)
     forget_listing(path)
-    with reached(path), _of_the_drive():
+    with storage_errors(path), _of_the_drive():
         if not path.exists():
             raise InputError(f"{path}: there is no such folder; give the folder of one drive")
         if not is_remote(path):

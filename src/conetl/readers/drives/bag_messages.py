@@ -31,7 +31,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import normalize_msgtype
 from rosbags.typesys.store import Typestore
 
-from conetl.files.atomic import aside
+from conetl.files.atomic import temporary_path
 from conetl.files.documents import MAX_SHOWN, read_yaml
 from conetl.model.errors import ConetlError, InputError
 from conetl.model.rejections import RejectionReason
@@ -294,7 +294,7 @@ def unpack(data: bytes, suffix: str, folder: Path) -> Path:
             path.touch()  # in use: `old_images` checks its age
             return path
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = aside(path)
+        unfinished = temporary_path(path)
         unfinished.write_bytes(data)
         unfinished.replace(path)
     except OSError as error:

@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from conetl.files.documents import named
+from conetl.files.documents import input_errors
 from conetl.files.storage import is_remote
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
@@ -135,7 +135,7 @@ def rig_on_body(rig: Rig, sensor_SE3_left: Floats, settings: DriveYaml, source: 
     body_SE3_left = se3.compose(se3.se3(turn.T, np.zeros(3)), sensor_SE3_left)
     body_SE3_right = se3.compose(body_SE3_left, rigs.left_SE3_right(rig))
     poses = {"body_SE3_left": se3.to_matrix4(body_SE3_left), "body_SE3_right": se3.to_matrix4(body_SE3_right)}
-    with named(source):
+    with input_errors(source):
         on_body = Rig.model_validate(dict(rig) | poses | overrides(settings))
     return rectified_rig(on_body, source), turn
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from conetl.files.names import printable, require_utf8
 from conetl.files.storage import is_remote
 from conetl.model.base import utc_from_ns
-from conetl.model.errors import ConetlError, InputError, ServiceError, is_of_storage
+from conetl.model.errors import ConetlError, InputError, ServiceError, is_storage_error
 from conetl.readers.drives import find_format, kitti
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings
@@ -119,10 +119,10 @@ def read_header(folder: Path) -> DriveHeader:
     except OSError as error:
         problem = f"this cannot be read: {error.strerror or error}: {error.filename or folder}"
         readable = False
-        passes = is_of_storage(error)
+        passes = is_storage_error(error)
     except (ConetlError, ValueError) as error:
         problem = f"{error}"
-        passes = is_of_storage(error.__cause__) or isinstance(error, ServiceError)
+        passes = is_storage_error(error.__cause__) or isinstance(error, ServiceError)
     except Exception as error:  # a foreign file must not stop the plan of a year
         problem = f"this cannot be read: {type(error).__name__}: {error}"
         readable = False

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from conetl.files.documents import named
+from conetl.files.documents import input_errors
 from conetl.files.storage import fetch, is_remote, object_bytes
 from conetl.model.drive import MAX_FRAME_INDEX, Drive
 from conetl.model.errors import InputError
@@ -249,7 +249,7 @@ def _trajectory(source: Source, stamps: Mapping[int, int | str]) -> tuple[int, o
     start = records[min(records)]
     srid = checked_srid(source.map_srid, start.lat_deg, start.lon_deg, folder)
     times = {number: stamp for number, stamp in stamps.items() if isinstance(stamp, int)}
-    with named(folder):
+    with input_errors(folder):
         track = oxts.trajectory(records, times, srid, settings.sigmas)
         if wild := oxts.wild_records(track):
             kept = {number: record for number, record in records.items() if number not in wild}

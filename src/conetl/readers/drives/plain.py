@@ -21,7 +21,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError
 
-from conetl.files.documents import MAX_SHOWN, first_message, named, shown
+from conetl.files.documents import MAX_SHOWN, first_message, input_errors, shown
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.base import Height, Latitude, Longitude, Record
@@ -137,7 +137,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
         first = next((str(row) for row in rows.values()), "the file has no rows")
         raise InputError(f"{path / TRAJECTORY}: no usable pose: {first}")
     srid = checked_srid(source.map_srid, good[0].lat_deg, good[0].lon_deg, path)
-    with named(path):
+    with input_errors(path):
         poses = {row.stem: pose_of_row(row, srid, settings.sigmas) for row in good}
     times = {row.stem: time_of_row(row, settings.timestamps_timezone) for row in good}
     rows |= _wild_rows(poses, times)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from conetl.files.documents import named
+from conetl.files.documents import input_errors
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid, local_to_map
@@ -191,7 +191,7 @@ def georeferenced(source: Source, stream: str, local: Floats) -> tuple[int, Floa
             "(ellipsoidal height) and the direction of its x axis, clockwise from true north"
         )
     srid = checked_srid(source.map_srid, origin.lat_deg, origin.lon_deg, source.root)
-    with named(source.root):
+    with input_errors(source.root):
         return srid, local_to_map(srid, origin.lat_deg, origin.lon_deg, origin.height_m, origin.heading_deg, local)
 
 
@@ -209,7 +209,7 @@ def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Floats) 
     else:
         lat, lon, height = positions.T
         srid = checked_srid(source.map_srid, float(lat[0]), float(lon[0]), source.root)
-        with named(source.root):
+        with input_errors(source.root):
             poses = se3.se3(enu_to_grid(srid, lat, lon, rotations), geodesy.to_map(srid, lat, lon, height))
     sigma = _sigmas(recorded, source.settings)
     known = np.isfinite(sigma).all(axis=1)
@@ -240,7 +240,7 @@ def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Floats:
 
 def checked_srid(srid: int | None, lat_deg: float, lon_deg: float, source: Path) -> int:
     """EPSG code of the map: the given one, or the UTM zone of the position. Raises InputError if it is unusable there."""
-    with named(source):
+    with input_errors(source):
         srid = srid or geodesy.utm_srid(lat_deg, lon_deg)
         geodesy.check_map_srid(srid)
         geodesy.check_scale(srid, lat_deg, lon_deg)

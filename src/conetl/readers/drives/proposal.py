@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from conetl.files.documents import named, shown, validated
+from conetl.files.documents import input_errors, shown, validated
 from conetl.geometry import rig as rigs
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
@@ -233,7 +233,7 @@ def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:
     if images.get("layout", LAYOUTS[0]) not in LAYOUTS:
         raise InputError(f"--layout {shown(images['layout'])}: expected one of {', '.join(LAYOUTS)}")
     if "start" in images:
-        with named("--start"):
+        with input_errors("--start"):
             parse_timestamp(images["start"])
     for option in ("timestamps", "right-timestamps", *SIDES):
         if option in answers and not (root / answers[option]).exists():

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from conetl.files.documents import named
+from conetl.files.documents import input_errors
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid
@@ -66,7 +66,7 @@ class _Recorded(NamedTuple):
 
     def connect(self, dst: str, src: str) -> Floats | None:
         """dst_SE3_src (4, 4) of two frames; None where they are not connected."""
-        return se3.connect(self.transforms, dst.lstrip("/"), src.lstrip("/"))
+        return se3.find_pose(self.transforms, dst.lstrip("/"), src.lstrip("/"))
 
 
 def matches(path: Path) -> bool:
@@ -263,7 +263,7 @@ def _trajectory(
     attitude = found.samples[topics.imu]
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
     srid = poses.checked_srid(source.map_srid, float(lat[0]), float(lon[0]), path)
-    with named(path):
+    with input_errors(path):
         antenna = se3.se3(np.broadcast_to(np.eye(3), (len(lat), 3, 3)), geodesy.to_map(srid, lat, lon, height))
     track = poses.without_wild_fixes(raw._replace(map_SE3_body=antenna))
 

@@ -11,15 +11,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from conetl.files.documents import named
+from conetl.files.documents import input_errors
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.position_spline import (
     LONGEST_GAP_S,
     PositionSpline,
-    at_times,
     course_attitude,
     position_spline,
+    states_at,
 )
 from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
@@ -59,7 +59,7 @@ def pose_reader(
     spline = _spline(track.name, track.times_ns, track.map_SE3_body[:, :3, 3], track.sigma[:, :3])
     inside = sorted({t for t in exposures_ns if track.times_ns[0] <= t <= track.times_ns[-1]})
     times_s = _seconds(inside, track.times_ns[0])
-    moved = at_times(spline, times_s)
+    moved = states_at(spline, times_s)
     if from_course:
         rotations, angles, short = _course(track.name, spline, times_s)
     rank = {t: k for k, t in enumerate(inside)}
@@ -110,7 +110,7 @@ def with_course(recorded: RecordedTrajectory) -> RecordedTrajectory:
 
 def _spline(name: str, times_ns: Sequence[int], positions_m: Floats, sigma_m: Floats) -> PositionSpline:
     defaults = TrajectoryParams()
-    with named(f"{name}: positions cannot be interpolated"):
+    with input_errors(f"{name}: positions cannot be interpolated"):
         return position_spline(
             _seconds(times_ns, times_ns[0]), positions_m, sigma_m, white_share=defaults.gnss_white_share,
             correlation_s=defaults.gnss_correlation_s,

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pyproj import CRS, Transformer
 
-from conetl.files.documents import expectation, key_of, named, shown
+from conetl.files.documents import error_key, expectation, input_errors, shown
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry.geodesy import to_ellipsoidal, utm_srid
 from conetl.model.arrays import Floats
@@ -188,7 +188,7 @@ class _Rows:
             covariance = row.covariance()
         except ValidationError as error:
             first = error.errors()[0]
-            raise self.fail(index, f"{key_of(first)} is {first['input']!r:.100}, {expectation(first)}") from None
+            raise self.fail(index, f"{error_key(first)} is {first['input']!r:.100}, {expectation(first)}") from None
         except ValueError as error:
             raise self.fail(index, error) from None
         last_ns = self.instant_ns(index, values, "last_seen_at", stated_ns)
@@ -260,7 +260,7 @@ def _require_all(
 
 
 def _file_crs(table: MapTable, stated: str | None) -> CRS:
-    with named("--crs"):
+    with input_errors("--crs"):
         wanted = None if stated is None else parse_crs(stated)
     crs = table.crs or wanted
     if crs is None:

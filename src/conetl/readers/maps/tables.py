@@ -22,7 +22,7 @@ import shapely
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from conetl.files.documents import first_line, named, shown
+from conetl.files.documents import first_line, input_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
@@ -115,7 +115,7 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
         layer = _choose_layer(path, layers, layer)
         info = pyogrio.read_info(path, layer=layer)
         _check_claim(path, info["features"], "features", len(info["fields"]))
-        with named(path):
+        with input_errors(path):
             crs = None if info["crs"] is None else parse_crs(info["crs"])
         table = MapTable(path, crs, layers=layers, layer=layer)
         source: Path | bytes = path

@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import ArrayLike
 
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import named, read_limited, shown
+from conetl.files.documents import input_errors, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.arrays import Floats
@@ -166,7 +166,7 @@ def camera_from_matrix(node: Node, k: Floats, size: Size, lens: Lens) -> Camera:
     if not np.allclose([k[1, 0], *k[2]], [0.0, 0.0, 0.0, 1.0], atol=1e-9 * fx):
         raise node.bad("must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     width, height = size
-    with named(f"{node.path}: '{node.key}' cannot be used"):
+    with input_errors(f"{node.path}: '{node.key}' cannot be used"):
         return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
 
 
@@ -229,7 +229,7 @@ def stereo_rig(node: Node, tool: str, left: Camera, right: Camera, right_SE3_lef
 
     node: the relative pose in the file; tool: the format's name, the rig's id starts with it. Raises InputError.
     """
-    with named(f"{node.path}: '{node.key}' cannot be used"):
+    with input_errors(f"{node.path}: '{node.key}' cannot be used"):
         turn = se3.nearest_rotation(right_SE3_left[:3, :3])
         left_SE3_right = se3.invert(se3.se3(turn, right_SE3_left[:3, 3]))
         check_stereo_baseline(left_SE3_right)
@@ -258,5 +258,5 @@ def rig_of(
 
 def rectified_rig(rig: Rig, path: Path) -> Rig:
     """The rig of the rectified images (`rectify`). Raises InputError where it cannot be rectified."""
-    with named(path):
+    with input_errors(path):
         return rectify(rig)

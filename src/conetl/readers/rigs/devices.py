@@ -138,7 +138,7 @@ def read_oak_rig(path: Path, *, pair: Pair | None = None) -> Rig:
         found = _pose(camera)
         if found is not None:
             poses[found[0], name] = found[1]
-    right_SE3_left = se3.connect(poses, right, left)
+    right_SE3_left = se3.find_pose(poses, right, left)
     extrinsics = cameras[left].get("extrinsics")
     if right_SE3_left is None:
         raise extrinsics.bad(f"does not lead to {right}: the two cameras were not calibrated together")

@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from conetl.files.documents import named, read_limited
+from conetl.files.documents import input_errors, read_limited
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
@@ -79,7 +79,7 @@ def read_kitti_rig(
         read_camera(cam_to_cam, cameras, number) for number in (left, right)
     )
     x, y, z = (left_SE3_right := se3.compose(se3.invert(base_SE3_left), base_SE3_right))[:3, 3]
-    with named(f"{cam_to_cam}: T_{left:02d}, T_{right:02d}" if raw else cam_to_cam):
+    with input_errors(f"{cam_to_cam}: T_{left:02d}, T_{right:02d}" if raw else cam_to_cam):
         check_stereo_baseline(left_SE3_right)
         if not raw and np.hypot(y, z) > _MAX_BASELINE_SLOPE * x:
             raise ValueError(
@@ -91,7 +91,7 @@ def read_kitti_rig(
         cam0_SE3_velo, velo_SE3_body = (motion_of(path, link) for path, link in zip(chain, links, strict=True))
         cam0_SE3_body = se3.compose(cam0_SE3_velo, velo_SE3_body)
         body_SE3_base = se3.invert(se3.compose(se3.se3(base_R_cam0, np.zeros(3)), cam0_SE3_body))
-    with named(cam_to_cam):
+    with input_errors(cam_to_cam):
         return Rig(
             rig_id=rig_id, left=left_camera, right=right_camera, sigma_px=sigma_px,
             body_SE3_left=se3.to_matrix4(se3.compose(body_SE3_base, base_SE3_left)),

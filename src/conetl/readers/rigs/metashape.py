@@ -52,7 +52,7 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
             shift = _of_sensor(path, sensor, "location", names[number], (3,)).numbers()
             poses[master, number] = se3.se3(turn, unit_m * shift)  # master_SE3_sensor
     numbers_of = {name: number for number, name in names.items()}
-    right_SE3_left = se3.connect(poses, numbers_of[right], numbers_of[left])
+    right_SE3_left = se3.find_pose(poses, numbers_of[right], numbers_of[left])
     if right_SE3_left is None:
         raise InputError(
             f"{path}: the sensors {shown(left)} and {shown(right)} are not in one multi-camera system: neither is the master "

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field, model_validator
 
-from conetl.files.documents import named, read_yaml
+from conetl.files.documents import input_errors, read_yaml
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.stereo_bundle import parameter_names
@@ -202,7 +202,7 @@ def read_rig_yaml(path: Path, *, pair: Pair | None = None) -> Rig:
     content: Any = read_yaml(path)
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected a YAML mapping with the keys left, right and baseline_m")
-    with named(path):
+    with input_errors(path):
         if "cameras" in content:
             return _pair_of_many(path, _RigOfMany.model_validate(content), pair)
         if pair is not None:

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from conetl.files.documents import named, read_yaml, shown
+from conetl.files.documents import input_errors, read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import intrinsics, matrix_k
@@ -121,7 +121,7 @@ def write_ros_rig(rig: Rig, folder: Path) -> None:
 
     Raises InputError for a rig that cannot be rectified.
     """
-    with named(f"{folder}: this rig cannot be rectified, as ROS requires"):
+    with input_errors(f"{folder}: this rig cannot be rectified, as ROS requires"):
         flat = rectify(rig)
     raw_R_rect = [rigs.stored_R_camera(flat, side) for side in SIDES]
     if flat is rig:

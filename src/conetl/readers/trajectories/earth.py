@@ -86,7 +86,7 @@ def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
     source, target = (crs.to_3d() for crs in known.values())
     lat, lon = (float(value) for value in start[:2])
     with _proj_errors("drive.yaml: trajectory.frame, map_frame"):
-        group = geodesy.operations(source, target, geodesy.around(lon, lat))
+        group = geodesy.operations(source, target, geodesy.area_of_interest(lon, lat))
     if not group.transformers or not group.best_available:
         raise InputError(
             f"drive.yaml: trajectory.frame, map_frame: PROJ has no transformation from {shown(source.name)} to "
@@ -194,7 +194,7 @@ def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Pat
         lon, lat = Transformer.from_crs(
             flat, CRS(4979) if flat.is_geocentric else flat.geodetic_crs, always_xy=True
         ).transform(x, y, start[2])[:2]
-        group = geodesy.operations(source, CRS(4979), geodesy.around(lon, lat))
+        group = geodesy.operations(source, CRS(4979), geodesy.area_of_interest(lon, lat))
     missing = geodesy.missing_grids(group)
     if not group.transformers or (missing and not group.best_available):
         raise InputError(_missing(path, source.name, missing))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from conetl.files.documents import named
+from conetl.files.documents import input_errors
 from conetl.geometry import pose as se3
 from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Reading, Records, check_fix
@@ -91,7 +91,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
 
 
 def _records(folder: Path, settings: TrajectoryFile) -> Iterator[Records]:
-    with named(folder):
+    with input_errors(folder):
         with os.scandir(folder / "data") as entries:
             found = (Path(e.path) for e in entries if e.name.endswith(".txt"))
             files = {

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.files.documents import named
+from conetl.files.documents import input_errors
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import Reading, Records, attitude
@@ -61,7 +61,7 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
 
 def _mapped(path: Path, width: int) -> Floats:
     """(N, width) of a file, read as it is used. Raises InputError."""
-    with named(path):
+    with input_errors(path):
         size = path.stat().st_size
         if size % (8 * width) or size > MAX_BYTES:
             raise InputError(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.files.documents import named
+from conetl.files.documents import input_errors
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
@@ -22,7 +22,7 @@ _HEAD = 65_536
 
 def head_bytes(path: Path) -> bytes:
     """The first bytes of a file. Raises InputError where it cannot be read or is larger than a trajectory may be."""
-    with named(path), path.open("rb") as file:
+    with input_errors(path), path.open("rb") as file:
         if path.stat().st_size > MAX_TEXT_BYTES:
             raise InputError(f"{path}: expected at most {MAX_TEXT_BYTES:,} bytes")
         return file.read(_HEAD)
@@ -51,7 +51,7 @@ def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Number of the first line, from 1, and lines of consecutive pieces of a file, too long ones cut. Raises InputError."""
     encoding = encoding_of(head_bytes(path))
     number, rest = 1, ""
-    with named(path), path.open(encoding=encoding, errors="replace") as file:
+    with input_errors(path), path.open(encoding=encoding, errors="replace") as file:
         while block := file.read(_BLOCK):
             *lines, rest = (rest + block).split("\n")
             rest = rest[: MAX_LINE + 1]

@@ -16,7 +16,7 @@ from itertools import chain
 import numpy as np
 from scipy.spatial import cKDTree
 
-from conetl.geometry.linear_reference import evenly_spread
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion.stereo_motion import RelativeMotion, StereoCameras, triangulate
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
 from conetl.geometry.packing import vec3
@@ -153,7 +153,7 @@ def check_lost_frames(
     suspected = (np.flatnonzero(alone) + 1).tolist()
     found = [
         pairs[k + 1].frame_index
-        for k in evenly_spread(suspected, _MOST_TRIED)
+        for k in evenly_spaced(suspected, _MOST_TRIED)
         if any(
             _is_about(ratios[k], factor)
             or (np.isnan(ratios[k]) and _moves_by(factor, pairs[k], pairs[k + 1], rig, read, params))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.linear_reference import evenly_spread
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
 from conetl.model.arrays import Floats
@@ -55,7 +55,7 @@ def check_recording(
     suspected = np.flatnonzero(even & usual[:-2] & ~(sizes_m[1:-1] < _ELSEWHERE_M) & usual[2:]) + 1
     found = [
         pairs[k].frame_index
-        for k in evenly_spread(suspected.tolist(), _MOST_TRIED)
+        for k in evenly_spaced(suspected.tolist(), _MOST_TRIED)
         if _goes_elsewhere(k, off_m[k], pairs, rig, read, params)
     ]
     detail = "Images and GNSS/INS show the same path."

@@ -53,7 +53,7 @@ def check_mount(log: LoggedPoses, measured: MeasuredMotions, good: Bools, residu
     fit = robust_fit(residual[good], by, np.diag(np.array(_PRIOR) ** -2), _ROUNDS)
     sigmas = np.sqrt(np.diag(np.linalg.inv(fit.normal)))
     roll_deg, (right_m, _, forward_m) = np.degrees(fit.solution[0]), fit.solution[3:6]
-    roll_sigma_deg = np.degrees(np.hypot(sigmas[0], log.slow[:, 3].max()))
+    roll_sigma_deg = np.degrees(np.hypot(sigmas[0], log.drift[:, 3].max()))
     arm = max((-right_m, sigmas[3], "left"), (forward_m, sigmas[5], "forward"), key=lambda one: abs(one[0]) / one[1])
     return [
         _judged("roll of the cameras", roll_deg, roll_sigma_deg, _LEAST_DEG, "degrees", "rolled", "left side up"),
@@ -73,7 +73,7 @@ def _check_heights(log: LoggedPoses, measured: MeasuredMotions, by: Floats, resi
     # Errors of the attitudes look like slopes of which GNSS/INS knows nothing: the factor is too small by their share.
     lengths_m = np.linalg.norm(moves, axis=1)
     slopes = climbs_m[lengths_m > _DRIVEN_M] / lengths_m[lengths_m > _DRIVEN_M]
-    wrong = float(np.median(log.slow[:, 3:5].max(axis=1))) ** 2 / max(
+    wrong = float(np.median(log.drift[:, 3:5].max(axis=1))) ** 2 / max(
         float(slopes.var()) if slopes.size else 0.0, 1e-12
     )
     factor, sigma = 1 + float(fit.solution[0]), float(np.hypot(np.linalg.inv(fit.normal)[0, 0] ** 0.5, wrong))

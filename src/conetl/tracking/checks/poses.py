@@ -80,7 +80,7 @@ def check_trajectory(
     good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
     if len(frame_pairs) <= _LEAST_INTERVALS:
         return [check_jumps(frame_pairs, rig, measured, good)]
-    residual = motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]
+    residual = motion_residuals(log, log.rotations, log.positions, measured, 0.0)[0]
     checks = [
         _measured(frame_pairs, rig, measured.start),
         _agreement(frame_pairs, rig, measured, good, residual),
@@ -142,9 +142,9 @@ def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: Me
     if not is_interpolated(frame_pairs) or not len(measured.start):
         return []
     observed = measured.next_SE3_first[:, :3, 3]
-    logged = observed - motion_residuals(log, log.rotations, log.places, measured, 0.0)[0][:, 3:]
+    logged = observed - motion_residuals(log, log.rotations, log.positions, measured, 0.0)[0][:, 3:]
     k = measured.start
-    noise = log.new[k] ** 2 + log.new[k + 1] ** 2 + 2 * log.slow[k] ** 2 * (1 - log.keep[k])
+    noise = log.noise[k] ** 2 + log.noise[k + 1] ** 2 + 2 * log.drift[k] ** 2 * (1 - log.correlation[k])
     least_m = np.maximum(_REVERSED_M, _REVERSED_SIGMAS * np.sqrt(noise[:, :2].max(axis=1)))
     long = np.minimum(np.linalg.norm(observed, axis=1), np.linalg.norm(logged, axis=1)) > least_m
     back = long & ((observed * logged).sum(axis=1) < 0)
@@ -318,7 +318,7 @@ def _drift(log: LoggedPoses, trajectory: RefinedTrajectory) -> HealthCheck:
     """
     places = np.array([pair.pose.map_t_body_m for pair in trajectory.frame_pairs])
     times_s = np.array([pair.captured_at_ns for pair in trajectory.frame_pairs], dtype=np.int64) * 1e-9
-    moved, last = places - log.places, len(places) - 1
+    moved, last = places - log.positions, len(places) - 1
     worst = HealthCheck(
         name="drift of the poses", verdict=Verdict.PASS, value=0.0, limit=_DRIFT_M, unit="m",
         detail="The poses do not drift relative to the images.",
@@ -340,8 +340,8 @@ def _drift(log: LoggedPoses, trajectory: RefinedTrajectory) -> HealthCheck:
 
 def _change_variance(log: LoggedPoses, i: int, j: int) -> Floats:
     """(3,) m^2, of the change of the log's position errors from frame i to frame j."""
-    slow, white = log.slow[:, :3], log.white[:, :3]
-    kept = np.prod(log.keep[i:j, 0])
+    slow, white = log.drift[:, :3], log.white[:, :3]
+    kept = np.prod(log.correlation[i:j, 0])
     return np.asarray(white[i] ** 2 + white[j] ** 2 + slow[i] ** 2 + slow[j] ** 2 - 2 * slow[i] * slow[j] * kept)
 
 
@@ -361,11 +361,11 @@ def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) ->
     turns = shown - logged
     aside, ahead = np.median(turns, axis=0), np.median(logged, axis=0)
     noise = _SIGMA_OF_MEDIAN * np.median(np.abs(turns - aside), axis=0) / np.sqrt(count)
-    middle, body_R_left = len(log.places) // 2, log.body_SE3_left[:3, :3]
+    middle, body_R_left = len(log.positions) // 2, log.body_SE3_left[:3, :3]
     map_R_left = log.rotations[middle] @ body_R_left
     turned = cross_matrix(ahead) @ body_R_left.T
-    cov = turned @ np.diag(log.slow[middle, 3:] ** 2) @ turned.T
-    change = np.diag(_change_variance(log, 0, len(log.places) - 1))
+    cov = turned @ np.diag(log.drift[middle, 3:] ** 2) @ turned.T
+    change = np.diag(_change_variance(log, 0, len(log.positions) - 1))
     cov += map_R_left.T @ change @ map_R_left / lengths_m[1].sum() ** 2
     sigmas = np.sqrt(np.diag(cov)[:2] + noise[:2] ** 2)
     axis = int(np.argmax(np.abs(aside[:2]) / sigmas))
