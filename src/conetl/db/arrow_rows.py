@@ -27,7 +27,7 @@ def schema_of(conn: Connection, sql: str, parameters: Mapping[str, Any]) -> pa.S
 def batches_of(
     conn: Connection, sql: str, parameters: Mapping[str, Any], schema: pa.Schema
 ) -> Generator[pa.RecordBatch]:
-    """The columns of `schema` of all rows of a query (without its final semicolon), which wait in a temporary file."""
+    """Rows of a query (without its final semicolon) with the columns of `schema`, buffered in a temporary file."""
     values = csv.ConvertOptions(
         column_types=schema, null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False,
         true_values=["t"], false_values=["f"],

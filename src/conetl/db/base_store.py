@@ -46,7 +46,7 @@ class BaseFile:
 
 @dataclass(frozen=True)
 class BaseCounts:
-    """Numbers of points or lines of a file, of unusable ones, and their bounding box (map's CRS)."""
+    """How many points or lines a file has, how many are unusable, and their bounding box (map's CRS)."""
 
     read_count: int
     refused_count: int
@@ -57,7 +57,7 @@ class BaseCounts:
 
 
 def read_map_ground(conn: Connection, map_name: str, srid: int) -> MapGround:
-    """Location of a map's drives and the height of the road there."""
+    """Positions along a map's drives, and the height of the road there."""
     poses = _points(conn, "base_layers.poses", map_name, _MAX_POSES)
     feet = _points(conn, "base_layers.feet", map_name, _MAX_FEET)
     return MapGround(srid, ground_under(poses, feet))
@@ -83,7 +83,7 @@ def find_base_file(conn: Connection, file: BaseFile) -> int | None:
 
 
 def write_points(conn: Connection, file: BaseFile, counts: BaseCounts, tiles: Iterable[Tile]) -> int | None:
-    """Write a file's tiles; the number of points kept, None if another import of the same file was faster."""
+    """Write a file's tiles; the number of points kept, None if another import of the same file finished first."""
     source_id = uuid4()
     blocks = (
         (_tile_columns(source_id, batch), sum(t.points for t in batch)) for batch in _batches(tiles, _TILES_AT_ONCE)
@@ -92,7 +92,7 @@ def write_points(conn: Connection, file: BaseFile, counts: BaseCounts, tiles: It
 
 
 def write_lines(conn: Connection, file: BaseFile, counts: BaseCounts, lines: Iterable[Line], srid: int) -> int | None:
-    """Write a file's lines, in the map's CRS; their number, None if another import of the same file was faster."""
+    """Write a file's lines, in the map's CRS; their number, None if another import of the same file finished first."""
     source_id = uuid4()
     blocks = ((_line_columns(source_id, batch, srid), len(batch)) for batch in _batches(lines, _LINES_AT_ONCE))
     return _write(conn, source_id, file, counts, "conetl.base_line", blocks)

@@ -108,7 +108,7 @@ def connect(url: str) -> Connection:
 
 @dataclass
 class _Session:
-    """What is known of an open connection."""
+    """Bookkeeping for an open connection."""
 
     url: str
     """The connection itself knows its address without the password."""
@@ -149,7 +149,7 @@ def _watch() -> None:
                 if blockers:
                     session.blockers = "; ".join(blockers)
                     _log.warning("waiting for a lock in the database that is held by %s", session.blockers)
-        conn = None  # else it would stay open until the next check
+        conn = None  # or it would stay open until the next check
 
 
 def _blockers(conn: Connection, url: str) -> list[str]:
@@ -190,7 +190,7 @@ def database_errors(what: str) -> Iterator[None]:
 
 @contextmanager
 def transaction(conn: Connection, what: str) -> Iterator[None]:
-    """All or nothing: commit at the end, roll back on any error. A transaction that earlier reads left open is ended first."""
+    """All or nothing: commit at the end, roll back on any error. An open transaction of earlier reads is ended first."""
     with database_errors(what):
         conn.rollback()
         try:
@@ -251,12 +251,12 @@ def _streaming(conn: Connection, what: str, name: str, parameters: Mapping[str, 
 
 
 def or_infinity(instant: datetime | None) -> str:
-    """An instant as text for PostgreSQL, after all others where none is given."""
+    """An instant as text for PostgreSQL; `infinity` for None."""
     return "infinity" if instant is None else instant.isoformat()
 
 
 def copy_out(conn: Connection, sql: str, parameters: Mapping[str, Any], sink: IO[bytes], options: str = "") -> int:
-    """Write the rows of a query (without its final semicolon) in COPY's text format, or that of its options; their number."""
+    """Write the rows of a query (without its final semicolon) in COPY's text format, or as `options` say; their number."""
     with conn.cursor() as cursor:
         query = cursor.mogrify(sql, parameters).decode()
         cursor.copy_expert(f"copy ({query}) to stdout {options}", sink, COPY_CHUNK_BYTES)
@@ -264,7 +264,7 @@ def copy_out(conn: Connection, sql: str, parameters: Mapping[str, Any], sink: IO
 
 
 def copy_in(conn: Connection, table_and_columns: str, source: IO[bytes], name: str, options: str = "") -> None:
-    """Load rows in COPY's text format, or that of its options, inside the open transaction. Raises InputError, with the name, if
+    """Load rows in COPY's text format, or as `options` say, inside the open transaction. Raises InputError, with the name, if
     they do not fit."""
     try:
         with conn.cursor() as cursor:

@@ -1,5 +1,8 @@
-"""Columns of values as the text that PostgreSQL's COPY ... FORMAT CSV reads, by Arrow's writer: many times faster than row-wise
-INSERT. Numbers are written with as many digits as their last bit requires."""
+"""Columns of values in the text format of PostgreSQL's COPY ... FORMAT CSV, by Arrow's writer: many times faster than row-wise
+INSERT.
+
+Numbers are written with enough digits to be read back exactly.
+"""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ _COV = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
 
 @dataclass(frozen=True)
 class WatchedDrive:
-    """A drive that is being watched."""
+    """A drive that is being watched while it is recorded."""
 
     watch_id: UUID
     map_name: str
@@ -37,7 +37,7 @@ def watch_lock(map_name: str, drive_id: str) -> str:
 def clear_watches(conn: Connection, *, map_name: str, drive_id: str) -> int:
     """Remove earlier watches of this drive, interrupted ones, and those older than a week; the number of watches removed.
 
-    The caller holds the drive's own `watch_lock`; watches whose lock another process holds are running and stay.
+    The caller holds the drive's own `watch_lock`. Watches whose lock another process holds are running and stay.
     """
     with transaction(conn, "The watched drives cannot be read"):
         parameters = {"map_name": map_name, "drive_id": clean_text(drive_id), "keep_days": KEEP_DAYS}
@@ -84,13 +84,13 @@ def write_live(
 
 
 def end_watch(conn: Connection, watch: WatchedDrive) -> None:
-    """Mark a watch as ended regularly; its features stay until the drive is ingested."""
+    """Mark a watch as ended normally; its features stay until the drive is ingested."""
     with transaction(conn, f"The end of drive {watch.drive_id} cannot be written"):
         query(conn, "live.end_watch", watch_id=watch.watch_id)
 
 
 def drop_watched_recording(conn: Connection, drive: Drive, *, map_name: str) -> int:
-    """Remove the watches of a drive that was recorded, inside the caller's transaction; how many."""
+    """Remove the watches of a drive that is now on the map, inside the caller's transaction; their number."""
     captured_from_ns, captured_to_ns = drive.captured_ns
     parameters = {
         "map_name": map_name, "drive_id": clean_text(drive.drive_id),

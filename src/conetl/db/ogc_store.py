@@ -1,4 +1,4 @@
-"""Queries of the OGC API beside tipg's own: maps and their extents, boxes, pages."""
+"""Queries of the OGC API that tipg does not provide: maps and their extents, boxes, pages."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _LARGEST_INNER_DEG = 20.0
 
 @dataclass(frozen=True)
 class ServedMap:
-    """One map in its present state."""
+    """One map in its current state."""
 
     map_name: str
     srid: int

@@ -61,12 +61,12 @@ class ReaderPool:
             self._slots.release()
 
     def _idle(self) -> Connection | None:
-        """A connection that was returned, if its server still holds it: a restart of PostgreSQL must not cost six requests."""
+        """A returned connection that still works: after a restart of PostgreSQL, no request must fail for each idle one."""
         while self._free:
             conn = self._free.pop()
             waiting = select.poll()  # supports file numbers beyond select's 1024
             waiting.register(conn.fileno(), select.POLLIN)
-            if not waiting.poll(0):  # nothing was asked, so input would be its end
+            if not waiting.poll(0):  # no query is pending, so any input means that the connection was closed
                 return conn
             conn.close()
         return None
@@ -101,8 +101,8 @@ def open_reader(url: str, timeout: str = STATEMENT_TIMEOUT) -> Connection:
 class AsyncReaderPool:
     """`MAX_CONNECTIONS` read-only connections, as role conetl_reader if the user is a member of it.
 
-    All are opened with the first request and stay open: a new session plans its first statement for 30 ms and more, which
-    would be the slowest answers at busy times.
+    All are opened with the first request and stay open: a new session takes 30 ms and more to plan its first statement, which
+    would make the slowest answers at busy times.
     """
 
     def __init__(self, url: str) -> None:

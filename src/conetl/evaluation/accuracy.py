@@ -61,7 +61,7 @@ class PointErrors:
         return self.own_cov_m2 + _propagate(self.common_jacobian, self.common_cov)
 
     def in_sight_axes(self, vectors: Floats) -> Floats:
-        """(N, 3) vectors along the line of sight, across it (to the left) and up."""
+        """(N, 3) vectors rotated to the line of sight, across it (to the left) and up."""
         return np.asarray(np.einsum("nij,nj->ni", _sight_axes(self.sight), vectors))
 
     def sigma_in_sight_axes(self) -> Floats:
@@ -102,10 +102,10 @@ def track_errors(
 ) -> PointErrors:
     """Errors of the tracks that were found.
 
-    They share the common errors of the drive's positions (`position_errors`). Each track has its own Jacobian, because an error
-    of the heading is not one shift of all cones: the Jacobians of its sightings, weighted by their share of the information, as
-    in the adjustment. What objects of one class have in common the tracks state. positions: single positions of the drive.
-    motion: of a refined trajectory, as used for the tracks.
+    The tracks share the common errors of the drive's positions (`position_errors`). Each track has its own Jacobian, because an
+    error of the heading does not shift all cones equally: the Jacobians of its sightings, weighted by their share of the
+    information, as in the adjustment. Errors common to a class are taken from the tracks. positions: single positions of the
+    drive. motion: of a refined trajectory, as used for the tracks.
     """
     found = [(line, line.feature) for line in lines if line.feature is not None]
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
@@ -125,7 +125,7 @@ def track_errors(
         jacobians.append(np.einsum("fij,fjk->ik", shares, jacobian)[None])
         variances.append(np.mean(sigmas**2, axis=0))
         all_shares.append(shares)
-    # Errors of the poses that change within the drive move cones seen together alike; each track states them on its own.
+    # Pose errors that change within the drive move cones seen together equally; each track states them separately.
     between = np.zeros((xyz.size, xyz.size))
     if found and motion is not None and motion.changed_cov_m2 is not None:
         between = motion.changed_cov_m2(xyz, [[p.frame_index for p in seen] for seen in members], all_shares)
@@ -148,7 +148,7 @@ def track_errors(
 def members_of(lines: Sequence[TruthLine[Track]]) -> dict[tuple[int, int], TruthCone]:
     """The cone of each single position of the found tracks, by (frame_index, match_index).
 
-    Positions are not filtered by their error: that would make the statistics too good.
+    Positions are not filtered by their error: the statistics would look too good.
     """
     return {member: line.truth for line in lines if line.feature is not None for member in line.feature.members}
 
@@ -235,8 +235,8 @@ def select(errors: PointErrors, keep: Bools) -> PointErrors:
 def conditional_errors(errors: PointErrors, chosen: Bools) -> PointErrors:
     """The errors of a mask (N,), given the others of the drive (the conditional distribution, e.g. Koch 1999, ch. 2.5.3).
 
-    So the error of GNSS/INS, one draw for the whole drive, does not count again for each class. Errors common to the chosen ones
-    alone stay common; of the rest, what the others leave unknown becomes part of their own.
+    The error of GNSS/INS is one draw for the whole drive; this way it is not counted again for each class. Errors common to the
+    chosen ones alone stay common; what the others leave unknown of the rest becomes part of their own.
     """
     precision, rows = np.linalg.inv(errors.joint_cov_m2()), np.repeat(chosen, 3)
     own, alone = select(errors, chosen), ~errors.common_jacobian[~chosen].any(axis=(0, 1))
@@ -265,13 +265,14 @@ def drive_consistency(*drives: PointErrors) -> Consistency | None:
 
 
 def _propagate(jacobian: Floats, cov: Floats) -> Floats:
-    """(3N, 3N) covariance of N estimates by common errors: (N, 3, K), (K, K)."""
+    """(3N, 3N) covariance of N estimates from common errors: (N, 3, K), (K, K)."""
     flat = jacobian.reshape(3 * len(jacobian), len(cov))
     return np.asarray(flat @ cov @ flat.T)
 
 
 def _class_jacobian(tracks: Sequence[Track]) -> Floats:
-    """(N, 3, 3C) Jacobian of N tracks by the errors common to each of their C classes, in sigmas (`class_error_id`)."""
+    """(N, 3, 3C) Jacobian of N tracks with respect to the errors common to each of their C classes, in sigmas
+    (`class_error_id`)."""
     stated = {n: track.shared_jacobian for n, track in enumerate(tracks) if track.shared_jacobian is not None}
     ids = tuple(sorted({key for one in stated.values() for key in one.calibrations}))
     classes = [ids.index(key) for key in {class_error_id(track.category) for track in tracks} if key in ids]
@@ -341,6 +342,6 @@ def _outline_parts(
 
 
 def calibration_of(rig: Rig) -> Floats:
-    """(K, K) covariance of the calibration, (0, 0) where it is unknown."""
+    """(K, K) covariance of the calibration, (0, 0) if unknown."""
     known = known_covariance(rig)
     return np.array(known.matrix) if known else np.zeros((0, 0))

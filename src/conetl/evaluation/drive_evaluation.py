@@ -87,8 +87,8 @@ class DriveEvaluation:
         return [line.truth.cone_id for line in self.lines if line.feature is None]
 
     def tables(self) -> list[Section]:
-        """Objects, errors, errors by range, and NEES; figures by class where there are several; lane markings. Without cones
-        only the last."""
+        """Objects, errors, errors by range, and NEES; figures by class if there are several; lane markings. Without cones only
+        the last."""
         of_markings = self.markings.tables() if self.markings else []
         if not self.lines:
             return of_markings
@@ -151,13 +151,13 @@ def false_in_words(drives: Sequence[DriveEvaluation]) -> str:
 
 
 def figures_of(drives: Sequence[DriveEvaluation]) -> dict[str, ErrorStatistics]:
-    """Figures of the errors of drives together, by kind of estimate."""
+    """Error figures of several drives together, by kind of estimate."""
     kinds = {kind: statistics(*errors) for kind, errors in _errors_of(drives).items()}
     return {kind: figures for kind, figures in kinds.items() if figures is not None}
 
 
 def nees_of(drives: Sequence[DriveEvaluation]) -> dict[str, Consistency | None]:
-    """NEES of drives together, by kind of estimate."""
+    """NEES of several drives together, by kind of estimate."""
     return {kind: drive_consistency(*errors) for kind, errors in _errors_of(drives).items()}
 
 
@@ -191,8 +191,8 @@ def evaluate_drive(
 ) -> DriveEvaluation:
     """Compare the tracks of a drive with surveyed cones at most within_m from the drive path.
 
-    cones: empty where lane markings alone were searched for. motion, poses: how the errors of the drive's poses are correlated.
-    Raises InputError if none of the cones is near the path.
+    cones: empty if only lane markings were searched for. motion, poses: correlations of the errors of the drive's poses. Raises
+    InputError if none of the cones is near the path.
     """
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
     lines, others = compare_with_truth(cones, tracks, path_m, within_m=within_m)
@@ -231,7 +231,7 @@ def _of_class(drive: DriveEvaluation, category: str) -> PointErrors:
 
 
 def _class_section(drives: Sequence[DriveEvaluation]) -> list[Section]:
-    """A row per class; nothing where the truth has one class only."""
+    """A row per class; empty if the truth has one class only."""
     rows: list[tuple[object, ...]] = []
     for category, figures in class_figures(drives).items():
         nees = figures["nees"]
@@ -248,7 +248,7 @@ def _class_section(drives: Sequence[DriveEvaluation]) -> list[Section]:
 
 
 def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequence[str]) -> list[Path]:
-    """Write the plots and, last, the page; the page alone of lane markings. Raises InputError if the folder cannot be written."""
+    """Write the plots and then the page; for lane markings the page only. Raises InputError if the folder cannot be written."""
     if not evaluation.lines:
         return [_write_page(folder, f"{evaluation.drive_id} against truth", summary, evaluation.tables(), {})]
     from conetl.reports import accuracy_plots  # matplotlib takes half a second to load

@@ -246,7 +246,7 @@ def residual(
 
 
 def without_scene_bias(found: LidarResidual, match: StereoMatch, rig: Rig, bias: SceneBias) -> LidarResidual:
-    """The residual after correction by the scene's calibration errors, which leaves the error of the match."""
+    """The residual corrected by the scene's calibration errors: what remains is the error of the match."""
     foot = np.array(match.foot_left_uv_px)
     xy = rays(rig.left, foot)[:2]
     disparity = match.foot_left_uv_px[0] - match.foot_right_uv_px[0] - float(infinity_shift_px(rig, foot)[0])

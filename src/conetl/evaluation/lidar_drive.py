@@ -1,4 +1,4 @@
-"""Stereo positions of the cones of a drive against its own LiDAR, pair by pair."""
+"""Stereo positions of a drive's cones against its own LiDAR, pair by pair."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ class MarkingEvaluation:
 def evaluate_markings(
     truth: Sequence[TruthMarking], tracks: Sequence[MarkingTrack], drive: Drive, poses: PoseCov
 ) -> MarkingEvaluation:
-    """Compare the markings of a drive (refined poses) with those that were there. poses: covariance of the drive's poses."""
+    """Compare the markings of a drive (refined poses) with the truth. poses: covariance of the drive's poses."""
     errors = compare_markings(truth, [track.marking for track in tracks], visible_to(drive))
     nees = marking_consistency(errors, *_covariances(tracks, drive, poses))
     return MarkingEvaluation(truth, errors, marking_figures([errors]), nees)

@@ -1,8 +1,8 @@
 """Lane markings of a drive or a map against their truth.
 
 Completeness, correctness and redundancy are those of C. Wiedemann, "External Evaluation of Road Networks", ISPRS Archives XXXIV
-(3/W8), 2003: shares of length within a buffer. Other than there, each piece of a found line counts for the nearest marking
-only, so that one line found is not both lines of a double marking.
+(3/W8), 2003: shares of length within a buffer. Unlike there, each piece of a found line counts for the nearest marking only, so
+that one found line cannot count as both lines of a double marking.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ NEES_PARTS = {"lateral": slice(0, 1), "height": slice(1, 2), "together": slice(0
 
 
 class TruthMarking(Record):
-    """One lane marking that is there: centre line of its paint, in the map's CRS with ellipsoidal heights."""
+    """One lane marking of the truth: centre line of its paint, in the map's CRS with ellipsoidal heights."""
 
     marking_id: str
     vertices_m: tuple[Vec3, ...]
@@ -135,7 +135,7 @@ class MarkingFigures(Record):
 
 
 def visible_to(drive: Drive) -> Callable[[Floats], Bools]:
-    """Which points (N, 3) a drive can have seen well: in both images of a pair, 4 to 15 m deep and within 8 m to the side."""
+    """Which points (N, 3) a drive probably saw well: in both images of a pair, 4 to 15 m deep and within 8 m to the side."""
 
     def seen(points_m: Floats) -> Bools:
         found = np.zeros(len(points_m), dtype=bool)
@@ -252,8 +252,8 @@ def _distances(line_m: Floats, points_m: Floats) -> tuple[Floats, Floats, Floats
 
 
 def _nearest(points_m: Floats, lines: Sequence[Floats]) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
-    """The line nearest to each of points (N, 3), -1 without one in the buffer; offset to its left and rise above it, NaN without
-    a line; axes (N, 2, 3), unit vectors to the left of the line and up."""
+    """Nearest line to each of points (N, 3), -1 if none is in the buffer; the point's offset to its left and height above it, NaN
+    without a line; axes (N, 2, 3), unit vectors to the left of the line and up."""
     count = len(points_m)
     nearest = np.full(count, -1)
     best, offset, rise = np.full(count, BUFFER_M), np.full(count, np.nan), np.full(count, np.nan)
@@ -270,7 +270,7 @@ def _nearest(points_m: Floats, lines: Sequence[Floats]) -> tuple[NDArray[np.int6
 
 
 def _is_painted(marking: TruthMarking, station_m: Floats) -> Bools:
-    """(N,) whether there is paint at stations along a marking; everywhere where its dashes are not known."""
+    """(N,) whether there is paint at stations along a marking; everywhere if its dashes are unknown."""
     if marking.dash_m is None or marking.gap_m is None or marking.dash_start_m is None:
         return np.ones(len(station_m), dtype=bool)
     return np.asarray((station_m - marking.dash_start_m) % (marking.dash_m + marking.gap_m) < marking.dash_m)
@@ -288,7 +288,7 @@ def _difference(a: float | None, b: float | None) -> float:
 
 
 def _quantile(errors: Floats, share: float) -> float | None:
-    """Quantile of the sizes of the errors that are known."""
+    """Quantile of the absolute values of the known errors."""
     known = np.abs(errors[~np.isnan(errors)])
     return float(np.quantile(known, share)) if len(known) else None
 

@@ -1,8 +1,5 @@
-"""Surveyed cones (truth.csv) compared with cones of a map or a drive: the paper's Table 3; and surveyed check points against the
-cones of a map: residuals and RMSE of each axis (ASPRS Positional Accuracy Standards, 2023).
-
-Check points are used for nothing else.
-"""
+"""Surveyed cones (truth.csv) against cones of a map or a drive: the paper's Table 3. Surveyed check points against the cones of a
+map: residuals and RMSE of each axis (ASPRS Positional Accuracy Standards, 2023). Check points are used for nothing else."""
 
 from __future__ import annotations
 
@@ -119,7 +116,7 @@ class TruthLine(Generic[Found]):
 
 
 def pair_positions(truth_m: Floats, found_m: Floats, gate_m: float) -> dict[int, int]:
-    """Positions (M, 3) by index, each with at most one of others (N, 3), at the least total distance and at most gate_m apart."""
+    """One-to-one pairs (by index) of positions (M, 3) and others (N, 3) at the least total distance, at most gate_m apart."""
     rows, columns = near_pairs(truth_m, found_m, gate_m)
     return dict(sorted(assign(rows, columns, np.linalg.norm(truth_m[rows] - found_m[columns], axis=1)).items()))
 
@@ -154,9 +151,9 @@ def compare_with_truth(
 
 
 def split_by_extent(truth: Sequence[TruthCone], found: Sequence[Found]) -> tuple[list[Found], list[Found]]:
-    """Features without a cone of the truth: false ones in the area that was surveyed, and those outside, which are not counted.
+    """Features without a cone of the truth: false ones inside the surveyed area, and those outside, which are not counted.
 
-    The area is the convex hull of the truth, and 2 m around it.
+    The area is the convex hull of the truth, widened by 2 m.
     """
     area = shapely.MultiPoint([cone.xyz_m[:2] for cone in truth]).convex_hull
     far = [bool(area.distance(shapely.Point(one.xyz_m[:2])) > _AROUND_M) for one in found]
@@ -164,7 +161,7 @@ def split_by_extent(truth: Sequence[TruthCone], found: Sequence[Found]) -> tuple
 
 
 def table_3_rows(lines: Sequence[TruthLine[Found]], *, missing: str) -> list[tuple[object, ...]]:
-    """Truth, computed and difference of each cone; `missing` in the second row if it was not found."""
+    """Truth, computed position and difference of each cone; `missing` in the second row of one that was not found."""
     rows: list[tuple[object, ...]] = []
     for line in lines:
         truth, feature = line.truth, line.feature
@@ -181,7 +178,7 @@ def table_3_rows(lines: Sequence[TruthLine[Found]], *, missing: str) -> list[tup
 
 
 def median_error(lines: Sequence[TruthLine[Found]]) -> float | None:
-    """Median 3D error of the cones that were found, None if none was."""
+    """Median 3D error of the cones that were found, None without any."""
     errors = [line.error_3d_m for line in lines if line.error_3d_m is not None]
     return float(np.median(errors)) if errors else None
 

@@ -38,7 +38,7 @@ KIND_MARKS = {
 
 
 def kind_label(kind: str) -> str:
-    """A kind of change as it is shown to people: `not observed` for `missed`."""
+    """The name of a kind of change for people: `not observed` for `missed`."""
     return KIND_MARKS[DeltaKind(kind)].label
 
 
@@ -52,9 +52,9 @@ CASING = "#4a5560"
 
 
 def dashes_of(vertices_m: ArrayLike, dash_m: float | None, gap_m: float | None) -> list[Floats]:
-    """The parts of a lane marking (N, 2 or 3) that are painted: one of solid lines, dash_m and gap_m None.
+    """The painted parts of a lane marking (N, 2 or 3); one part for solid lines (dash_m and gap_m None).
 
-    It is not known where along the road the dashes begin: one dash is centred on the middle of the line.
+    The position of the dashes along the road is unknown: one dash is centred on the middle of the line.
     """
     line = np.asarray(vertices_m, np.float64)
     if dash_m is None or gap_m is None:

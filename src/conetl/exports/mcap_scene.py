@@ -72,7 +72,7 @@ def write_scene(sources: Sequence[ExportSource], path: Path) -> None:
 
 
 def _rows(source: ExportSource) -> Iterator[Object]:
-    """Rows in the order of `instant_us`, the instant at which they are shown (UTC microseconds since 1970)."""
+    """Rows in the order of `instant_us`, the time at which they are shown (UTC microseconds since 1970)."""
     request = source.request
     shown_at = request.until if request.what is ExportContent.CHANGES else request.as_of
     shown_at = shown_at or request.believed_at or source.info.last_committed_at or datetime.now(UTC)
@@ -115,7 +115,7 @@ def _entity(row: Object, origin: Point) -> Object:
 
 
 def _stripes(row: Object, origin: Point, colour: Object) -> Object:
-    """A lane marking with its width: one line, or one per dash."""
+    """A lane marking in its width: one line, or one per dash."""
     line = row[LINE_NAME] - np.array(origin)
     if row["change"] in (None, "confirmed"):
         colour = _rgb(PAINT[row["colour"]]) | {"a": colour["a"]}
@@ -137,7 +137,7 @@ def _stripes(row: Object, origin: Point, colour: Object) -> Object:
 
 
 def _body(row: Object, origin: Point, colour: Object) -> Object:
-    """A cone, or a cylinder for objects of other classes, and an arrow if it was moved."""
+    """A cone (a cylinder for objects of other classes), and an arrow if it was moved."""
     x, y, z = row["easting_m"] - origin[0], row["northing_m"] - origin[1], row["ellipsoidal_height_m"] - origin[2]
     height_m = row["height_m"]
     category = row["category"]

@@ -48,7 +48,7 @@ _POINT_NAMES = ("height_m", "height_sigma_m")
 
 
 class ExportContent(StrEnum):
-    """Which rows."""
+    """Which rows an export contains."""
 
     FEATURES = "features"
     """What stood on the road at `as_of`, in the database state of `believed_at`."""
@@ -162,7 +162,7 @@ class ExportSource:
             yield from map(self._derived, rest.combine_chunks().to_batches())
 
     def _derived(self, batch: pa.RecordBatch) -> pa.RecordBatch:
-        """The rows with positions and sigmas in `crs`, and the columns that follow from others."""
+        """The rows with positions and sigmas in `crs`, and with derived columns."""
         columns = dict(zip(batch.schema.names, batch.columns, strict=True))
         self.counts.update({one["values"]: one["counts"] for one in columns["category"].value_counts().to_pylist()})
         ground_m = _floats(columns["ellipsoidal_height_m"])
@@ -195,7 +195,7 @@ class ExportSource:
 
     @property
     def _has_change(self) -> bool:
-        """Standing features, too, carry their latest change if rows are in the order of time."""
+        """Whether standing features also carry their latest change: only if rows are in the order of time."""
         return self.order is Order.BY_TIME or self.request.what is not ExportContent.FEATURES
 
     @property

@@ -1,6 +1,5 @@
-"""The map as GeoJSON (RFC 7946), as CSV and for Lanelet2, and the rows of plain values that all text formats share; the
-difference of two maps and findings of the layout check as GeoJSON.
-"""
+"""The map as GeoJSON (RFC 7946), as CSV and for Lanelet2, with the rows of plain values that all text formats share; also the
+difference of two maps, and findings of the layout check, as GeoJSON."""
 
 from __future__ import annotations
 
@@ -154,7 +153,7 @@ def _write_tags(file: TextIO, tags: Tags) -> None:
 
 
 def iso_utc(instant: datetime, timespec: str = "microseconds") -> str:
-    """ISO 8601 in UTC with microseconds, or cut to seconds, and a final Z."""
+    """ISO 8601 in UTC with a final Z, with microseconds or truncated to seconds."""
     return instant.astimezone(UTC).isoformat(timespec=timespec).replace("+00:00", "Z")
 
 
@@ -268,7 +267,7 @@ def finding_as_dict(finding: Finding) -> Object:
 
 
 def coordinates(points_m: ArrayLike, srid: int) -> list[list[float]]:
-    """Points (n, 2 or 3) of a map's CRS as WGS 84 longitude and latitude (degrees), the height (m) unchanged; rounded."""
+    """Points (n, 2 or 3) of a map's CRS as WGS 84 longitude and latitude (degrees) with the unchanged height (m); rounded."""
     points = np.asarray(points_m, float)
     degrees = to_geodetic(srid, points[:, [0, 1, -1]])[:, 1::-1].round(LON_LAT_DECIMALS)
     return np.hstack([degrees, points[:, 2:].round(HEIGHT_DECIMALS)]).tolist()  # type: ignore[no-any-return]

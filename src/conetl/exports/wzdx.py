@@ -45,7 +45,7 @@ Object = dict[str, Any]
 
 
 class FeedInfo(Record):
-    """Publisher and road of a feed; the map contains neither."""
+    """Publisher and road of a feed, which the map does not contain."""
 
     publisher: str = Field(min_length=1)
     road_names: tuple[str, ...] = Field(min_length=1)
@@ -152,7 +152,7 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
     ended = history.end_ns is not None
     surveyed = utc_from_ns(max(cone.last_seen_ns for cone in zone.layout.cones))
     stale = not ended and context.at - surveyed > timedelta(days=params.max_age_days)
-    # For a zone with a recent survey, the end is limited by the age of that survey.
+    # The end of a recently surveyed zone is limited by the age of that survey.
     assumed_end = context.at + timedelta(hours=params.assumed_duration_h)
     if not stale:
         assumed_end = max(min(assumed_end, surveyed + timedelta(days=params.max_age_days)), context.at)
@@ -213,7 +213,7 @@ def _evidence(zone: WorkZone) -> Object:
 
 
 def _description(zone: WorkZone, surveyed: datetime, max_age_days: float | None) -> str:
-    """max_age_days if the zone was surveyed longer ago; else None."""
+    """max_age_days: set if the last survey of the zone is older than that; else None."""
     count = len(zone.layout.cones)
     length = float(zone.layout.stations_m[-1] - zone.layout.stations_m[0])
     devices = "cones" if all(cone.category == CONE for cone in zone.layout.cones) else "devices"

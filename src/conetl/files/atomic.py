@@ -1,7 +1,7 @@
-"""Write a file, or several that belong together, completely or not at all; and remove old ones.
+"""Write a file, or several that belong together, completely or not at all; remove old ones.
 
-Until it is complete it has the name `.<name>.<host>.<pid>.<random>.tmp` beside its own: host and process number distinguish the
-files of a killed process, which `remove_leftovers` removes, from those that another process is writing.
+Until it is complete, a file has the name `.<name>.<host>.<pid>.<random>.tmp` beside its own. Host and process number tell files
+of killed processes, which `remove_leftovers` deletes, from those that another process is writing.
 """
 
 from __future__ import annotations
@@ -77,12 +77,12 @@ def _sync(path: Path) -> None:
 
 
 def temporary_path(path: Path) -> Path:
-    """Temporary path of a file that is to get the name `path`."""
+    """Temporary path for a file that is being written to `path`."""
     return path.with_name(f".{truncate_to_bytes(path.name, 100)}.{_host()}.{os.getpid()}.{uuid4().hex}.tmp")
 
 
 def remove_leftovers(folders: Iterable[Path]) -> list[Path]:
-    """Remove temporary files and folders of killed processes of this machine in the folders, not below; the removed paths.
+    """Remove temporary files and folders that killed processes of this machine left directly in the folders; returns their paths.
 
     A file whose process number is in use again is kept; one that cannot be removed is skipped.
     """

@@ -1,6 +1,6 @@
-"""YAML and JSON documents from untrusted sources: limits of size, depth and aliases; errors that name the file's own keys.
+"""YAML and JSON documents from untrusted sources: limits on size, depth and aliases; errors that name the keys of the file.
 
-YAML files also as pydantic models: parameters, rules, settings of a drive, the description of a feed.
+YAML files can be read as pydantic models: parameters, rules, settings of a drive, the description of a feed.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _short.maxstring = _short.maxother = _short.maxlong = MAX_SHOWN
 
 
 def shown(value: object) -> str:
-    """A value as an error message quotes it: at most `MAX_SHOWN` characters, whatever it holds."""
+    """A value as error messages quote it: at most `MAX_SHOWN` characters."""
     try:
         text = _short.repr(value)
     except ValueError:  # more digits than Python converts
@@ -84,12 +84,12 @@ def expectation(error: Any) -> str:
 
 
 def error_key(error: Any) -> str:
-    """The key of one of `ValidationError.errors()`, with dots between the levels; empty for the whole file."""
+    """The key of one of `ValidationError.errors()`, with dots between the levels; empty if it concerns the whole file."""
     return ".".join(str(part) for part in error["loc"])[:MAX_SHOWN]
 
 
 def first_message(error: ValueError) -> str:
-    """The error, of a validation the first one: `key: expected ..., found ...`."""
+    """The message of an error, or of the first error of a validation: `key: expected ..., found ...`."""
     if not isinstance(error, ValidationError):
         return str(error)
     first = error.errors()[0]
@@ -100,16 +100,16 @@ def first_message(error: ValueError) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of what a library says of an error, else its type."""
+    """The first line of a library's error message, or the error's type if it has none."""
     lines = str(error).splitlines()
     return lines[0].rstrip(".")[:MAX_SHOWN] if lines else type(error).__name__
 
 
 class XmlFile(FileIO):
-    """An XML file of any size, read in large blocks: expat reads an unfinished tag again with every block."""
+    """An XML file of any size, read in large blocks: expat parses an unfinished tag again with every block."""
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """The next block, whatever its size should be. Raises ValueError where a whole block has no tag."""
+        """The next block, whatever size is requested. Raises ValueError if a whole block contains no tag."""
         block = bytes(super().read(_XML_BLOCK))
         if len(block) == _XML_BLOCK and b"<" not in block:
             raise ValueError(f"expected XML, found {_XML_BLOCK:,} bytes without a tag")
@@ -118,7 +118,7 @@ class XmlFile(FileIO):
 
 @contextmanager
 def input_errors(source: object) -> Iterator[None]:
-    """OSErrors and ValueErrors of the block as InputErrors, which name the file or folder that was read."""
+    """Turn OSErrors and ValueErrors of the block into InputErrors that name the file or folder that was read."""
     try:
         yield
     except OSError as error:
@@ -128,7 +128,7 @@ def input_errors(source: object) -> Iterator[None]:
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
-    """A small file. Raises InputError where it is larger, or cannot be read."""
+    """Bytes of a small file. Raises InputError if it is larger than the limit, or cannot be read."""
     with input_errors(path), path.open("rb") as file:
         content = file.read(max_bytes + 1)
     if len(content) > max_bytes:
@@ -137,7 +137,7 @@ def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
 
 
 def read_limited(path: Path, max_bytes: int = MAX_JSON_BYTES) -> str:
-    """Text (UTF-8) of a small file. Raises InputError where it is larger, is not text, or cannot be read."""
+    """UTF-8 text of a small file. Raises InputError if it is larger than the limit, is not text, or cannot be read."""
     try:
         return read_bytes(path, max_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -159,9 +159,9 @@ def parse_yaml(path: Path, text: str) -> Any:
 
 
 def read_yaml_model(path: Path | None, model: type[Model], what: str) -> Model:
-    """The file's values as a model; the model's defaults without a file, or where it is empty.
+    """The values of a YAML file as a model; the model's defaults if there is no file, or it is empty.
 
-    what: name of the kind of file in messages. Raises InputError naming the file, the key and what was expected.
+    what: the kind of file in messages. Raises InputError naming the file, the key and what was expected.
     """
     return model() if path is None else validated(read_yaml_mapping(path, what), model, f"{what} {path}")
 

@@ -65,7 +65,7 @@ def share_home(home: Path, group: str) -> None:
 
 
 def home_access(home: Path) -> str:
-    """Who may read what is in the home folder: `owner only`, `owner and group NAME` or `everybody`."""
+    """Who may read the home folder: `owner only`, `owner and group NAME` or `everybody`."""
     folders = [folder.stat() for folder in (home / name for name in FOLDERS) if folder.is_dir()]
     files = [file.stat() for file in (home / name for name in SECRETS) if file.is_file()]
     passage = home.is_dir() and home.stat().st_mode & _OTHERS
@@ -105,7 +105,7 @@ def read_secret(path: Path) -> SecretStr:
 
 
 def view_token(home: Path) -> SecretStr:
-    """The token that readers of the web view need, from its file in the home folder, which is made when it is missing."""
+    """The token for readers of the web view, from its file in the home folder; a missing one is created."""
     return read_secret(make_secret(home / VIEW_TOKEN))
 
 

@@ -1,7 +1,7 @@
 """Intermediate results as Parquet files, named by the hash of everything they were computed from.
 
-Equal inputs give an equal name, so a finished chunk is never computed twice: not after a crash, not when the drive is ingested
-again with other parameters further down the line. Files appear whole (written aside, then renamed) or not at all.
+Equal inputs give an equal name, so a finished chunk is never computed twice: not after a crash, nor when the drive is ingested
+again with other parameters for later steps. Files are written under a temporary name and renamed when they are complete.
 """
 
 from __future__ import annotations
@@ -109,5 +109,5 @@ def read_table(path: Path) -> pa.Table:
 
 
 def result_path(folder: Path, key: str) -> Path:
-    """Path of the result of a key, whether it exists or not."""
+    """Path of the result of a key; the file may be missing."""
     return folder / f"{key}.parquet"

@@ -31,12 +31,12 @@ CACHE_BYTES = 256 * 2**20
 NO_FILE_SHA256 = hashlib.sha256().hexdigest()
 #: Errors of a missing file; all others are about the storage.
 _NO_SUCH_FILE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
-#: `Path` replaces two slashes by one.
+#: `Path` collapses two slashes into one.
 _ADDRESS = re.compile(r"^(s3|memory):/{1,2}(?=[^/])")
 
 
 class _Memory:
-    """Bytes by address (objects) or SHA-256, at most `CACHE_BYTES` of them; those used last stay."""
+    """Least-recently-used cache of at most `CACHE_BYTES` of bytes, by address (objects) or SHA-256."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -83,7 +83,7 @@ def as_path(text: str | Path) -> Path:
 
 
 def is_remote(path: Path) -> bool:
-    """Whether a path is an object's."""
+    """Whether a path is that of an object."""
     return not isinstance(path, Path)
 
 
@@ -99,9 +99,9 @@ def is_present(path: Path) -> bool:
 
 @contextmanager
 def storage_errors(path: Path) -> Iterator[None]:
-    """Errors of the object storage become one StorageError that names the object. Errors of local files do not change.
+    """Turn errors of the object storage into one StorageError that names the object.
 
-    A missing object is a property of the drive and remains a FileNotFoundError.
+    Errors of local files do not change. A missing object is a property of the drive and remains a FileNotFoundError.
     """
     try:
         yield
@@ -115,7 +115,7 @@ def storage_errors(path: Path) -> Iterator[None]:
 
 
 def _is_storage_error(error: Exception) -> bool:
-    """s3fs raises Python's own errors for those of the storage (too busy, internal error, expired token, no access)."""
+    """s3fs raises Python's own errors when the storage is busy or fails, a token has expired, or access is denied."""
     if isinstance(error, OSError):
         return not isinstance(error, FileNotFoundError)
     return type(error).__module__.split(".")[0] in _STORAGE_ERRORS
@@ -131,7 +131,7 @@ def forget_listing(path: Path) -> None:
 
 
 def object_bytes(path: Path) -> bytes:
-    """All bytes of an object, from memory where they were read lately. Raises OSError like `Path.read_bytes`."""
+    """All bytes of an object, from the cache if it was read recently. Raises OSError like `Path.read_bytes`."""
     data = _kept.get(str(path))
     if data is None:
         with storage_errors(path):
@@ -169,7 +169,7 @@ def remember(path: Path, sha256: str, data: bytes) -> None:
 
 
 def recall(sha256: str) -> bytes | None:
-    """Bytes with this hash that `remember` kept; None where they were pushed out, or another process read them."""
+    """Bytes with this hash that `remember` kept; None if they were evicted, or another process read them."""
     return _kept.get(sha256)
 
 

@@ -1,8 +1,8 @@
-"""Whether a drive contradicts the map as a whole: all its cones lower, aside or turned, or too many of the map's cones gone; or
-its lane markings, where a drive that shows no cone has nothing else that its position can be compared with.
+"""Checks of a whole drive against the map: its cones are all lower, shifted or turned, or too many of the map's cones are gone;
+or the same of its lane markings, the only thing to compare in a drive without cones.
 
-Such a drive is one finding for a person, not nine moved cones. The checks are part of the fold, so that they are decided again
-when an earlier drive arrives; docs/explanation/health.md has their limits.
+A failed check is one finding for a person, not nine moved cones. The checks are part of the fold, so they are repeated when an
+earlier drive arrives; docs/explanation/health.md has their limits.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 
-#: Fewer removals, or cones that were moved, need no second look.
+#: Fewer removed or moved cones are not checked.
 _LEAST_REMOVED, _LEAST_MOVED = 3, 3
-#: A drive that confirms this many objects that were on the map an hour before is where the map has it.
+#: A drive that confirms this many objects that were on the map an hour before is correctly positioned.
 LEAST_CONFIRMED, BEFORE_NS = 3, 3_600_000_000_000
 _STRETCHES = "stretches of lane markings"
-#: Prior that a drive is blind to what the model card says it sees, and the posterior from which a person decides.
+#: Prior probability that a drive is blind to what its model card promises, and the posterior from which a person must decide.
 _BLIND_PRIOR, _MAX_BLIND = 0.01, 0.05
 
 
 def is_confirmed(deltas: Sequence[Delta], captured_from_ns: int) -> bool:
-    """Whether a drive agrees with what was on the map an hour before it began. deltas: of point objects."""
+    """Whether a drive confirms objects that were on the map an hour before it began. deltas: of point objects."""
     kinds = DeltaKind.CONFIRMED, DeltaKind.HEIGHT_CHANGED
     known = (d for d in deltas if d.kind in kinds and d.old and d.old.first_seen_ns < captured_from_ns - BEFORE_NS)
     return len(list(islice(known, LEAST_CONFIRMED))) == LEAST_CONFIRMED
@@ -52,9 +52,9 @@ def is_confirmed(deltas: Sequence[Delta], captured_from_ns: int) -> bool:
 def check_agreement(
     tracks: Sequence[Track], features: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
 ) -> HealthCheck | None:
-    """Why a drive must not change the map before a person has looked; None if it may.
+    """Why a drive must not change the map before a person has checked it; None if it may.
 
-    features: the map's point objects around the drive; deltas: what `reconcile` made of both. The order of none of them matters.
+    features: the map's point objects around the drive; deltas: by `reconcile`. The result does not depend on their order.
     """
     kinds = Counter(delta.kind for delta in deltas)
     sure = sorted(
@@ -69,9 +69,10 @@ def check_agreement(
 def check_marking_agreement(
     markings: Sequence[MarkingTrack], stretches: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
 ) -> HealthCheck | None:
-    """Why a drive must not change the map before a person has looked; None if it may. The order of none of them matters.
+    """Why a drive must not change the map before a person has checked it; None if it may. The result does not depend on any
+    order.
 
-    stretches: those of the map around the drive; deltas: what `reconcile_markings` made of both.
+    stretches: those of the map around the drive; deltas: by `reconcile_markings`.
     """
     kinds = Counter(delta.kind for delta in deltas)
     moved = _check_moves(kinds, _STRETCHES, "the road was repainted")
@@ -79,9 +80,9 @@ def check_marking_agreement(
 
 
 def _check_moves(kinds: Counter[DeltaKind], what: str, otherwise: str) -> HealthCheck | None:
-    """Whether most of the objects that a drive shows are at other positions than the map's.
+    """Whether most of the objects that a drive shows are at other positions than on the map.
 
-    what: their name; otherwise: what happened if the drive is right.
+    what: their name; otherwise: the explanation if the drive is right.
     """
     moved, stayed = kinds[DeltaKind.MOVED], kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
     if moved < _LEAST_MOVED or moved <= stayed:
@@ -94,11 +95,11 @@ def _check_moves(kinds: Counter[DeltaKind], what: str, otherwise: str) -> Health
 
 
 def _check_removals(kinds: Counter[DeltaKind], params: ReconcileParams) -> HealthCheck | None:
-    """Whether a drive that finds many cones gone is more likely to have been blind than plausible.
+    """Whether a drive that finds many cones gone was probably blind.
 
-    Beta-binomial: a drive detects all that the model card says, and the cones of a road vanish together (share of mean
-    `vanished_probability`, beta-distributed with concentration 1), or it detects a share of them about which nothing is known.
-    Cones that it found, also new ones, speak against the latter.
+    Beta-binomial: either the drive detects all that the model card promises, and the cones of a road vanish together (share of
+    mean `vanished_probability`, beta-distributed with concentration 1); or it detects an unknown share of them. Cones that it
+    found, including new ones, are evidence against the latter.
     """
     removed, stayed = kinds[DeltaKind.REMOVED], kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
     seen = stayed + kinds[DeltaKind.ADDED] + kinds[DeltaKind.MOVED] + kinds[DeltaKind.SPLIT]
@@ -148,7 +149,7 @@ def _check_marking_positions(
 
 
 def _check_replaced(kinds: Counter[DeltaKind]) -> HealthCheck | None:
-    """Most stretches in view are gone: the drive is farther off and adds as many others, or it cannot see them."""
+    """Whether most stretches in view are gone: the drive is displaced and adds as many others, or it cannot see them."""
     stayed, moved = kinds[DeltaKind.CONFIRMED], kinds[DeltaKind.MOVED]
     added, removed = kinds[DeltaKind.ADDED], kinds[DeltaKind.REMOVED]
     if min(removed, added) >= LEAST_PAIRS and min(removed, added) + moved > stayed:

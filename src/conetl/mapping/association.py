@@ -1,4 +1,4 @@
-"""Which track of a drive is which feature of the map: the drive's common offset, one-to-one pairs, and moved cones.
+"""Association of the tracks of a drive with features of the map: common offset of the drive, one-to-one pairs, moved cones.
 
 Neighbours are found by k-d trees and assignments are solved per connected group of near pairs, so that the time grows nearly
 linearly with the number of cones.
@@ -51,10 +51,10 @@ def common_offset(
 ) -> tuple[Floats, float]:
     """Offset (3,) of the drive against the map in metres, and the share of it that the drive's own variance explains.
 
-    It minimises the squared distances of all tracks to their nearest features of their class, each capped at the gate, plus the
-    squared offset over its stated variance. The cap keeps new and moved cones from pulling; the ends of a row of equal
-    distances decide against a shift by one cone. Fewer than two agreeing pairs, or an offset beyond the stated sigmas, give
-    zero: one moved cone must not shift the drive.
+    It minimises the squared distances of all tracks to their nearest features of the same class, each capped at the gate, plus
+    the squared offset over its stated variance. The cap limits the influence of new and moved cones; the ends of a row of equally
+    spaced cones decide against a shift by one cone. With fewer than two agreeing pairs, or an offset beyond the stated sigmas,
+    the result is zero: one moved cone must not shift the drive.
     """
     zero = np.zeros(3)
     if len(tracks) < 2 or len(features) < 2:
@@ -86,7 +86,7 @@ def common_offset(
     if best is None:
         return zero, 0.0
     offset_m = best[1]
-    for _ in range(2):  # the median of the pairs, which may change the pairs
+    for _ in range(2):  # the median of the pairs; they may change with the offset
         _, agreeing = cost_of(offset_m)
         if len(agreeing) < 2:
             return zero, 0.0
@@ -97,10 +97,10 @@ def common_offset(
 
 
 def match_unmoved(comparison: Comparison, offset_m: Floats, weight: float) -> dict[int, int]:
-    """Feature index -> track index of those that are the same cone at the same position.
+    """Feature index -> track index of cones that are still at the same position.
 
-    The map coordinates are less the drive's share `weight` of `offset_m`. Of all one-to-one assignments the one of least cost:
-    squared distance over that of the gate, `_GATE_COST` for a track and a feature that stay unpaired. Leaving two unpaired may
+    The map coordinates are corrected by the drive's share `weight` of `offset_m`. Of all one-to-one assignments it is the one of
+    least cost: squared distance over that of the gate, `_GATE_COST` for each unpaired track and feature. Leaving two unpaired may
     be cheaper than shifting a whole row by one.
     """
     tracks, features, map_xyz_m, params = comparison
@@ -127,7 +127,7 @@ def match_unmoved(comparison: Comparison, offset_m: Floats, weight: float) -> di
 
 
 def match_moved(comparison: Comparison, free_tracks: Sequence[int], vanished: Sequence[int]) -> dict[int, int]:
-    """Feature index -> track index of moved cones: as many as possible, over the least total distance."""
+    """Feature index -> track index of moved cones: as many as possible, with the least total distance."""
     if not free_tracks or not vanished:
         return {}
     j, i, distance = _move_candidates(comparison, free_tracks, vanished)
@@ -135,10 +135,10 @@ def match_moved(comparison: Comparison, free_tracks: Sequence[int], vanished: Se
 
 
 def match_moved_earlier(comparison: Comparison, observed: Mapping[int, int], vanished: Sequence[int]) -> dict[int, int]:
-    """Feature index -> index of the feature that it was moved to by the time of an earlier drive, to which only the new
-    position was visible.
+    """Feature index -> index of the feature that an earlier drive added at the cone's new position, because only that was visible
+    to it.
 
-    Like `match_moved`, among the `observed` features (feature -> track index) that were founded after the vanished one was last
+    Like `match_moved`, among the `observed` features (feature -> track index) that were added after the vanished one was last
     observed; features observed at the same time are two cones.
     """
     features = comparison.features
@@ -156,7 +156,7 @@ def match_moved_earlier(comparison: Comparison, observed: Mapping[int, int], van
 def _move_candidates(
     comparison: Comparison, of_tracks: Sequence[int], of_features: Sequence[int]
 ) -> tuple[Ints, Ints, Floats]:
-    """Feature and track indices, and distances in metres, of all pairs between which a cone may have been moved."""
+    """Feature and track indices, and distances in metres, of all pairs that may be one moved cone."""
     tracks, features, map_xyz_m, params = comparison
     rows, columns = np.array(of_features), np.array(of_tracks)
     feature_xyz_m = np.array([features[j].xyz_m for j in of_features])
@@ -201,8 +201,7 @@ def _horizontal(covariances: Sequence[Cov3]) -> Floats:
 
 
 def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Ints, Ints]:
-    """Indices into a_m (N, D) and b_m (M, D), metres, of all pairs at most `reach_m` apart, by rising index of `a`, then
-    `b`."""
+    """Indices into a_m (N, D) and b_m (M, D), metres, of all pairs at most `reach_m` apart, ordered by index of `a`, then `b`."""
     if not len(a_m) or not len(b_m):
         return np.empty(0, np.int64), np.empty(0, np.int64)
     # Slightly farther, so that rounding in the tree loses no pair exactly at the reach: callers gate themselves.
@@ -212,10 +211,10 @@ def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Ints, Ints]:
 
 
 def assign(rows: Ints, columns: Ints, costs: Floats, *, unpaired_cost: float | None = None) -> dict[int, int]:
-    """Row -> column of the one-to-one pairing with most pairs and, among those, the least total cost.
+    """Row -> column of the one-to-one assignment with most pairs and, among those, the least total cost.
 
-    rows, columns, costs (K,): the allowed pairs, each once. unpaired_cost: cost of a row and a column that stay unpaired, above
-    all costs; with it the total cost decides instead of the number of pairs.
+    rows, columns, costs (K,): the allowed pairs, each once. unpaired_cost: cost of an unpaired row and column, above all costs;
+    with it the total cost decides, not the number of pairs.
     """
     if not len(rows):
         return {}

@@ -1,8 +1,8 @@
 """Tracks of one drive against the map -> deltas; docs/explanation/changes.md has the rules of each kind.
 
-The drive's common offset is estimated from all shared cones and taken out, then tracks and features are paired one-to-one
-(`association.py`). A feature without a track whose location was visible is missed, and removed where its existence probability
-falls far enough (`existence_update.py`). A vanished feature and a new track of like height nearby are one moved cone.
+The drive's common offset is estimated from all shared cones and subtracted, then tracks and features are paired one-to-one
+(`association.py`). A feature without a track whose location was visible is missed, and removed if its existence probability
+becomes low enough (`existence_update.py`). A vanished feature and a new track of similar height nearby are one moved cone.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from conetl.model.params import ReconcileParams
 
 #: (feature, offset_m, others_m) -> evidence that the feature is absent; see `visibility.check_visibility`.
 VisibilityCheck = Callable[[MapFeature, Floats, Floats], NotObserved | None]
-#: A feature this near to the middle of two tracks, as a share of their distance, was a mixture of both.
+#: A feature this near to the midpoint of two tracks (as a share of their distance) was a mixture of both.
 _MIDDLE_SHARE = 0.25
 #: Wider than the base plate of any cone.
 _WIDEST_BASE_M = 1.0
@@ -55,9 +55,9 @@ def reconcile(
     check_visibility: VisibilityCheck,
     context: ReconcileContext,
 ) -> list[Delta]:
-    """Deltas that bring the map from before the drive to after it; the order of tracks and features does not matter.
+    """Deltas from the map before the drive to the map after it; the order of tracks and features does not matter.
 
-    features: the map as the drives recorded before this one left it.
+    features: the map after all drives that were recorded before this one.
     """
     params, founding_key, pinned, summaries = context
     tracks = _drop_duplicates(sorted(tracks, key=lambda track: track.members[0]))
@@ -97,7 +97,7 @@ def reconcile(
         for j, i in {**pairs, **moved}.items()
     }
     renewed = dict.fromkeys(moved, DeltaKind.MOVED)
-    renewed |= dict.fromkeys(halves.values(), DeltaKind.CONFIRMED)  # its position was that of neither half
+    renewed |= dict.fromkeys(halves.values(), DeltaKind.CONFIRMED)  # its position was the mean of both cones
     for j, i in pairs.items():
         if features[j].feature_id not in pinned and height_differs(features[j], tracks[i], params):
             renewed[j] = DeltaKind.HEIGHT_CHANGED
@@ -126,7 +126,7 @@ def reconcile(
 
 
 def height_differs(feature: MapFeature, track: Track, params: ReconcileParams) -> bool:
-    """Whether another cone stands at the feature's position now."""
+    """Whether the track shows another cone at the feature's position."""
     sigma_m = hypot(feature.cone_height_sigma_m, track.cone_height_sigma_m)
     difference_m = abs(track.cone_height_m - feature.cone_height_m)
     return difference_m > max(params.moved_height_tolerance_m, 3 * sigma_m)
@@ -140,7 +140,7 @@ def _base_width_m(a: Track | MapFeature, b: Track | MapFeature) -> float:
 def _drop_duplicates(tracks: Sequence[Track]) -> list[Track]:
     """The tracks without those whose base plates overlap that of a track with more observations.
 
-    Such a track is a second box of the detector or a fragment of the same chain.
+    A duplicate is a second box of the detector or a fragment of the same chain.
     """
     xy_m = xyz_of(tracks)[:, :2]
     weight = [(track.observation_count, track.existence_probability, -i) for i, track in enumerate(tracks)]
@@ -154,7 +154,7 @@ def _drop_duplicates(tracks: Sequence[Track]) -> list[Track]:
 
 
 def _new_features(tracks: Sequence[Track], paired: Collection[int], params: ReconcileParams) -> list[int]:
-    """The unpaired tracks that found a feature: sure enough, and surely beside every track with more observations.
+    """The unpaired tracks that become new features: certain enough, and clearly separate from every track with more observations.
 
     Far cones are located poorly along the line of sight, so that a second box of one cone may give a track beside it. A track is
     left to later, nearer drives while its base plate, moved by one sigma, would overlap that of a track with more observations.
@@ -179,7 +179,7 @@ def _new_features(tracks: Sequence[Track], paired: Collection[int], params: Reco
 
 
 def _find_mergers(comparison: Comparison, pairs: Mapping[int, int], pinned: Collection[UUID]) -> dict[int, int]:
-    """Unobserved feature -> the nearest observed one whose base plate overlaps its own: they are one cone."""
+    """Unobserved feature -> the nearest observed one whose base plate overlaps its own: both are one cone."""
     features = comparison.features
     certain = [
         j
@@ -200,9 +200,9 @@ def _find_mergers(comparison: Comparison, pairs: Mapping[int, int], pinned: Coll
 
 
 def _find_splits(comparison: Comparison, free_tracks: Sequence[int], pairs: Mapping[int, int]) -> dict[int, int]:
-    """Track index -> index of the feature of which it is one half.
+    """Track index -> index of the feature that turns out to be two cones, one of them this track.
 
-    The feature is in the middle between this track and its own one, and one image shows both cones.
+    The feature lies midway between this track and its own one, and one image shows both cones.
     """
     tracks, features, map_xyz_m, params = comparison
     paired_features = sorted(pairs)

@@ -1,4 +1,4 @@
-"""Deltas of single features, and the features after them."""
+"""Deltas of single features, and the state of the features after them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
 
 
 class ReconcileContext(NamedTuple):
-    """What each comparison of a drive, or of an imported map, with the map depends on besides both."""
+    """What the comparison of a drive, or of an imported map, with the map needs besides these two."""
 
     params: ReconcileParams
     founding_key: str
@@ -29,13 +29,13 @@ class ReconcileContext(NamedTuple):
     pinned: Collection[UUID] = ()
     """Features that are neither moved nor removed nor given another height."""
     summaries: Mapping[UUID, MissSummary] = MappingProxyType({})
-    """Of the misses since the features' versions."""
+    """Misses since the current versions of the features."""
 
 
 def new_feature(track: Track, map_xyz_m: Floats, shift: Floats, founding_key: str, half_of: UUID | None) -> Delta:
-    """A new feature; half_of: the feature that a split revealed to be two cones. Other arguments as for `feature_from_track`.
+    """A new feature; half_of: the feature that turned out to be two cones. Other arguments as for `feature_from_track`.
 
-    Its id follows from the track's first position, which is in no other track and independent of the order of tracks.
+    Its id is derived from the track's first position, which is in no other track and does not depend on the order of tracks.
     """
     frame, match = track.members[0]
     feature_id = uuid5(_NAMESPACE, f"{founding_key}/{frame}/{match}")
@@ -59,7 +59,7 @@ def end_feature(
     merged_into: UUID | None = None,
     evidence: ExistenceEvidence | None = None,
 ) -> Delta:
-    """The feature removed, or merged into another one, from an instant after its last observation."""
+    """Remove a feature, or merge it into another one, from an instant after its last observation."""
     return Delta(
         kind=kind,
         feature_id=feature.feature_id,
@@ -73,9 +73,12 @@ def end_feature(
 def miss_or_remove(
     feature: MapFeature, missed_ns: int, summary: MissSummary | None, evidence: ExistenceEvidence, *, gone: bool
 ) -> Delta:
-    """The feature removed, or missed; missed_ns: when this drive first missed it, summary: of the misses before."""
+    """Miss a feature, or remove it if it is `gone`.
+
+    missed_ns: when this drive first missed it; summary: of the misses before.
+    """
     if gone:
-        # From the first miss on, which may be that of an earlier drive whose evidence was not enough.
+        # From the first miss on, perhaps by an earlier drive whose evidence was not enough.
         from_ns = missed_ns if summary is None else min(summary.first_missed_ns, missed_ns)
         return end_feature(DeltaKind.REMOVED, feature, from_ns, evidence=evidence)
     return Delta(
@@ -89,9 +92,9 @@ def miss_or_remove(
 
 
 def move_and_merge(old: MapFeature, confirmation: Delta) -> list[Delta]:
-    """`old` moved to the position of the confirmed feature, which is merged into it.
+    """Move `old` to the position of the confirmed feature, and merge that one into it.
 
-    An earlier drive, to which only the new position was visible, had founded that feature.
+    The confirmed feature was added by an earlier drive to which only the new position was visible.
     """
     merged, state = confirmation.old, confirmation.new
     if merged is None or state is None:
@@ -108,7 +111,7 @@ def move_and_merge(old: MapFeature, confirmation: Delta) -> list[Delta]:
 def update_feature(
     kind: DeltaKind, feature: MapFeature, track: Track, map_xyz_m: Floats, shift: Floats, evidence: ExistenceEvidence
 ) -> Delta:
-    """The feature as this drive alone observed it; map_xyz_m, shift: as for `feature_from_track`."""
+    """Replace the state of a feature by what this drive alone observed; map_xyz_m, shift: as for `feature_from_track`."""
     new = feature_from_track(track, map_xyz_m, shift, feature.feature_id, feature.version + 1, evidence)
     return Delta(
         kind=kind,
@@ -123,7 +126,7 @@ def update_feature(
 
 
 def add_counts(old: MapFeature, new: MapFeature) -> MapFeature:
-    """What one drive alone observed of a feature, with the time and the number of all observations."""
+    """The new state with the time span and the number of all observations, old and new."""
     return new.model_copy(
         update={
             "first_seen_ns": old.first_seen_ns,
@@ -139,10 +142,9 @@ def confirm_features(
     tracks: Sequence[Track],
     evidence: Mapping[int, ExistenceEvidence],
 ) -> list[Delta]:
-    """Features observed again at the same position: both estimates fused by their covariances, all pairs (feature -> track) at
-    once.
+    """Confirm features at the same position: both estimates are fused by their covariances, all pairs (feature -> track) at once.
 
-    evidence: by feature. Tracks enter in the drive's own frame, where their covariances hold: with the drive's offset taken out
+    evidence: by feature. Tracks enter in the drive's own frame, where their covariances hold: corrected by the drive's offset
     they would contain the map's errors, and one difference would be shared out twice.
     """
     if not pairs:
@@ -207,7 +209,7 @@ def _matvec(matrices: Floats, vectors: Floats) -> Floats:
 def feature_from_track(
     track: Track, map_xyz_m: Floats, shift: Floats, feature_id: UUID, version: int, evidence: ExistenceEvidence
 ) -> MapFeature:
-    """A track as a feature; map_xyz_m (3,): in map coordinates, shift (3,): what was subtracted from the track, metres."""
+    """A track as a feature; map_xyz_m (3,): its position on the map, shift (3,): what was subtracted from the track, metres."""
     own = {
         "feature_id": feature_id,
         "version": version,

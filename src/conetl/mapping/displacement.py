@@ -1,7 +1,7 @@
-"""Whether the objects of a drive, or of an imported map, all stand beside those of the map, higher, lower or elsewhere, or are of
-other classes.
+"""Checks whether all objects of a drive, or of an imported map, are displaced against those of the map, in plan or height, or are
+of other classes.
 
-Objects are compared where they stand, and by their arrangement, which fits elsewhere if all positions are wrong.
+Objects are compared at their positions, and by their arrangement, which can match elsewhere if all positions are wrong.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ LEAST_OFFSET_M = 0.1
 LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 #: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
 _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
-#: No road leads from a cone to another one that is so near in plan and so much higher; a bridge is lower.
+#: No road connects two cones this near in plan with such a height difference; bridges are lower.
 _BESIDE_M, _CLIFF_M = 30.0, 20.0
-#: The fold compares all of the map that is so near.
+#: The fold compares everything on the map within this distance.
 _NEAR_M = 50.0
 #: An imported map, or a drive, may be in another datum: ED50 is 80 m east and 200 m north of ETRS89.
 FARTHEST_M = 300.0
-#: So many of its cones must fit, so that two rows of about equal distances do not by chance. A drive may set up new ones.
+#: This many of its cones must fit: two rows with similar spacing fit by chance. In a drive, some cones may be new.
 _LEAST_SAME, _LEAST_SAME_OF_DRIVE, _LEAST_SAME_SHARE = 5, 7, 0.6
 _LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
 #: A fit is distinct if no other one, this many gates apart, fits this share as many; else some of the map's cones must be absent.
 _APART_GATES, _RIVAL_SHARE, _LEAST_ABSENT_SHARE = 2.0, 0.8, 0.25
-#: Two zones set up by people are not equal to this root mean square distance of their cones.
+#: Two different zones set up by people never match to this RMS distance of their cones.
 _SAME_ZONE_M = 0.05
 #: Limits of that search: tracks that it uses, tracks from which it starts, and how far two lengths may differ.
 _MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
@@ -55,7 +55,7 @@ _MAX_NEAR, _MAX_TRIED = 150, 300
 def check_positions(
     tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
 ) -> HealthCheck | None:
-    """The common displacement of a drive's cones against the map's; None where the stated sigmas cover it."""
+    """A hold if the drive's cones have a common displacement against the map's that exceeds the stated sigmas."""
     places, on_map = _places(tracks), _places(features)
     t, f = places[0], on_map[0]
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
@@ -79,7 +79,7 @@ def check_positions(
     absent = share * (kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED])
     same_zone = fit.distinct and (fit.beside or fit.residual_m <= _SAME_ZONE_M)
     if not same_zone and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
-        return None  # the map's row may continue, or have a second one beside it, where the drive sees it
+        return None  # the drive may see a continuation of the map's row, or a second row beside it
     sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     if fit.largest_m <= min(params.max_offset_m, MAX_SIGMAS * sigma_m):
         return None
@@ -96,10 +96,10 @@ def check_positions(
 def check_import(
     stated: Sequence[MapFeature], features: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
-    """The common displacement of the cones that an imported map states against the map's; None where their sigmas cover it.
+    """A hold if the cones of an imported map have a common displacement against the map's that exceeds their sigmas.
 
-    Cones at equal distances fit a row farther along, or the same plan elsewhere, as well: only an irregular arrangement that fits
-    once, within what two surveys of the same cones differ by, is taken for the same cones.
+    Cones at equal distances also fit a row farther along, or the same plan elsewhere: only an irregular arrangement that fits
+    once, to within the difference of two surveys of the same cones, counts as the same cones.
     """
     if not stated or not features:
         return None
@@ -108,7 +108,7 @@ def check_import(
     pairs = _same_positions(_places(stated), _places(features), np.zeros(3), params)
     if pairs:
         i, j = list(pairs), list(pairs.values())
-        # Where most have no cone near them, those that do are others' neighbours: their heights alone are compared.
+        # If most have no cone near them, the rest match neighbours by chance: only heights are compared.
         compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(_with_near_features(t, f)) else (0.0, 0.0, 1.0)
         common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
         if common is not None:
@@ -119,11 +119,10 @@ def check_import(
 def check_far_positions(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
-    """The common displacement, beyond what `check_agreement` finds, of a drive's cones against the map's; None where there is
-    none, or too few cones tell.
+    """A hold if a drive's cones have a common displacement that is too large for `check_agreement`.
 
-    features: the map's point objects within `FARTHEST_M` of the tracks. The fold compares only what a drive may have in view:
-    this is decided once, when the drive comes.
+    features: the map's point objects within `FARTHEST_M` of the tracks. The fold compares only what a drive may have in view, so
+    this is checked once, when the drive is ingested.
     """
     sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]
     if (check := _check_other_section(sure, features)) is not None:
@@ -135,8 +134,8 @@ def check_far_positions(
 
 
 def _check_other_section(tracks: Sequence[Track], features: Sequence[MapFeature]) -> HealthCheck | None:
-    """The height difference of a drive's cones against the map's nearest ones, where none of them can be on the same road: the
-    drive shows another section of it, in another height system."""
+    """The height difference of a drive's cones against the map's nearest ones, if none of them can be on the same road: the drive
+    shows another section of it, in another height system."""
     if not tracks or not features:
         return None
     t, f = xyz_of(tracks), xyz_of(features)
@@ -153,7 +152,7 @@ def _check_other_section(tracks: Sequence[Track], features: Sequence[MapFeature]
 def check_arrangement(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
-    """The displacement by the arrangement of enough cones alone, whatever row, also one along which no other cone is missing."""
+    """A hold if the arrangement of enough cones matches the map elsewhere, even along a row from which no cone is missing."""
     if len(tracks) < _LEAST_SAME_OF_DRIVE or not features:
         return None
     found = len(_same_positions(_places(tracks), _places(features), np.zeros(3), params))
@@ -163,7 +162,7 @@ def check_arrangement(
 def check_classes(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
-    """Whether most of the objects that stand where the map has one are of another class than there."""
+    """A hold if most of the objects at positions of map objects are of another class."""
     t, f = _places(tracks), _places(features)
     same = _same_positions(t, f, np.zeros(3), params)
     others = np.setdiff1d(np.arange(len(t[0])), list(same)), np.setdiff1d(np.arange(len(f[0])), list(same.values()))
@@ -182,7 +181,7 @@ def check_classes(
 
 
 def _with_near_features(t: Floats, f: Floats) -> Ints:
-    """Which cones t (N, 3) have one of f (M, 3) within `FARTHEST_M`."""
+    """Indices of the cones t (N, 3) that have one of f (M, 3) within `FARTHEST_M`."""
     return np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
 
 
@@ -193,9 +192,9 @@ def _match_arrangement(
     params: ReconcileParams,
     least_same: int,
 ) -> HealthCheck | None:
-    """How far cones lie from those of the map that are arranged alike.
+    """A hold if the cones are displaced against cones of the map in the same arrangement.
 
-    found: how many stand where one of the map stands, of which twice as many must fit elsewhere, at least least_same.
+    found: how many stand at a cone of the map; twice as many must fit elsewhere, and at least least_same.
     """
     t, f = xyz_of(cones), xyz_of(features)
     near = _with_near_features(t, f)
@@ -221,7 +220,8 @@ def _places(objects: Sequence[Track | MapFeature]) -> _Places:
 
 
 def _same_positions(tracks: _Places, features: _Places, shift_m: Floats, params: ReconcileParams) -> dict[int, int]:
-    """Which tracks, moved back by `shift_m` (3,), stand where features of the same class stand, whatever the heights."""
+    """Track -> feature of the same class at the same position, after moving tracks back by `shift_m` (3,); heights are
+    ignored."""
     (t, t_classes), (f, f_classes) = tracks, features
     rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
     alike = t_classes[rows] == f_classes[columns]  # a sign may hang above a cone
@@ -232,19 +232,19 @@ def _same_positions(tracks: _Places, features: _Places, shift_m: Floats, params:
 def agreement_hold(
     what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str
 ) -> HealthCheck:
-    """A hold; its figures are rounded to what is meant, so that they are the same wherever they are computed again."""
+    """A hold with rounded figures, so that repeated computations give the same ones."""
     value, limit = round(value, 3), round(float(limit), 3)
     sigma = None if sigma is None else round(sigma, 3)
     return hold(f"{AGREEMENT}: {what}", detail, value=value, sigma=sigma, limit=limit, unit=unit)
 
 
 def _mean_sigma_m(cov_m2: Floats) -> float:
-    """Of a (3, 3) covariance: the mean of both horizontal axes."""
+    """Mean horizontal sigma of a (3, 3) covariance."""
     return float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2))
 
 
 def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
-    """apart_m (K, 3): tracks less their features; cov_m2 (3, 3): of one difference."""
+    """A hold for the median displacement. apart_m (K, 3): tracks minus their features; cov_m2 (3, 3): of one difference."""
     east, north, up = np.median(apart_m, axis=0).tolist()
     check = check_heights(up, float(np.sqrt(cov_m2[2, 2])), len(apart_m), "cones", "the same cones")
     if check is not None:
@@ -258,7 +258,7 @@ def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
 
 
 def check_heights(up_m: float, sigma_m: float, count: int, what: str, those: str) -> HealthCheck | None:
-    """count: pairs that agree on a height difference."""
+    """A hold for a common height difference `up_m`. count: pairs that agree on it."""
     limit_m = max(LEAST_OFFSET_M if count >= LEAST_PAIRS else _GROSS_RISE_M, MAX_SIGMAS * sigma_m)
     if abs(up_m) <= limit_m:
         return None
@@ -297,7 +297,7 @@ class _Fit(NamedTuple):
 
 
 def _best_fit(t: Floats, f: Floats, gate_m: float, within_m: float) -> _Fit | None:
-    """Of all displacements that put two tracks onto two features the one with which most tracks fit; of equals the smallest.
+    """The displacement with which most tracks fit, of all that put two tracks onto two features; of several the smallest.
 
     t (N, 2), f (M, 2): tracks and features; gate_m: of a fit; within_m: farthest displacement. Two tracks far from each other are
     tried with all features at their distance.

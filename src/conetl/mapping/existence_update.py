@@ -21,7 +21,7 @@ _EDGE = 1e-6
 
 
 def sighting_evidence(feature: MapFeature | None, summary: MissSummary | None, track: Track) -> ExistenceEvidence:
-    """Evidence of a drive that observed the feature (None: a new one) as `track`; summary: of the misses since its version."""
+    """Evidence of a drive that observed the feature (None: a new one) as `track`; summary: misses since its version."""
     return confirmation_evidence(
         feature, summary, track.existence_probability, len({frame for frame, _ in track.members})
     )
@@ -56,7 +56,7 @@ def miss_evidence(
 
 
 def is_gone(evidence: ExistenceEvidence, params: ReconcileParams, *, moved: bool = False) -> bool:
-    """Whether a miss is enough to remove the feature, or (moved) to identify it with a new cone nearby."""
+    """Whether a miss is enough to remove the feature, or (moved) to accept a new cone nearby as the moved one."""
     below = params.moved_existence_probability if moved else params.removal_existence_probability
     return evidence.frames_empty >= params.removal_min_frames and evidence.existence_probability < below
 
@@ -74,5 +74,5 @@ def log_odds(value: float) -> float:
 
 
 def probability(log_odds_value: float) -> float:
-    """The inverse of `log_odds`."""
+    """Inverse of `log_odds`."""
     return 1 / (1 + exp(-log_odds_value))

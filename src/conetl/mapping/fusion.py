@@ -1,15 +1,15 @@
-"""Fusion of two estimates of one position whose errors are partly shared: a feature of the map and a track of a drive.
+"""Fusion of two estimates of one position that share errors: a feature of the map and a track of a drive.
 
 Best linear unbiased fusion (Bar-Shalom & Campo 1986, "The effect of the common process noise on the two-sensor fused-track
-covariance"; Bar-Shalom, Willett & Tian 2011, "Tracking and Data Fusion", ch. 9): with covariances P1, P2 and cross-covariance
-C, the gain of the second is G = (P1 - C) (P1 + P2 - C - C')^-1.
+covariance"; Bar-Shalom, Willett & Tian 2011, "Tracking and Data Fusion", ch. 9): with covariances P1, P2 and cross-covariance C,
+the gain of the second is G = (P1 - C) (P1 + P2 - C - C')^-1.
 
 Drives share the errors of a calibration (`geometry/calibration/covariance.py`). With the shared-error Jacobian A of an estimate,
 P = R + A A', R being independent, and C = A1 A2'. The fused Jacobian is (I - G) A1 + G A2, the fused independent part (I - G) R1
-(I - G)' + G R2 G'; their sum is positive definite and never below what the calibration leaves. Drives from one side have the
-same Jacobian, so that the calibration's error stays; from opposite sides the Jacobians cancel. A gain may be below 0 or above
-1: of a near and a far estimate with one calibration, the far one shows the direction of the common error. Without Jacobians A =
-0.
+(I - G)' + G R2 G'; their sum is positive definite and never below the error that the calibration leaves. Drives from one side
+have the same Jacobian, so that the calibration's error remains; from opposite sides the Jacobians cancel. A gain may be below 0
+or above 1: of a near and a far estimate with one calibration, the far one shows the direction of the common error. Without
+Jacobians A = 0.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _COVERED_CHI2 = 10.0
 
 
 class Fusion(NamedTuple):
-    """How N pairs of estimates become one each."""
+    """Gains and fused values of N pairs of estimates."""
 
     gain: Floats
     """(N, 3, 3) gain of the new estimate; that of the old one is I less it."""
@@ -75,10 +75,10 @@ def fuse(
 
 
 def birge_ratios(apart_m: Floats, cov_m2: Floats) -> Floats:
-    """(N, 3) what the variances of east, north and up must be multiplied by, so that they cover differences apart_m (N, 3) of two
-    estimates, of stated covariance cov_m2 (N, 3, 3); 1 where they do.
+    """(N, 3) factors for the variances of east, north and up so that they cover the differences apart_m (N, 3) of two estimates
+    with stated covariance cov_m2 (N, 3, 3); 1 where they already do.
 
-    One of the two is wrong, and nothing says which (Birge 1932, "The calculation of errors by the method of least squares").
+    One of the two is wrong, and nothing shows which (Birge 1932, "The calculation of errors by the method of least squares").
     """
     ratios = np.ones_like(apart_m)
     for axes in (slice(2), slice(2, 3)):
@@ -122,7 +122,7 @@ def _independent_part(cov: Floats, shared_jacobian: Floats) -> Floats:
 
 
 def _rows_by_shape(shapes: Iterable[S]) -> dict[S, list[int]]:
-    """Rows by shape of their Jacobians: those of one shape are computed together, usually all of a drive."""
+    """Rows grouped by the shape of their Jacobians, to be computed together; usually one group per drive."""
     rows: dict[S, list[int]] = {}
     for k, shape in enumerate(shapes):
         rows.setdefault(shape, []).append(k)
@@ -156,11 +156,10 @@ def tracks_in_map_frame(
 ) -> dict[int, Track]:
     """The wanted tracks by index, with their covariances and shared-error Jacobians in the map's frame.
 
-    pairs: feature -> track index, from which the drive's offset was estimated. Taking the share `weight` of it out of a track
-    leaves 1 - weight of the drive's common error, adds weight of the map's, and keeps the track's own errors
-    (`relative_cov_m2`). Its Jacobian becomes A - weight mean(A_track - A_feature). Without this, a cone that a drive without a
-    GNSS fix adds to a well-known row would follow the next drive, away from the row. Without an offset the tracks are
-    unchanged.
+    pairs: feature -> track index, from which the drive's offset was estimated. Correcting a track by the share `weight` of it
+    leaves 1 - weight of the drive's common error, adds weight of the map's, and keeps the track's own errors (`relative_cov_m2`).
+    Its Jacobian becomes A - weight mean(A_track - A_feature). Otherwise a cone that a drive without a GNSS fix adds to a
+    well-known row would follow the next drive, away from the row. Without an offset the tracks are unchanged.
     """
     own = {i: tracks[i] for i in wanted}
     if weight == 0 or not pairs or not own:
@@ -177,7 +176,7 @@ def tracks_in_map_frame(
 
 
 class OffsetErrors(NamedTuple):
-    """Errors of the share `weight` of a drive's offset, by the features that it was estimated from."""
+    """Errors of the share `weight` of a drive's offset, from the features that it was estimated from."""
 
     weight: float
     of_map: Floats
@@ -207,7 +206,7 @@ def in_map_frame(
     shared_jacobian: Sequence[SharedErrorJacobian | None],
     offset: OffsetErrors,
 ) -> tuple[list[Cov3], list[SharedErrorJacobian | None]]:
-    """Covariances and Jacobians of N positions of the drive less its offset."""
+    """Covariances and Jacobians of N positions of the drive after subtracting its offset."""
     relative = cov_matrices(relative_cov_m2)
     whole = independent_parts(cov_m2, shared_jacobian)
     # Without the calibration's part; all positions of the drive have the same error of GNSS/INS.
@@ -227,7 +226,7 @@ def in_map_frame(
 
 
 def _sums(shared_jacobian: Sequence[SharedErrorJacobian | None], errors: int) -> dict[UUID, Floats]:
-    """Sum (3, K) of the Jacobians of each calibration; errors: K, at least that of each."""
+    """Sum (3, K) of the Jacobians of each calibration; errors: least K."""
     sums: dict[UUID, Floats] = {}
     for (ids, _), rows in _rows_by_shape(map(_shape, shared_jacobian)).items():
         if ids:

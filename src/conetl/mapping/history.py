@@ -1,7 +1,7 @@
-"""The map as the result of all drives, compared in the order of recording whatever the order of ingestion.
+"""The map as the result of all drives, compared in the order of recording, whatever the order of ingestion.
 
-`replay_drives` defines the map. A drive newer than all others around it is one more step (`apply_drive`); a late or withdrawn one
-makes the neighbourhood be computed again, with the records of the other drives as `given`.
+`replay_drives` defines the map. A drive newer than all others around it is one more step (`apply_drive`). If a drive is late or
+withdrawn, its neighbourhood is computed again, with the records of the other drives as `given`.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class DriveEvidence:
     imported: Sequence[ImportedFeature] = ()
     """Features of an imported map, instead of tracks; it removes nothing."""
     doubt: HealthCheck | None = None
-    """Why its position is in doubt, so that it goes on hold unless the map confirms it; None where it is not."""
+    """Why the drive's position is in doubt: it goes on hold unless the map confirms it. None if it is not in doubt."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def replay_drives(
     *,
     given: Iterable[tuple[DriveOrder, FeatureVersion | MissedObservation]] = (),
 ) -> MapHistory:
-    """The map made by the drives, whatever order they are given in.
+    """The map made by the drives; their order does not matter.
 
     given: versions and misses of other drives, which are not compared again, with the keys of these drives. Their valid periods
     and suppression are recomputed.
@@ -154,11 +154,11 @@ def apply_drive(
     *,
     known: Collection[UUID] = (),
 ) -> MapUpdate:
-    """Compare one drive with the map left by the drives recorded before it.
+    """Compare one drive with the map after the drives recorded before it.
 
     current: open versions of present features, suppressed ones included, by feature id; those outside the drive's influence are
-    ignored. summaries: of the misses since these versions. known: all ids in use, required for imported maps only. A version that
-    would begin no later than its predecessor (drives that overlap in time) begins `MIN_VALID_NS` after it.
+    ignored. summaries: misses since these versions. known: all ids in use, required for imported maps only. A version that would
+    begin no later than its predecessor (drives that overlap in time) begins `MIN_VALID_NS` after it.
     """
     around, drive = _within_influence(current, drive), _apply_classes(drive, decisions.classified)
     points, lines = ([one for one in around if (one.marking is not None) == is_line] for is_line in (False, True))
@@ -204,7 +204,7 @@ def apply_drive(
 
 
 def _apply_classes(drive: DriveEvidence, decided: Sequence[Classification]) -> DriveEvidence:
-    """The drive with the classes that people decided. Its boxes keep theirs: absence is judged by the class that is detected."""
+    """The drive with the classes that people decided. Boxes keep theirs: absence is judged by the class that is detected."""
     if not decided:
         return drive
 

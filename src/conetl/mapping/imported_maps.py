@@ -1,7 +1,9 @@
-"""Features of an imported map against the map -> deltas: added, confirmed, moved, height changed. What it lacks stays unchanged.
+"""Features of an imported map against the map -> deltas: added, confirmed, moved, height changed. Features that it lacks stay
+unchanged.
 
-Two features are the same cone if their ids are equal, else if a track there would be paired with the feature (`association.py`).
-Unlike a drive, an imported map has no common offset that could be separated from its own errors: its sigmas count as stated.
+Two features are the same cone if their ids are equal, else if a track at that position would be paired with the feature
+(`association.py`). Unlike a drive, an imported map has no common offset that could be separated from its own errors: its sigmas
+count as stated.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Deltas of stretches of lane markings, and the stretches after them."""
+"""Deltas of stretches of lane markings, and the state of the stretches after them."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class StretchSighting(NamedTuple):
 
 
 def line_drive(markings: Sequence[MarkingTrack]) -> LineDrive:
-    """In the order of `marking_index`, with nothing subtracted."""
+    """The markings in the order of `marking_index`, without any offset subtracted."""
     tracks = sorted(markings, key=lambda track: track.marking_index)
     return LineDrive(
         tracks,
@@ -91,7 +91,8 @@ def shape_of(feature: MapFeature) -> Marking:
 
 
 def sighting(track: int, drive: LineDrive, view: MarkingView, vertices: Bools) -> StretchSighting:
-    """By the frame pairs that had any of the vertices (n,) in view; where that is not known, those of the whole marking."""
+    """How the drive observed vertices (n,) of a stretch: the frame pairs that had any of them in view or, if unknown, those of
+    the whole marking."""
     whole, own = drive.tracks[track], view.period_of(vertices)
     if own is None:
         return StretchSighting(track, whole.observation_count, whole.first_seen_ns, whole.last_seen_ns)
@@ -106,7 +107,7 @@ def confirm_stretches(
     drive: LineDrive,
     evidence: Mapping[int, ExistenceEvidence],
 ) -> dict[int, Delta]:
-    """Stretches (by number) observed again: every observed vertex moves across the line and in height, by the covariances.
+    """Confirm stretches (by number): every observed vertex moves across the line and in height, by the covariances.
 
     found: the observed vertices, and where on the drive's markings they are. As for cones (`deltas.confirm_features`) the drive's
     markings enter in the drive's own frame.
@@ -159,7 +160,7 @@ def confirm_stretches(
 def move_stretch(
     feature: MapFeature, found: Feet, seen: StretchSighting, drive: LineDrive, evidence: ExistenceEvidence
 ) -> Delta:
-    """A stretch that was repainted: the drive's marking beside it, where its vertices were."""
+    """Move a repainted stretch: its vertices become those of the drive's marking beside it."""
     new = _of_drive(found, seen, drive, feature.feature_id, feature.version + 1, evidence)
     return Delta(
         kind=DeltaKind.MOVED,
@@ -188,7 +189,7 @@ def new_stretch(
 
 
 def split_stretch(confirmation: Delta, vertices: Ints, at_ns: int, founding_key: str) -> Delta:
-    """What is left of a stretch that is removed: successive vertices of its confirmed state, as a stretch of its own."""
+    """The remaining part of a removed stretch: successive vertices of its confirmed state, as a new stretch."""
     whole = confirmation.state_after
     shape = shape_of(whole)
     feature_id = uuid5(_NAMESPACE, f"{founding_key}/{whole.feature_id}/{int(vertices[0])}")
@@ -282,7 +283,7 @@ def _feature(
 
 
 def _attributes(old: Marking, old_frames: int, new: Marking, new_frames: int) -> dict[str, object]:
-    """Width by its sigmas, lengths of dashes by frame pairs; colour and pattern are those that the newest drive observed."""
+    """Width by its sigmas, lengths of dashes by frame pairs; colour and pattern from the newest drive."""
     weights = old.width_sigma_m**-2, new.width_sigma_m**-2
     fused: dict[str, object] = {
         "width_m": (weights[0] * old.width_m + weights[1] * new.width_m) / sum(weights),
@@ -300,7 +301,8 @@ def _attributes(old: Marking, old_frames: int, new: Marking, new_frames: int) ->
 
 
 def _turned_jacobians(drive: LineDrive, found: Feet) -> list[SharedErrorJacobian | None]:
-    """Of the points of `found` (K,): those of their markings, turned as the marking turns from its middle vertex to there."""
+    """Jacobians of the points of `found` (K,): those of their markings, turned as the marking turns between its middle vertex and
+    the point."""
     heading = np.arctan2(drive.lines.tangents[:, 1], drive.lines.tangents[:, 0])
     first = np.searchsorted(drive.lines.line, np.arange(len(drive.tracks)))
     middle = first + np.array([len(track.relative_cov_m2) // 2 for track in drive.tracks], np.int64)

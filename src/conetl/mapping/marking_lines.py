@@ -1,4 +1,4 @@
-"""Which part of a drive's lane markings is which stretch on the map: feet of perpendiculars, the lateral offset, claims."""
+"""Matching of a drive's lane markings with the stretches on the map: feet of perpendiculars, the lateral offset, claims."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def lines_of(polylines: Sequence[Floats]) -> Lines:
 
 
 def feet(points: Lines, lines: Lines, reach_m: float) -> Feet:
-    """From the vertices of `points` to the lines that run alike at most `reach_m` beside them."""
+    """Feet of the vertices of `points` on lines of similar direction, at most `reach_m` beside them."""
     inner = np.flatnonzero(lines.line[1:] == lines.line[:-1])
     start, step = lines.vertices_m[inner, :2], (lines.vertices_m[inner + 1] - lines.vertices_m[inner])[:, :2]
     length = np.hypot(*step.T)
@@ -118,7 +118,7 @@ def lateral_offset(
 ) -> tuple[Floats, float]:
     """Offset (3,) of a drive's lines against those of the map in metres, and the share of it that the drive's variance explains.
 
-    As `association.common_offset`, by the distances across the lines; along a straight road the offset is 0.
+    As `association.common_offset`, with the distances across the lines; along a straight road the offset is 0.
     """
     nothing = np.zeros(3), 0.0
     total_var = own_var_m2 + map_var_m2
@@ -146,7 +146,7 @@ def lateral_offset(
     values, vectors = np.linalg.eigh(normal.T @ normal / len(normal))
     across = vectors[:, values >= _LEAST_SPREAD]
     fits = np.zeros(len(misfit_m), bool)
-    for _ in range(3):  # least squares of the samples that fit, which may change them
+    for _ in range(3):  # least squares of the samples that fit; they may change with the offset
         fits = np.abs(misfit_m - normal @ offset) <= params.marking_gate_m
         if np.count_nonzero(fits) < _LEAST_SAMPLES:
             return nothing
@@ -159,8 +159,8 @@ def lateral_offset(
 
 
 class Claims:
-    """Which vertices of the map's stretches are which points of the drive's lines: each vertex once, and no part of a line
-    for two stretches side by side."""
+    """Assignment of the vertices of the map's stretches to points of the drive's lines: each vertex once, and no part of a line
+    to two stretches side by side."""
 
     def __init__(self, found: Feet, stretch: Ints) -> None:
         """stretch: (V,) number of the stretch of each vertex of the map."""
@@ -169,8 +169,11 @@ class Claims:
         self._taken: set[int] = set()
 
     def claim(self, rows: Ints, penalty_m: Floats, least: Callable[[int], int]) -> Ints:
-        """The rows of the feet that are claimed now, of `rows` (K,): whole stretches by mean distance and penalty (K,), the
-        nearest first; at least `least(stretch)` vertices of one on one line."""
+        """Claim feet and return their rows, out of `rows` (K,).
+
+        Whole stretches are claimed by mean distance and penalty (K,), the nearest first; at least `least(stretch)` vertices on
+        one line.
+        """
         found, stretch = self._found, self._stretch[self._found.point[rows]]
         groups: dict[tuple[int, int], list[int]] = {}
         for k, key in enumerate(zip(stretch.tolist(), found.line[rows].tolist(), strict=True)):

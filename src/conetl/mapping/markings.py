@@ -1,10 +1,10 @@
 """Lane markings of one drive against those of the map -> deltas; docs/explanation/changes.md has the rules.
 
-A lane marking on the map is a row of stretches of at most 10 m, each a feature. The drive's offset is taken out, then each vertex
-of a stretch looks across its direction for a marking of the drive (`marking_lines.py`). A vertex is missed if the drive had it in
-view and no marking is there. A stretch is confirmed by two observed vertices unless half of its vertices are missed. Of those,
-one with a free marking beside it was repainted (moved); one whose existence probability falls far enough is removed, and what
-was observed of it is founded again (split). Parts of the drive's markings that no stretch claims are added.
+A lane marking on the map is a row of stretches of at most 10 m, each a feature. The drive's offset is subtracted, then a marking
+of the drive is searched for across each vertex of a stretch (`marking_lines.py`). A vertex is missed if the drive had it in view
+and no marking is there. A stretch is confirmed by two observed vertices unless half of its vertices are missed. A missed stretch
+with a free marking beside it was repainted (moved); one whose existence probability becomes low enough is removed, and its
+observed parts become new stretches (split). Parts of the drive's markings that no stretch claims are added.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _LEAST_SHOWN, _SPACING_M = 0.5, 2.5
 
 
 class _State(NamedTuple):
-    """What a drive says of the vertices (n,) of a stretch."""
+    """What a drive shows of the vertices (n,) of a stretch."""
 
     seen: Bools
     missed: Bools
@@ -61,7 +61,7 @@ class _State(NamedTuple):
 
 @dataclass(frozen=True)
 class _Comparison:
-    """The lines of a drive and of the map, and which are the same."""
+    """The lines of a drive and of the map, and which of them are the same."""
 
     drive: marking_deltas.LineDrive
     features: Sequence[MapFeature]
@@ -85,9 +85,9 @@ def reconcile_markings(
     *,
     offset: tuple[Floats, float],
 ) -> list[Delta]:
-    """Deltas that bring the lane markings of the map from before the drive to after it; no order matters.
+    """Deltas of the lane markings from the map before the drive to the map after it; no order matters.
 
-    offset: of the drive's cones (`association.common_offset`); where its weight is 0, that of the lines is used.
+    offset: of the drive's cones (`association.common_offset`); if its weight is 0, that of the lines is used.
     """
     params, founding_key, pinned, summaries = context
     c = _compare(markings, stretches, params, offset)
@@ -96,7 +96,7 @@ def reconcile_markings(
 
     def evidence_for(j: int, one: marking_deltas.StretchSighting) -> ExistenceEvidence:
         old = features[j]
-        # What is observed, however seldom, is no evidence against what stands there.
+        # An observation is never evidence against the marking.
         return confirmation_evidence(
             old, summaries.get(old.feature_id), max(_own_existence(drive, one), 0.5), one.frames
         )
@@ -143,7 +143,7 @@ def reconcile_markings(
 
 
 def _own_existence(drive: marking_deltas.LineDrive, one: marking_deltas.StretchSighting) -> float:
-    """Existence probability of a part of a marking: that of the whole, unless fewer frame pairs say less."""
+    """Existence probability of a part of a marking: that of the whole, or less if it was in fewer frame pairs."""
     whole = drive.tracks[one.track]
     return min(whole.existence_probability, marking_existence(one.frames, whole.contrast))
 
@@ -181,7 +181,7 @@ def _compare(
 
 
 def _penalty_m(found: Feet, on_map: Lines, features: Sequence[MapFeature], drive: marking_deltas.LineDrive) -> Floats:
-    """(K,) for markings of another colour or width."""
+    """(K,) penalties for markings of another colour or width."""
     penalty = np.zeros(len(found.point))
     for k, (j, i) in enumerate(zip(on_map.line[found.point].tolist(), found.line.tolist(), strict=True)):
         a, b = marking_deltas.shape_of(features[j]), drive.tracks[i].marking
@@ -192,7 +192,7 @@ def _penalty_m(found: Feet, on_map: Lines, features: Sequence[MapFeature], drive
 
 
 def _stretch_states(c: _Comparison, check_view: ViewCheck, params: ReconcileParams) -> dict[int, _State]:
-    """Of the stretches of which the drive observed a vertex or had enough in view to miss one, by number."""
+    """States by number, for stretches of which the drive observed a vertex or had enough in view to miss one."""
     states = {}
     observed = np.zeros(len(c.on_map.line), bool)
     observed[c.same.point] = True
@@ -207,7 +207,7 @@ def _stretch_states(c: _Comparison, check_view: ViewCheck, params: ReconcilePara
 
 
 def _main_line(c: _Comparison, j: int) -> int:
-    """The marking of the drive that most vertices of a stretch are on."""
+    """The drive's marking that matches most vertices of a stretch."""
     return int(np.bincount(c.same.line[c.on_map.line[c.same.point] == j]).argmax())
 
 
@@ -217,7 +217,7 @@ def _absence_evidence(
     summaries: Mapping[UUID, MissSummary],
     params: ReconcileParams,
 ) -> dict[int, tuple[NotObserved, ExistenceEvidence]]:
-    """Evidence against the stretches of which half is gone."""
+    """Evidence against the half-gone stretches."""
     shown_m = sum(c.drive.length_m(i) for i in range(len(c.drive.tracks)))
     is_blind = shown_m < _LEAST_SHOWN * _SPACING_M * sum(int(state.missed.sum()) for state in absent.values())
     ratio = log(params.marking_blind_probability if is_blind else params.marking_missed_probability)
@@ -234,7 +234,7 @@ def _absence_evidence(
 def _find_repainted(
     c: _Comparison, states: Mapping[int, _State], vanished: Collection[int], sure: Bools
 ) -> dict[int, Feet]:
-    """Of the vanished stretches those with a free marking of the drive beside more than half of their vertices."""
+    """Vanished stretches with a free marking of the drive beside more than half of their vertices."""
     beside = np.flatnonzero(~c.near & np.isin(c.on_map.line[c.found.point], list(vanished)) & sure[c.found.line])
     rows = c.claims.claim(beside, c.penalty_m[beside], lambda j: max(_LEAST_VERTICES, len(states[j].seen) // 2 + 1))
     found = c.found.only(rows)

@@ -1,4 +1,5 @@
-"""Why a drive changed a feature or not, in one sentence with numbers: the same in the view, reports and `conetl map log`."""
+"""The reason for a change, or for no change, of a feature by a drive: one sentence with numbers, the same in the web view,
+reports and `conetl map log`."""
 
 from __future__ import annotations
 
@@ -21,7 +22,7 @@ _HEADS = {
 
 
 class ChangeFacts(NamedTuple):
-    """What the database holds about one change of a feature by a drive, or an imported map."""
+    """What the database stores about one change of a feature by a drive or an imported map."""
 
     kind: DeltaKind
     drive_id: str
@@ -46,7 +47,7 @@ class ChangeFacts(NamedTuple):
 
 
 def explain_change(facts: ChangeFacts) -> str:
-    """One sentence: what happened, by which drive, what it observed from where, and how surely the cone exists after it."""
+    """One sentence: what happened, by which drive, what it observed from where, and the existence probability after it."""
     if facts.is_import:
         observed = f"the imported map {facts.drive_id} states it"
     elif facts.kind in (DeltaKind.REMOVED, DeltaKind.MISSED):

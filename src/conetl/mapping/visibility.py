@@ -1,8 +1,8 @@
-"""Evidence of absence: the location of a feature was visible to a drive, and no cone, or no lane marking, was observed there.
+"""Evidence of absence: the location of a feature was visible to a drive, but no cone, or no lane marking, was observed there.
 
-A location counts as visible in a frame pair where a cone standing there would be tall enough, wholly inside both images and not
-hidden by a nearer detection. The weight of an empty frame pair follows from the detector's measured P(detect | apparent height,
-hidden share) (`model/detector_evidence.py`).
+A location counts as visible in a frame pair if a cone there would be tall enough, wholly inside both images and not hidden by a
+nearer detection. The weight of an empty frame pair follows from the detector's measured P(detect | apparent height, hidden share)
+(`model/detector_evidence.py`).
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class DriveObservations:
         if side not in self.unclear or self.figures.unclear is None:
             return np.zeros(np.shape(u_px), bool)
         grid, side_px = self.unclear[side], self.figures.unclear.side_px
-        # The rest of the image beyond the last square is judged by it.
+        # The last square also stands for the rest of the image beyond it.
         row, column = (
             np.clip(np.nan_to_num(at) / side_px, 0, count - 1).astype(np.intp)
             for at, count in zip((v_px, u_px), grid.shape, strict=True)
@@ -140,12 +140,11 @@ def _unclear_grids(rig: Rig, figures: AbsenceFigures) -> dict[str, Bools]:
 def check_visibility(
     feature: MapFeature, offset_m: Floats, others_m: Floats, drive: DriveObservations, params: ReconcileParams
 ) -> NotObserved | None:
-    """Evidence that a feature is absent; None where it was never visible, or observed in at least half of the frame pairs.
+    """Evidence that a feature is absent; None if it was never visible, or observed in at least half of the frame pairs.
 
-    None also where the drive did not search for its class.
-
-    offset_m (3,): added to map coordinates it gives the drive's. others_m (M, 3): other cones, in the drive's coordinates; what
-    is nearer to one of them is that cone. Frame pairs recorded before the feature was last observed are ignored.
+    None also if the drive did not search for its class. offset_m (3,): converts map coordinates to the drive's by addition.
+    others_m (M, 3): other cones, in the drive's coordinates; an observation nearer to one of them is of that cone. Frame pairs
+    recorded before the feature was last observed are ignored.
     """
     if feature.category not in drive.figures.categories:
         return None
@@ -183,8 +182,8 @@ def visible_pairs(
 ) -> list[VisiblePair]:
     """The frame pairs that show whether a cone stands at `foot_m` (3,) in the drive's map frame, in order.
 
-    others_m (M, 3): other cones in the same frame; what is nearer to one of them is that cone. category: boxes of other classes
-    do not show it, but may hide it.
+    others_m (M, 3): other cones in the same frame; an observation nearer to one of them is of that cone. category: boxes of other
+    classes do not show the cone, but may hide it.
     """
     evidence = class_evidence(drive.figures.evidence, category)
     rows, heights_px, boxes = pairs_in_view(foot_m, cone_height_m, drive, params, category)
@@ -272,7 +271,8 @@ def _is_occupied(foot_m: Floats, positions_m: Floats | None, others_m: Floats, g
 
 
 def _corners_and_middle(box: Box) -> tuple[Floats, Floats]:
-    """Columns and rows (5,) of the points of a box that must be clear; it is seldom larger than a square of sharpness."""
+    """Columns and rows (5,) of the points of a box that must be in clear parts of the image; boxes are rarely larger than a
+    square there."""
     x0, y0, x1, y1 = box
     return np.array([x0, x1, x0, x1, (x0 + x1) / 2]), np.array([y0, y0, y1, y1, (y0 + y1) / 2])
 
@@ -301,12 +301,12 @@ class MarkingView(NamedTuple):
 
 
 def empty_view(vertices_m: Floats) -> MarkingView:
-    """Of a drive that did not search for lane markings."""
+    """The view of a drive that did not search for lane markings."""
     return MarkingView(np.empty(0, np.int64), np.empty((len(vertices_m), 0), bool))
 
 
 def median_blur_px(markings: Sequence[MarkingTrack]) -> float:
-    """Sigma (px) by which a drive's images blur the edges of its markings, median; 0 without any."""
+    """Median sigma (px) by which a drive's images blur the edges of its markings; 0 without any."""
     return float(np.median([track.blur_px for track in markings])) if markings else 0.0
 
 

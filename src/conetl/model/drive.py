@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from conetl.model.markings import MarkingTrack
 
 MAX_SPEED_M_S = 100.0
-#: The database holds 4 bytes.
+#: The database column has 4 bytes.
 MAX_FRAME_INDEX = 2**31 - 1
 FrameIndex = Annotated[int, Field(ge=0, le=MAX_FRAME_INDEX)]
 

@@ -66,7 +66,7 @@ class Camera(Record):
 
     @model_validator(mode="after")
     def _principal_point_near_the_image(self) -> Camera:
-        # Beside the image by more than its size, it is that of another image size. (A crop may lie beside it.)
+        # Farther outside than the image's own size: it belongs to another image size. (After cropping it may lie outside.)
         width, height = self.width_px, self.height_px
         if not (-width < self.cx_px < 2 * width and -height < self.cy_px < 2 * height):
             raise ValueError(

@@ -104,7 +104,7 @@ def suppress_overlaps(candidates: Floats, nms_iou: float) -> Floats:
 
 
 def suppress_parts(candidates: Floats, larger: Floats) -> Floats:
-    """Candidates (N, 5) without those that are part of a better box of `larger` (M, 5).
+    """Candidates (N, 5) without those that are only a part of a better box of `larger` (M, 5).
 
     A part has four fifths of its area inside a box that is at least twice as large and scores at least as high, such as the
     reflective band of a cone that fills the image.

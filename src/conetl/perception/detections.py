@@ -1,4 +1,4 @@
-"""Boxes of the network -> detection records, and the frame pairs that they leave out."""
+"""Boxes of the network -> detection records; removal of the frame pairs whose images could not be decoded."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ def to_detections(
     params: DetectionParams,
     categories: Sequence[str] = (CONE,),
 ) -> tuple[list[Detection], list[Rejection]]:
-    """Turn one image's boxes into detections, by falling score.
+    """Detections of one image, by falling score.
 
-    boxes: (N, 5) x, y, width, height in pixels of the original image (x, y top-left) and score, or (N, 10) with foot x, y and
-    tip x, y in the same coordinates (NaN where the network does not give them) and the index in `categories`. Boxes below the
-    threshold or smaller than `min_height_px` are left out; invalid boxes (NaN, negative size) are rejected.
+    boxes: (N, 5) x, y, width, height in pixels of the original image (x, y top-left) and score, or (N, 10) with foot x, y and tip
+    x, y in the same coordinates (NaN if the network does not give them) and the index in `categories`. Boxes below the threshold
+    or smaller than `min_height_px` are dropped; invalid boxes (NaN, negative size) are rejected.
     """
     detections: list[Detection] = []
     rejections: list[Rejection] = []
@@ -74,9 +74,9 @@ def drop_unread_pairs(
 ) -> tuple[Drive, list[Detection]]:
     """The drive and its detections without the frame pairs of which an image could not be decoded.
 
-    A drive's reader checks headers and ends of images only, so such a pair is part of the drive until its images are decoded. It
-    must be left out: a cone that is not detected in an unreadable image is not a cone that is gone.
-    rejections: of the detection. Raises DriveFolderError where no pair is left.
+    The reader of a drive checks only headers and ends of images, so such a pair is part of the drive until its images are
+    decoded. It must be dropped: a cone that is not detected in an unreadable image is not a cone that is gone. rejections: those
+    of the detection. Raises DriveFolderError if no pair is left.
     """
     undecoded = [r for r in rejections if r.reason in INPUT_REASONS]
     lost = {r.payload["frame_index"] for r in undecoded}
@@ -92,7 +92,7 @@ def drop_unread_pairs(
 
 
 def add_image_detail(drive: Drive, details: Iterable[ImageDetail]) -> tuple[Drive, list[Rejection]]:
-    """The drive with the detail of its images in its frame pairs, and rejections of pairs that are not evidence of absence."""
+    """The drive with the detail of its images in its frame pairs; rejections of pairs that are no evidence of absence."""
     least: dict[int, ImageDetail] = {}
     for one in details:
         if one.frame_index not in least or one.detail < least[one.frame_index].detail:
@@ -118,5 +118,5 @@ def add_image_detail(drive: Drive, details: Iterable[ImageDetail]) -> tuple[Driv
 
 
 def _finite_point(xy: list[float]) -> Vec2 | None:
-    """An image point, None where there is none or it is not two finite numbers."""
+    """An image point; None unless it has two finite coordinates."""
     return (xy[0], xy[1]) if len(xy) == 2 and np.isfinite(xy).all() else None

@@ -31,7 +31,7 @@ def fine_detail(image: NDArray[np.uint8]) -> float:
 
 
 def local_detail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """(H // 32, W // 32) the same for every square of 32 pixels; image: (H, W) grey."""
+    """(H // 32, W // 32): as `fine_detail`, for every square of 32 pixels; image: (H, W) grey."""
     return np.sqrt(_squares(image))
 
 

@@ -142,7 +142,7 @@ def _header(kind: str, width: int, height: int) -> ImageHeader:
 
 
 class ImageFileError(Exception):
-    """One image cannot be used; `reason` says which kind of rejection it is."""
+    """One image cannot be used; `reason` is the kind of rejection."""
 
     def __init__(self, reason: RejectionReason, message: str) -> None:
         super().__init__(message)
@@ -268,10 +268,8 @@ def read_upright_image(path: Path) -> Image:
 
 
 def read_bytes(path: Path) -> bytes:
-    """All bytes of an image file, unchecked. Raises ImageFileError where there is no such file or it is not readable.
-
-    Raises StorageError for temporary faults.
-    """
+    """All bytes of an image file, unchecked. Raises ImageFileError if the file is missing or unreadable, StorageError for
+    temporary faults."""
     with _file_errors(path):
         if is_remote(path):
             return object_bytes(path)
@@ -315,7 +313,7 @@ def _changed(path: Path, why: object) -> StorageError:
 
 @contextmanager
 def _file_errors(path: Path) -> Iterator[None]:
-    """Map errors of the system to ImageFileError (the image) or StorageError (the storage)."""
+    """Turn errors of the system into ImageFileError (the image) or StorageError (the storage)."""
     try:
         yield
     except FileNotFoundError as error:  # an object; or a file that vanished this moment
@@ -337,10 +335,8 @@ def _missing(name: str) -> ImageFileError:
 
 
 def _denied_by_mode(path: Path) -> bool:
-    """Whether the file's mode denies this user reading, which is permanent.
-
-    Network file systems also deny for temporary reasons, such as an expired ticket.
-    """
+    """Whether the file's mode denies this user reading, which is permanent. Network file systems also deny access temporarily,
+    for example with an expired ticket."""
     try:
         found = path.stat()
     except OSError:

@@ -1,4 +1,4 @@
-"""Whether the calibration has the distortion of both lenses: rows of points in both images, by their distance from the centre.
+"""Check that the calibration includes the distortion of both lenses, by the rows of points in both images.
 
 In a rectified pair a point is in the same row of both images. A radial distortion that the calibration of one lens lacks moves
 rows by the third power of the distance from the centre, unlike a rotation of a camera or a focal length. Corners that were

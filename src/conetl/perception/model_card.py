@@ -86,7 +86,7 @@ class ModelCard(Record):
     """Meaning of scores, boxes and misses of this file, measured by `training/calibrate_scores.py`; None: not measured."""
 
     def require_categories(self, categories: Iterable[str], *, besides: Iterable[str] = ()) -> None:
-        """Raise InputError for classes that the model does not know, unless they are among `besides`."""
+        """Raise InputError for classes that neither the model nor `besides` knows."""
         accepted = (*self.class_names, *besides)
         if unknown := sorted(set(categories) - set(accepted)):
             raise InputError(

@@ -1,4 +1,4 @@
-"""Images of a rig for geometry: read, and resampled if the rig that took them is not rectified."""
+"""Images of a rig for geometry: read, and resampled if the cameras that took them are not rectified."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def read_pair_image(pair: FramePair, side: Side, rig: Rig, *, grey: bool = False
 
 
 def _sized(image: NDArray[np.uint8], path: str | Path, stored: Camera) -> NDArray[np.uint8]:
-    """The image of a frame. Raises ImageFileError where it has another size than its camera: a video may change it."""
+    """The image of a frame. Raises ImageFileError if its size differs from that of its camera: a video may change it."""
     if image.shape[:2] == (stored.height_px, stored.width_px):
         return image
     raise ImageFileError(
@@ -67,7 +67,7 @@ def _sized(image: NDArray[np.uint8], path: str | Path, stored: Camera) -> NDArra
 
 
 def fetch_pairs(pairs: Sequence[FramePair]) -> None:
-    """Ask for the images of some frame pairs at once where they are in object storage and not in memory."""
+    """Prefetch the images of some frame pairs together, if they are in object storage and not in memory."""
     images = [pair.image(side) for pair in pairs for side in ("left", "right")]
     fetch([as_path(path) for path, sha256 in images if frame_of(path) is None and recall(sha256) is None])
 

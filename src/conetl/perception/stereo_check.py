@@ -63,7 +63,7 @@ _BLURRED, _BLURRED_BESIDE, _FAINT_BESIDE, _NOISE = (0.6, 0.75), (0.68, 0.74), (0
 
 
 class _Features(NamedTuple):
-    """What one image shows; nothing where it is broken or blank."""
+    """What one image shows; empty if it is broken or blank."""
 
     points_px: Floats = np.empty((0, 2))
     """(N, 2) corners, px of the whole image."""
@@ -79,10 +79,10 @@ class _Features(NamedTuple):
 
 
 def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
-    """Check some pairs of a drive; the drive, with the right camera turned if its images are some rows off and with the
-    parts of its images that are unclear, and the checks.
+    """Check some pairs of a drive; the drive and the checks.
 
-    Images without detail pass. Raises DriveFolderError where the sides are wrong.
+    The right camera of the result is turned if its images are some rows off, and unclear parts of its images are marked. Images
+    without detail pass. Raises DriveFolderError if the sides are wrong.
     """
     count = len(drive.frame_pairs)
     chosen = np.unique(np.linspace(0, count - 1, _PAIRS).astype(int)).tolist()
@@ -138,7 +138,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
 
 
 def check_lost_parts(drive: Drive, lost: Sequence[bool]) -> list[HealthCheck]:
-    """The trigger within parts of the drive that cannot be followed, where right images of other frames fit; else no check.
+    """Check the trigger within parts of the drive where visual odometry failed; empty unless right images of other frames fit.
 
     lost: (K - 1,) whether visual odometry failed between frame pairs.
     """
@@ -156,7 +156,7 @@ def check_lost_parts(drive: Drive, lost: Sequence[bool]) -> list[HealthCheck]:
 
 
 class _Matching(NamedTuple):
-    """Functions that give, once for all checks, what the images of a drive show."""
+    """Cached functions that give what the images of a drive show."""
 
     features: Callable[[int, Side], _Features]
     """Of the image of a frame pair, by its number."""
@@ -186,7 +186,7 @@ def in_one_file(pair: FramePair) -> bool:
 
 
 def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck:
-    """Whether a part of a lens is covered; one that is covered whole, darkness and fog leave `ImageDetail` of the whole image."""
+    """Whether a part of a lens is covered. (A wholly covered lens, darkness and fog reduce `ImageDetail`.)"""
     shares = {side: _blank_share(details[side]) for side in SIDES}
     known = {side: share for side, share in shares.items() if share is not None}
     blank = [side for side, share in known.items() if share > _MAX_BLANK_SHARE]
@@ -204,7 +204,7 @@ def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck
 
 
 def _blank_share(details: list[NDArray[np.float32]]) -> float | None:
-    """Share of the squares of the lower half that show nothing in most images; None of images that are not sharp anywhere."""
+    """Share of the squares of the lower half that show nothing in most images; None if no image is sharp anywhere."""
     seen = [detail for detail in details if detail.size]
     if not seen:
         return None
@@ -214,8 +214,8 @@ def _blank_share(details: list[NDArray[np.float32]]) -> float | None:
 
 
 def _unclear_squares(octaves: dict[Side, list[NDArray[np.float32]]]) -> UnclearSquares | None:
-    """Where the images of a side show less fine structure than the coarse one, or the other side, lets expect; None where that is
-    nowhere, or one of the sides shows nothing."""
+    """Squares in which the images of a side have less fine structure than their coarse structure, or the other side, predicts.
+    None if there are none, or one of the sides shows nothing."""
     seen = {side: [one for one in octaves[side] if one.size] for side in SIDES}
     if not all(seen.values()):
         return None
@@ -235,7 +235,7 @@ def _unclear_squares(octaves: dict[Side, list[NDArray[np.float32]]]) -> UnclearS
 
 
 def _check_sharpness(unclear: UnclearSquares | None, drive: Drive) -> HealthCheck:
-    """Whether a part of a lens is smeared, so that the drive is not evidence of absence there."""
+    """Whether a part of a lens is smeared: the drive is then no evidence of absence there."""
     shares = dict.fromkeys(SIDES, 0.0)
     for side in SIDES if unclear else ():
         camera = drive.rig.left if side == "left" else drive.rig.right
@@ -296,7 +296,7 @@ def _check_trigger(
 
 
 def _is_fitting(found: Floats) -> bool:
-    """Whether so many matches (N, 2) are of one scene that no other frame needs to be tried."""
+    """Whether enough matches (N, 2) are of one scene, so that other frames need not be tried."""
     return len(_rows_of_one_scene(found)) >= _FITTING_SHARE * max(len(found), _MIN_MATCHES)
 
 
@@ -316,7 +316,7 @@ def _check_columns(columns: Floats) -> HealthCheck:
 
 
 def _rows_of_one_scene(offsets: Floats) -> Floats:
-    """Row offsets of the matches that are on equal rows, apart from a common offset, and not farther right in the right image."""
+    """Row offsets of the matches that agree with a common row offset and lie not farther right in the right image."""
     rows = offsets[(np.abs(offsets[:, 1]) <= _MAX_ROWS_PX) & (offsets[:, 0] >= -_SHRINK), 1]
     kept: Floats = rows[np.abs(rows - np.median(rows)) <= _SCATTER_PX] if len(rows) else rows
     return kept

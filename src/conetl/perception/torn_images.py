@@ -1,13 +1,13 @@
-"""Images torn across: from a row on they show the instant of the image before, as where a buffer was overwritten while it was
-read, or a packet was lost.
+"""Torn images: from a row on they show the instant of the image before, because a buffer was overwritten while it was read, or a
+packet was lost.
 
-Such an image repeats rows of the one before, noise included, while the rest of it and the intervals before and after move: rows
-repeat by less than 0.01 of the usual change, and never by less than 0.2 in intact drives. The hood of the vehicle, a bar or a
-standing vehicle change as little in all intervals.
+Such an image repeats rows of the one before, noise included, while the rest of it and the intervals before and after move:
+repeated rows change by less than 0.01 of the usual change, rows of intact drives by at least 0.2 of it. The hood of the vehicle,
+a bar or a standing vehicle change as little in all intervals.
 
-Where all images are torn at one row, nothing repeats. But neighbouring rows differ there as they do nowhere else: a seam is
-sharp, a lens is not. One image hides it, the mean of five shows the row, and in twenty others its seam exceeds those of the rows
-around 2.4 times, in intact drives 1.16 times. After an image that repeats rows, the seam shows whether the next ones are torn.
+If all images are torn at one row, nothing repeats. But neighbouring rows differ there more than anywhere else: a seam is sharp, a
+lens is not. A single image hides it; the mean of five shows the row, and in twenty others its seam exceeds those of the rows
+around 2.4 times (in intact drives 1.16 times). After an image that repeats rows, the seam shows whether the next ones are torn.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _REPEATED, _MOVING, _LEAST_CHANGE, _LEAST_SHARE = 0.15, 0.5, 1.0, 0.05
 _MOST_OF_BANDS = 0.8
 #: A drive with a larger share of torn pairs is on hold: where so many are found, more are torn.
 _MAX_TORN_SHARE = 0.1
-#: Seams are searched for at this share of the width, in so many strips; larger differences count as this many grey levels.
+#: Seams are searched at this share of the width, in this many strips; larger differences are clipped to this many grey levels.
 _THINNED, _STRIPS, _MOST_LEVELS = 4, 6, 20
 #: Rows to either side with which a seam is compared; of those the third or second largest counts.
 _ROWS_BESIDE, _MEAN_ROWS_BESIDE = 12, 24
@@ -55,7 +55,7 @@ _WHAT_TO_DO = "Check the recorder for buffers that are overwritten while they ar
 
 
 class TornImage(NamedTuple):
-    """An image of which some rows are of another instant."""
+    """An image with rows from another instant."""
 
     pair: FramePair
     side: Side
@@ -70,7 +70,7 @@ def row_changes(first: Image, second: Image) -> Floats:
 
 
 def find_torn(drive: Drive, motions: Sequence[RelativeMotion], read: ImageReader) -> list[TornImage]:
-    """Images that repeat rows of the one before, and those after them that are torn at the same row.
+    """Images that repeat rows of the one before, and following ones that are torn at the same row.
 
     read: grey images of a frame pair as they are stored.
     """
@@ -100,7 +100,7 @@ def find_torn(drive: Drive, motions: Sequence[RelativeMotion], read: ImageReader
 
 
 def _following_torn(torn: TornImage, pairs: Sequence[FramePair], read: ImageReader) -> Iterator[TornImage]:
-    """Images of the pairs after the first that have a seam where the first one has it."""
+    """Images of the pairs after the first that have a seam at the row of the first."""
     row = None
     for pair in pairs:
         try:
@@ -118,7 +118,7 @@ def _following_torn(torn: TornImage, pairs: Sequence[FramePair], read: ImageRead
 
 
 def check_torn(torn: Sequence[TornImage], drive: Drive) -> tuple[HealthCheck, list[Rejection]]:
-    """Whether so many pairs of a drive are torn that those which were not found matter; rejections of those that were."""
+    """Whether so many pairs of a drive are torn that undetected ones matter; rejections of the torn pairs."""
     first = {one.pair.frame_index: one for one in reversed(torn)}
     rejections = [_rejection(first[frame]) for frame in sorted(first)]
     share = len(first) / len(drive.frame_pairs)
@@ -163,7 +163,7 @@ def check_seams(images: dict[Side, list[Image]], others: Callable[[Side], list[I
 
 
 def _mean_seam(images: Sequence[Image], others: Callable[[], list[Image]]) -> tuple[float, int] | None:
-    """By how much the strongest seam of images exceeds the rows around it, and its row; None where they show too little."""
+    """How far the strongest seam exceeds the rows around it, and its row; None if the images show too little."""
     if not images or min(len(image) for image in images) < 4 * _ROWS_BESIDE:
         return None
     [first, second] = [size for _, size in _strongest(_mean_of_strips(images).mean(axis=1), 2)]
@@ -188,7 +188,7 @@ def _mean_of_strips(images: Sequence[Image]) -> Floats:
 
 
 def _strongest(seams: Floats, count: int) -> list[tuple[int, float]]:
-    """Rows that differ most from their neighbours compared with those around, not next to each other, and by how many times."""
+    """The `count` rows, no two of them adjacent, that stand out most from the rows around them, and by what factor."""
     sizes = seams / (median_filter(seams, 2 * _ROWS_BESIDE + 1) + 0.05)
     found = []
     for _ in range(count):
@@ -199,7 +199,7 @@ def _strongest(seams: Floats, count: int) -> list[tuple[int, float]]:
 
 
 def _is_edge(images: Floats, row: int) -> bool:
-    """Whether a row of images (N, H, W) is the edge of the vehicle, of a bar or of a blurred part of the lens."""
+    """Whether a row of images (N, H, W) is the edge of the vehicle, a bar or a blurred part of the lens."""
     steps = images[:, row] - images[:, row - 1]
     steps -= np.median(steps, axis=1, keepdims=True)
     one_sign = np.abs(steps.mean(axis=0)).sum() > _ONE_SIGN * np.abs(steps).mean(axis=0).sum()

@@ -1,7 +1,7 @@
-"""Visual odometry of images without known poses, from which the offset of the clocks is found.
+"""Visual odometry without known poses, for finding the offset of the clocks.
 
-Each interval starts from the motion of the interval before, the first from speeds that are tried. Images are reduced, so that
-points may move far between two of them; the motions are accurate to a few millimetres, less than those of a drive with poses.
+Each interval starts from the motion of the interval before, the first from trial speeds. Images are reduced, so that points may
+move far between two of them; the motions are accurate to a few millimetres, less than those of a drive with poses.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from conetl.perception.visual_odometry import follow_spans
 _WIDTH_PX, _RATE_HZ, _MOST_INTERVALS = 640, 10.0, 1500
 #: Speeds that are tried where no motion is known (m/s).
 _TRIED_M_S = (0.0, 5.0, 10.0, 18.0, 28.0)
-#: After an interval that could not be measured speeds are tried again, but only now and then: a covered lens must not take long.
+#: After an interval that could not be measured, speeds are tried again only occasionally: a covered lens must not take long.
 _TRY_EVERY = 10
 #: A motion may differ by this much from the one before (m, rad).
 _REACH_M, _REACH_RAD = 3.0, 0.15

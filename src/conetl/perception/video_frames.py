@@ -212,7 +212,7 @@ class _Decoded(NamedTuple):
 
 
 class _Decoder:
-    """One open file, decoded from where it stands on."""
+    """One open file and its position in it."""
 
     def __init__(self, file: _File) -> None:
         self.file = file
@@ -242,9 +242,9 @@ class _Decoder:
         return container
 
     def _decoded(self) -> Iterator[tuple[int, VideoFrame]]:
-        """Frames and their time stamps from here on, without damaged ones.
+        """Frames and their time stamps from the current position on, without damaged ones.
 
-        The decoder fills what is damaged from the frames before it, and all frames up to the next key frame build on that.
+        The decoder fills damaged areas from the frames before, and all frames up to the next key frame build on that.
         """
         damaged = False
         for packet in self._open().demux(self._stream):
@@ -262,7 +262,7 @@ class _Decoder:
                     yield frame.pts, frame
 
     def seek(self, pts: int) -> None:
-        """To a key frame from which a frame can be decoded, the nearest one before it."""
+        """Go to the last key frame from which the frame can be decoded."""
         first, container = None, self._open()
         for start in (pts, self._key_frame(pts) - 1, 0):
             container.seek(start, stream=self._stream, backward=True)
@@ -281,7 +281,7 @@ class _Decoder:
         return entries[k].timestamp if k >= 0 else pts
 
     def can_reach(self, pts: int) -> bool:
-        """Whether a frame is reached from here by decoding on: it is near, or there is no key frame on the way."""
+        """Whether it is cheaper to decode on to a frame than to seek: it is near, or no key frame lies between."""
         if self.at is None or self.at >= pts:
             return False
         return (pts - self.at) * self._base <= _NEAR_S or self._key_frame(pts) <= self.at
@@ -305,13 +305,13 @@ class _Decoder:
 
 
 class _Decoders:
-    """Open decoders, each used by one thread at a time, and the frames that were decoded last, of all threads."""
+    """Open decoders, each used by one thread at a time, and the frames that any of them decoded last."""
 
     def __init__(self) -> None:
         self._reset()
 
     def _reset(self) -> None:
-        """Nothing is open and nothing kept."""
+        """Start without open decoders and cached frames."""
         self._changed = threading.Condition()
         """A frame was decoded, or a decoder is not used any more."""
         self._idle: list[_Decoder] = []
@@ -351,11 +351,11 @@ class _Decoders:
         return wanted[-1]
 
     def _acquire(self, file: _File, pts: int) -> _Decoded | _Decoder:
-        """A frame that is in memory, else the decoder that is nearest before it, else another one of this thread (or of one that
-        ended), else a new one.
+        """The frame if it is in memory; else the nearest decoder before it, another one of this thread (or of one that ended), or
+        a new one.
 
-        Where another thread uses the nearest decoder, wait for it: where key frames are far apart, and where a file holds both
-        images, it decodes what is needed here, or can be taken on from there.
+        If another thread uses the nearest decoder, wait for it: with distant key frames, or both images in one file, it is
+        decoding what is needed here, or can be continued from there.
         """
         with self._changed:
             while (kept := self._kept.get((file, pts))) is None:
@@ -388,7 +388,7 @@ class _Decoders:
             old.close()
 
     def reset_after_fork(self) -> None:
-        """In a process that was forked: the open files are those of the process before, and other threads do not exist."""
+        """In a forked process: the open files belong to the parent, and its other threads do not exist."""
         self._of_others = self._idle, self._busy, self._kept  # never freed: that is for the process before
         self._reset()
 
@@ -403,7 +403,7 @@ class _Decoders:
 
 
 def _reached(decoder: _Decoder) -> int:
-    """Time stamp of the last frame of a decoder, before all others where that is not known."""
+    """Time stamp of the last frame of a decoder; before all others if unknown."""
     return -(2**63) if decoder.at is None else decoder.at
 
 

@@ -1,4 +1,4 @@
-"""By how much two video files of one rig are shifted against each other, from the motion that both show.
+"""Time shift between the two video files of a rig, from the motion that both show.
 
 Between successive frames the whole image moves up and down as the vehicle pitches, in both cameras equally; sideways it also
 moves as near objects pass, which one camera sees earlier. The shifts are measured by phase correlation (Kuglin & Hines 1975) of
@@ -39,7 +39,7 @@ class VideoLag(NamedTuple):
 
     @property
     def is_constant(self) -> bool:
-        """False if one of the files lost frames without a trace in its time stamps."""
+        """False if one of the files lost frames that its time stamps do not show."""
         return all(abs(offset_s - self.offset_s) < self.period_s / 2 for _, offset_s in self.windows)
 
 

@@ -91,7 +91,7 @@ def _follow_pair(
     params: TrajectoryParams,
     window_px: int = _WINDOW_PX,
 ) -> _Found:
-    """Points (N, 4) in stored pixels of the first and second pair, their sigma, and the reason where there are none."""
+    """Points (N, 4) in stored pixels of the first and second pair and their sigma; without points, the reason."""
     if isinstance(first, NoMeasurement):
         return _no_points(first)
     if isinstance(second, NoMeasurement):
@@ -216,7 +216,7 @@ def _disparity(images: WorkingImages, corners: Points, working: WorkingSize) -> 
 
 
 def _shift_down(image: Image, rows: float) -> Image:
-    """An image moved down by `rows`; unchanged below a twentieth of a row."""
+    """The image moved down by `rows`; unchanged for less than a twentieth of a row."""
     if abs(rows) < 0.05:
         return image
     down = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, rows]])
@@ -244,11 +244,11 @@ def _flow(
 
 
 def _centre_of_texture(image: Image, points: Points, window_px: int) -> Points:
-    """Where the texture of a window has its centre (N, 2), from the window's own: the point nearest to all its edges, by their
+    """Centre of the texture of a window (N, 2), relative to the window's centre: the point nearest to all its edges, by their
     gradients (Förstner & Gülch 1987).
 
-    The shift of a window is that of this point. The window's own centre moves by another amount where the image grows towards
-    the camera or is foreshortened: 2 px off and 15 % larger are 0.3 px, to the same side in all intervals that see a corner.
+    The measured shift of a window is that of this point. The window's own centre moves differently if the image grows towards the
+    camera or is foreshortened: 2 px off and 15 % larger are 0.3 px, to the same side in all intervals that see a corner.
     """
     reach = np.arange(-(window_px // 2) - 1, window_px // 2 + 2, dtype=np.float32)
     size = len(reach)

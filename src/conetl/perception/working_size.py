@@ -121,8 +121,8 @@ def _stored_size(rig: Rig, side: Side) -> tuple[int, int]:
 
 
 def _resize(image: Image, working: WorkingSize) -> Image:
-    """A grey image padded to the common size, then reduced. The border is repeated: a step in
-    brightness would give corners that stay where they are."""
+    """A grey image padded to the common size, then reduced. The border is repeated: a step in brightness would give fixed
+    corners."""
     right, below = working.common_px[0] - image.shape[1], working.common_px[1] - image.shape[0]
     if right or below:
         padded = cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE)
@@ -133,13 +133,13 @@ def _resize(image: Image, working: WorkingSize) -> Image:
 
 
 def _crop_padding(image: Image, seen_px: Floats) -> Image:
-    """An image without its padding: its whole pixels of the first `seen_px` along u and v."""
+    """The whole pixels of the first `seen_px` along u and v: an image without its padding."""
     width, height = np.minimum(seen_px, image.shape[::-1]).astype(int).tolist()
     return image[: max(height, 1), : max(width, 1)]
 
 
 def _half_size(image: Image) -> Image:
-    """Means of two by two pixels without a last odd row or column: OpenCV is 30 times faster at a ratio of exactly two."""
+    """Half the size, without a last odd row or column: OpenCV is 30 times faster at a ratio of exactly two."""
     height, width = (size // 2 for size in image.shape)
     if not height or not width:
         return image

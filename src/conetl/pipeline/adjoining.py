@@ -1,9 +1,9 @@
 """Drives that one vehicle recorded one after the other must fit together.
 
-A recording that was cut where GNSS jumps gives drives of which each agrees with itself, and one lies in the wrong place. Which
-one is not known, unless the map as other drives left it agrees with one of them, or a person accepted one: the others go on hold,
-and so do the drives that continue them; what continues a trusted one counts. Who is in doubt follows from the drives of the map
-and from which of them are trusted: it is the same whatever order they come in, and ends when nothing contradicts them any more.
+If a recording is cut where GNSS jumps, each of its drives agrees with itself, but one lies in the wrong place. Which one is
+unknown, unless the map from other drives agrees with one of them, or a person accepted one: the others go on hold, and so do the
+drives that continue them; drives that continue a trusted one count. The result depends only on the drives of the map and on which
+of them are trusted, not on the order of ingestion, and holds end when nothing contradicts the drives any more.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from conetl.model.drive import Drive, FramePair
 from conetl.model.health import ADJOINING, HealthCheck, hold
 from conetl.model.rig import Rig
 
-#: Drives that begin so many seconds after another ended may be parts of one recording; of longer ones nothing can be said.
+#: Drives that begin at most this long after another ended may be parts of one recording; longer gaps cannot be bridged.
 WITHIN_NS = 5_000_000_000
 #: The frame pairs of half a second, at most so many and at least two, say how fast the vehicle was; it drives on in about the
 #: same direction.
@@ -37,7 +37,7 @@ class Doubt(NamedTuple):
     """Whether a drive may lie in the wrong place."""
 
     check: HealthCheck | None
-    """Why it goes on hold, unless it is trusted itself; None where nothing contradicts it, or it continues a trusted one."""
+    """Why the drive goes on hold, unless it is trusted itself; None if nothing contradicts it, or it continues a trusted one."""
     contested: bool
     """Whether it, or one that it continues, is contradicted at all."""
     trusted: bool
@@ -51,7 +51,7 @@ class Doubt(NamedTuple):
 
 
 class NewDrive(NamedTuple):
-    """A drive that is placed on the map (`place_drive`) and has no changeset yet."""
+    """A drive that was added to the map (`place_drive`) and has no changeset yet."""
 
     drive_uuid: UUID
     drive: Drive
@@ -73,8 +73,8 @@ def find_doubts(
 ) -> dict[UUID, Doubt]:
     """Which of some drives, and of those that they contradict or continue, may lie in the wrong place.
 
-    drive_uuids: of one map; those that do not count any more are not in the result, but what they held is. trusted: whether the
-    map confirms some drives, where that is known better than it is stored. Raises DatabaseError from the surrounding transaction.
+    drive_uuids: of one map. Those that no longer count are not in the result, but the drives that they held are. trusted: whether
+    the map confirms some drives, if known better than it is stored. Raises DatabaseError from the surrounding transaction.
     """
     drives: dict[UUID, AdjoiningDrive] = {}
     parts: dict[UUID, _Part] = {}
@@ -123,7 +123,7 @@ def find_doubts(
 def _propagate(
     drives: Mapping[UUID, AdjoiningDrive], links: Mapping[UUID, Mapping[UUID, float]], trust: Mapping[UUID, bool]
 ) -> dict[UUID, Doubt]:
-    """The doubts about drives: those that contradict each other, and all that continue them."""
+    """The doubts about drives that contradict each other, and about all that continue them."""
     in_order = sorted(drives, key=lambda one: (drives[one].captured_from_ns, drives[one].drive_id))
     doubts: dict[UUID, Doubt] = {}
     for first in in_order:
@@ -151,7 +151,7 @@ def _same_cameras(rig: Rig, other: Rig) -> bool:
 
 
 def _misfit_m(one: _Part, other: _Part) -> float | None:
-    """By how much the later part begins elsewhere than where the earlier one led; None where another vehicle made it."""
+    """Distance between where the later part begins and where the earlier one leads; None if another vehicle recorded it."""
     is_first = one.pairs[-1].captured_at_ns <= other.pairs[0].captured_at_ns
     earlier, later = (one, other) if is_first else (other, one)
     end, begin = _motion(earlier.rig, earlier.pairs[: -_PAIRS - 1 : -1]), _motion(later.rig, later.pairs[:_PAIRS])
@@ -166,7 +166,7 @@ def _misfit_m(one: _Part, other: _Part) -> float | None:
 
 
 class _Motion(NamedTuple):
-    """Of the left camera in the middle of a few frame pairs; sigmas horizontal and vertical."""
+    """Motion of the left camera in the middle of a few frame pairs; sigmas horizontal and vertical."""
 
     at_ns: float
     xyz_m: Floats
@@ -178,7 +178,7 @@ class _Motion(NamedTuple):
 
 
 def _motion(rig: Rig, pairs: Sequence[FramePair]) -> _Motion | None:
-    """By a line through the positions in time. pairs: the nearest one first; None of fewer than two instants."""
+    """Fit a line to the positions over time. pairs: the nearest one first; None for fewer than two instants."""
     near_ns = [abs(pair.captured_at_ns - pairs[0].captured_at_ns) for pair in pairs]
     pairs = [pair for k, (pair, off_ns) in enumerate(zip(pairs, near_ns, strict=True)) if k < 2 or off_ns <= _NEAR_NS]
     at_ns = np.array([pair.captured_at_ns for pair in pairs], np.int64)

@@ -1,4 +1,4 @@
-"""From a drive that was read to its cones: the steps in the order in which data flows through them."""
+"""From a drive that was read to its cones: all steps, in the order of the data flow."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from conetl.tracking.variance_components import estimate_variance_factors, with_
 
 @dataclass(frozen=True, repr=False)
 class AnalysedDrive:
-    """The records of every step, and how the drive's poses and its calibration were refined."""
+    """The records of every step, with the refined trajectory and calibration."""
 
     records: DriveRecords
     trajectory: RefinedTrajectory
@@ -56,7 +56,7 @@ class AnalysedDrive:
 
     @property
     def drive(self) -> Drive:
-        """With the refined poses and the turned right camera, where trajectory and calibration were refined."""
+        """The drive with refined poses and corrected right camera, if trajectory and calibration were refined."""
         return self.records.drive
 
     @property
@@ -66,12 +66,12 @@ class AnalysedDrive:
 
     @property
     def motion(self) -> MotionError | None:
-        """Error of the motion between frames; None where the trajectory was not refined."""
+        """Error of the motion between frames; None if the trajectory was not refined."""
         return motion_error(self.trajectory)
 
     @property
     def poses(self) -> PoseCov:
-        """Covariance of the drive's poses, between frames too."""
+        """Covariance of the drive's poses, including that between frames."""
         return pose_cov(self.trajectory, self.params.trajectory)
 
 
@@ -86,12 +86,12 @@ def analyse(
 ) -> AnalysedDrive:
     """Detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse. Needs no database and no server.
 
-    Where the trajectory was refined, locate and fuse run twice more, with sigmas as the tracks show them: of all observations of
-    a class, and then of single ones.
+    If the trajectory was refined, locate and fuse run twice more, with sigmas estimated from the tracks: of all observations of a
+    class, and then of single ones.
 
-    drive, rejections: as `read_drive` returns them. settings: the model, the number of threads, and the folder where results of
-    finished chunks are kept; CONETL_* of the environment unless given. executor: runs the steps; `settings.workers` threads
-    unless given. progress: called with the number of images and motions that are done, and of all. Raises ConetlError.
+    drive, rejections: as `read_drive` returns them. settings: the model, the number of threads, and the folder for results of
+    finished chunks; default: CONETL_* of the environment. executor: runs the steps; default: `settings.workers` threads.
+    progress: called with the number of images and motions that are done, and of all. Raises ConetlError.
     """
     params, settings = params or IngestParams(), settings or read_settings()
     given = drive.rig
@@ -147,13 +147,14 @@ def analyse(
 
 
 def _with_low_thresholds(params: IngestParams) -> IngestParams:
-    """Of a calibration that is known to be wrong the self-calibration applies what it finds, however small."""
+    """The parameters for a calibration that is known to be wrong: self-calibration applies even small corrections."""
     small = {"self_calibration_significance": 1.0, "self_calibration_least_px": 0.01}
     return params.model_copy(update={"trajectory": params.trajectory.model_copy(update=small)})
 
 
 class _ChunkResults(NamedTuple):
-    """Parquet files of the steps that read images, in the order of the drive; its calibration, and its rig after that."""
+    """Parquet files of the steps that read images, in the order of the drive; the self-calibration, and the rig corrected by
+    it."""
 
     detections: list[Path]
     matches: list[Path]
@@ -168,10 +169,10 @@ class _ChunkResults(NamedTuple):
 def _run_chunks(
     drive: Drive, chunks: Sequence[Chunk], extras: ExtraSteps, executor: Executor, count: ProgressCount
 ) -> _ChunkResults:
-    """All steps that read images. along: what chunks are searched for along with their detections.
+    """Run all steps that read images. extras: what to compute from the images while they are searched.
 
-    Matches and markings need the calibration, and that needs points of some pieces of the drive, which come first. Once the rig
-    is known, the rest is computed along with the detections, from images that are decoded once.
+    Matches and markings need the calibration, which needs points of some pieces of the drive: these come first. Once the rig is
+    known, the rest is computed together with the detections, from images that are decoded once.
     """
     calibration = _calibrate(drive, chunks[0], executor)
     rig = self_calibrated_rig(drive.rig, calibration, chunks[0].params.trajectory)
@@ -234,9 +235,10 @@ def fuse(
     matches: list[StereoMatch],
     positions: list[Position],
 ) -> tuple[list[Track], list[Rejection]]:
-    """Tracks of the whole drive. evidence: what is measured of the model's boxes; None where nothing was.
+    """Tracks of the whole drive. evidence: measured response of the model; None if it was not measured.
 
-    trajectory: whose poses `drive` has; where it was not refined relative motion errs by fixed shares of the distance.
+    trajectory: the source of the poses of `drive`; if it was not refined, the error of relative motion is a fixed share of the
+    distance.
     """
     motion, evidence = motion_error(trajectory), evidence or UNMEASURED
     return fuse_tracks(positions, matches, detections, drive.frame_pairs, drive.rig, params, evidence, motion)
@@ -245,7 +247,7 @@ def fuse(
 def estimate_variances(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
-    """Matches of the whole drive with sigmas as its tracks show them, and their positions; see `estimate_variance_factors`."""
+    """Matches of the whole drive with sigmas estimated from its tracks, and their positions; see `estimate_variance_factors`."""
     errors = pose_cov(trajectory, params.trajectory)
     factors = estimate_variance_factors(tracks, matches, drive.rig, drive.frame_pairs, errors)
     weighed = with_variance_factors(matches, factors)
@@ -255,7 +257,7 @@ def estimate_variances(
 def inflate_outliers(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
-    """Matches of the whole drive with larger sigmas where they contradict their tracks, and their positions; see
+    """Matches of the whole drive with larger sigmas if they contradict their tracks, and their positions; see
     `with_contradictions`."""
     errors = pose_cov(trajectory, params.trajectory)
     compared = with_contradictions(matches, tracks, drive.rig, drive.frame_pairs, errors)
@@ -265,6 +267,6 @@ def inflate_outliers(
 def reject_moving(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[Track], list[Rejection]]:
-    """Tracks of the whole drive without those that moved; see `without_moving`."""
+    """Tracks of the whole drive without moving objects; see `without_moving`."""
     errors = pose_cov(trajectory, params.trajectory)
     return without_moving(tracks, matches, drive.frame_pairs, drive.rig, errors)

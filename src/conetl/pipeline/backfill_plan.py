@@ -1,7 +1,7 @@
-"""The plan of a backfill: which drives to ingest, why, how long it takes, and which are already on the map.
+"""The plan of a backfill: which drives to ingest, why, the expected duration, and which are already on the map.
 
-A drive is identified by its header (`readers/drives/header.py`), so no image is read; the exact content is compared when
-the drive is ingested, and one that is on the map after all changes nothing.
+A drive is identified by its header (`readers/drives/header.py`), so no image is read. The exact content is compared when the
+drive is ingested; a drive that turns out to be on the map changes nothing.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Action = Literal["ingest", "wait", "skip", "refuse"]
 
 @dataclass(frozen=True)
 class Analysis:
-    """Hashes of what a drive is analysed with."""
+    """Hashes of parameters and model, which an analysis depends on."""
 
     params_sha256: str
     model_sha256: str
@@ -56,7 +56,7 @@ class PlanLine:
 
 @dataclass(frozen=True)
 class Plan:
-    """What to do with the drives below a folder, in the order of their recording."""
+    """What to do with the drives below a folder, in the order of recording."""
 
     root: Path
     map_name: str
@@ -75,7 +75,7 @@ class Plan:
 
     @property
     def todo(self) -> list[PlanLine]:
-        """What has to be done; drives that others ingest come last."""
+        """The drives to process; those that another process ingests come last."""
         return sorted((line for line in self.lines if line.action != "skip"), key=lambda line: line.action == "wait")
 
     @property
@@ -83,7 +83,7 @@ class Plan:
         return sum(line.header.frame_pairs for line in self.lines if line.action == "ingest")
 
     def estimate_s(self, parallel: int) -> float | None:
-        """How long the work will take, None where nothing was measured yet."""
+        """Expected duration of the work; None if no throughput was measured yet."""
         return None if self.pairs_per_second is None else self.frame_pairs / self.pairs_per_second / max(1, parallel)
 
 
@@ -112,9 +112,9 @@ def plan_drives(
 ) -> Plan:
     """Plan the drives below `root` that were recorded in [since, until).
 
-    once: what failed for good or crashed repeatedly is left alone until the drive changes (for schedules). recheck: drives whose
-    header is known are compared by content as well. folders: drive folders, if they are known already. Raises InputError where
-    `since` is not before `until`, or there is no `root`.
+    once: skip drives that failed for good or crashed repeatedly until they change (for schedules). recheck: also compare the
+    content of drives whose header is known. folders: drive folders, if they are known already. Raises InputError if `since` is
+    not before `until`, or `root` is missing.
     """
     if since is not None and until is not None and until <= since:
         raise InputError(
@@ -170,7 +170,7 @@ def _decide_action(
     once: bool,
     recheck: bool,
 ) -> tuple[Action, str]:
-    """What to do with one drive, and why. on_map: those of its id, oldest first; folders_of: header hashes by changeset."""
+    """What to do with one drive, and why. on_map: those with its id, oldest first; folders_of: header hashes by changeset."""
     if working and receipt is not None:
         return "wait", f"being ingested by {receipt.host} since {_when(receipt.at)}"
     same = receipt is not None and receipt.analysis_sha256 == analysis.sha256
@@ -219,7 +219,7 @@ def _is_same_recording(header: DriveHeader, drive: CommittedChangeset) -> bool:
 
 
 def _is_within(header: DriveHeader, since: datetime | None, until: datetime | None) -> bool:
-    """Folders without a time are always part of the plan: nothing is left out silently."""
+    """Whether a drive is in the period. Folders without a time always are, so that none is skipped silently."""
     at = header.captured_from
     return at is None or ((since is None or since <= at) and (until is None or at < until))
 
@@ -271,7 +271,7 @@ def write_plan(plan: Plan, parallel: int, folder: Path) -> Path:
 
 
 def reason_counts(plan: Plan) -> list[tuple[str, int]]:
-    """How many drives there are for each action and kind of reason, the most frequent first."""
+    """Number of drives for each action and kind of reason, the most frequent first."""
     words = {"ingest": "to ingest", "wait": "ingested by others", "skip": "nothing to do", "refuse": "not usable"}
     counted = Counter(
         f"{words[line.action]}: {line.why.split(':')[0].split(' on ')[0].split(' since ')[0]}" for line in plan.lines

@@ -1,4 +1,4 @@
-"""A drive is analysed in chunks of frame pairs: what a step is given, and what its results are named by."""
+"""A drive is analysed in chunks of frame pairs: the input of the steps, and the keys of their results."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from conetl.model.rig import Rig
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
 
-#: Part of every result key: raise it when a step computes something else from the same inputs.
+#: Part of every result key: increment it when a step computes something else from the same inputs.
 RESULTS_VERSION = "29"
 
 
 class Chunk(Record):
-    """Some consecutive frame pairs of a drive, and where their results go."""
+    """Consecutive frame pairs of a drive, with the folder for their results."""
 
     rig: Rig
     frame_pairs: tuple[FramePair, ...]
@@ -36,9 +36,8 @@ class Chunk(Record):
 def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Chunk]:
     """A drive cut into chunks of `params.chunk_pairs` frame pairs; the last may be shorter. Raises ModelFileError.
 
-    Line classes are left out of the classes that are searched for: what the detector finds does not depend on them.
-
-    Raises ValueError where only the headers of the drive's images were read: their hashes are part of every key.
+    Line classes are removed from the classes to search for: the result of the detector does not depend on them. Raises ValueError
+    if only the headers of the drive's images were read: their hashes are part of every key.
     """
     if not all(pair.left_sha256 and pair.right_sha256 for pair in drive.frame_pairs):
         raise ValueError(f"drive {drive.drive_id} was read with headers_only: its images have no hashes")
@@ -61,14 +60,14 @@ def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Ch
 
 
 def parts_of(chunk: Chunk) -> list[slice]:
-    """The frame pairs of a chunk that one step reads: halves, so that the last ones keep all cores busy."""
+    """The frame pairs of a chunk for each detection step: halves, so that the last ones keep all cores busy."""
     count = len(chunk.frame_pairs)
     half = (count + 1) // 2
     return [slice(first, min(first + half, count)) for first in range(0, count, half)]
 
 
 def images_key(chunk: Chunk, rig: Rig | None = None) -> str:
-    """Hash of the images and rig (the chunk's own or another one), without the poses: corrected ones change no image."""
+    """Hash of images and rig (the chunk's own or another one) without the poses: refined poses change no image."""
     shown = {"frame_index", "left_path", "right_path", "left_sha256", "right_sha256"}
     pairs = (pair.model_dump_json(include=shown) for pair in chunk.frame_pairs)
     return result_key((rig or chunk.rig).model_dump_json(), *pairs)
@@ -80,7 +79,7 @@ def geometry_key(chunk: Chunk, rig: Rig | None = None) -> str:
 
 
 def load_matches(paths: Iterable[Path], frame_pairs: Sequence[FramePair]) -> tuple[list[StereoMatch], list[Rejection]]:
-    """Stereo matches of these frame pairs, which are fewer than were matched where some are torn, and all rejections."""
+    """Stereo matches of these frame pairs (torn ones may be missing), and all rejections."""
     indices = {pair.frame_index for pair in frame_pairs}
     matches, rejections = load_results(paths, StereoMatch)
     return [match for match in matches if match.frame_index in indices], rejections

@@ -59,7 +59,8 @@ class CommittedDrive:
 
 
 def changeset_of(drive: Drive, params: IngestParams, settings: Settings) -> Changeset:
-    """The changeset of a drive, without deltas. Its key follows from content, parameters, model with its evidence, and CRS."""
+    """The changeset of a drive, still without deltas. Its key is derived from content, parameters, model with its evidence, and
+    CRS."""
     card = read_model_card(settings.model_path)
     parameters, measured = params_sha256(params), evidence_sha256(card.evidence)
     key = result_key(
@@ -112,11 +113,10 @@ def commit(
     database: MapDatabase | None = None,
     run: RunInfo | None = None,
 ) -> CommittedDrive:
-    """Compare the tracks of a drive with the map and commit the differences: all of them, or none.
+    """Compare the tracks of a drive with the map and commit all differences, or none.
 
-    settings: database and name of the map; CONETL_* of the environment unless given. database: an open one to use. run: what is
-    stored of the run. The report says "no changes" where the same drive was committed before. Raises MapMismatchError,
-    DatabaseError.
+    settings: database and name of the map; default: CONETL_* of the environment. database: an open one to use. run: stored with
+    the changeset. If the same drive was committed before, the report says "no changes". Raises MapMismatchError, DatabaseError.
     """
     settings = settings or read_settings()
     drive, records, params = analysed.drive, analysed.records, analysed.params
@@ -165,7 +165,7 @@ def commit(
 def _cones_elsewhere(
     conn: Connection, records: DriveRecords, params: ReconcileParams, map_name: str
 ) -> Iterator[HealthCheck]:
-    """Why a drive may lie far from where the map has its cones. Of a long one some parts say so."""
+    """A hold if a drive may be far from where the map has its cones. For a long drive, some parts are checked."""
     info, tracks = find_map(conn, map_name), records.tracks
     if info is None or info.srid != records.drive.map_srid:
         return
@@ -182,7 +182,7 @@ def _cones_elsewhere(
 
 
 def run_info(analysed: AnalysedDrive, flow_run_id: str | None = None) -> RunInfo:
-    """What is stored of the run that commits an analysed drive."""
+    """What is stored about the run that commits an analysed drive."""
     facts = {
         "trajectory": analysed.trajectory.detail,
         "calibration": analysed.calibration.detail,
@@ -195,7 +195,7 @@ def run_info(analysed: AnalysedDrive, flow_run_id: str | None = None) -> RunInfo
 
 
 def lost_frame_pairs(rejections: Iterable[Rejection], reasons: frozenset[RejectionReason]) -> set[str]:
-    """Frame pairs that were rejected for one of the reasons, each once even where both its images are bad."""
+    """Frame pairs that were rejected for one of the reasons, each once even if both images are bad."""
     return {rejection.record for rejection in rejections if rejection.reason in reasons}
 
 
@@ -247,7 +247,7 @@ def report_of(known: CommittedChangeset, map_name: str) -> IngestReport:
 
 
 def code_facts() -> dict[str, Any]:
-    """Version, hash of the code, Python and the libraries that numbers come from, as JSON values."""
+    """Version and hash of the code, Python and the libraries that affect results, as JSON values."""
     return {
         "code_version": version("conetl"),
         "code_sha256": code_sha256(),

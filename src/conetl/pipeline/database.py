@@ -1,4 +1,4 @@
-"""The database of the map, as one process of conetl uses it: one connection, checked for migrations once."""
+"""The database of the map: one connection per process, checked for migrations once."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _log = logging.getLogger(__name__)
 
 
 def database_url(settings: Settings) -> str:
-    """Address of the map's database; the private cluster is started where it does not run."""
+    """Address of the map's database; starts the private cluster if it is not running."""
     return settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
 
 
@@ -36,9 +36,10 @@ def open_maps(settings: Settings) -> Iterator[Connection]:
 
 
 class MapDatabase:
-    """One connection for all that a process asks and writes, opened when it is needed first, and again where it was lost.
+    """One connection for all queries of a process, opened on first use, and again after it was lost.
 
-    An ingest computes for minutes or hours between two statements, and idle connections are cut. For one thread at a time.
+    An ingest computes for minutes or hours between two statements, and idle connections are cut. Use it from one thread at a
+    time.
     """
 
     def __init__(self, settings: Settings) -> None:

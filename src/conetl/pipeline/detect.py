@@ -1,4 +1,4 @@
-"""Steps that search images for objects: detections of parts of a chunk, and what else these images are read for meanwhile."""
+"""Steps that search images for objects: detections of parts of a chunk, and other results from the same images."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from conetl.pipeline.settings import read_settings
 from conetl.tracking.matching.epipolar_search import Region, blocks_of, has_right_only_cone, right_region
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
 
-#: Decoded images that stay in memory for what is found along with detections.
+#: Decoded images that stay in memory for the extra steps.
 _KEPT_BYTES = 128 * 2**20
 _per_thread = threading.local()
 
@@ -49,7 +49,7 @@ class Detected(NamedTuple):
 
 
 class ExtraSteps(NamedTuple):
-    """What a part is searched for along with its detections, as long as its images are in memory."""
+    """What else to compute from the images of a part while they are in memory."""
 
     odometry: bool = False
     markings: bool = False
@@ -59,11 +59,11 @@ NO_EXTRAS = ExtraSteps()
 
 
 def detect(chunk: Chunk, part: int, rig: Rig, extras: ExtraSteps = NO_EXTRAS, tick: Tick | None = None) -> Detected:
-    """Detections in both images of one of the parts of a chunk, and its matches, stored where `match` finds them.
+    """Detections in both images of one part of a chunk, and its matches, stored for `match`.
 
-    The right image is searched along epipolar lines, and everywhere in some pairs of every block (`epipolar_search.py`).
-    rig: of the drive after its self-calibration, for the matches and the rest (`along`), which are computed along with the
-    detections while the images are in memory. tick: called for every image and every motion.
+    The right image is searched along epipolar lines, and everywhere in some pairs of every block (`epipolar_search.py`). rig: of
+    the drive after its self-calibration, for the matches and the extra steps, which run while the images are in memory. tick:
+    called for every image and every motion.
     """
     read = _reader(chunk)
     steps: list[Iterator[None]] = []
@@ -82,8 +82,7 @@ def detect(chunk: Chunk, part: int, rig: Rig, extras: ExtraSteps = NO_EXTRAS, ti
 
 
 def _reader(chunk: Chunk) -> ImageReader:
-    """Reads the images of a chunk in colour, and keeps those of the block that is searched: what is found along with its
-    detections needs no second decoding."""
+    """Reads the images of a chunk in colour, and caches those of the current block: extra steps need no second decoding."""
     image_bytes = max(3 * camera.width_px * camera.height_px for camera in (chunk.rig.left, chunk.rig.right))
     most = len(SIDES) * chunk.params.reconcile.removal_min_frames
     return lru_cache(max(min(most, _KEPT_BYTES // image_bytes), 1))(
@@ -92,7 +91,7 @@ def _reader(chunk: Chunk) -> ImageReader:
 
 
 def _detections(chunk: Chunk, part: int, rig: Rig, read: ImageReader, extras: Iterator[object], tick: Tick) -> Path:
-    """Detections of a part; along: takes one step for every frame pair, after those of its block were searched."""
+    """Detections of a part; extras: advances by one step for every frame pair, after its block was searched."""
     pairs = chunk.frame_pairs[parts_of(chunk)[part]]
     params, reconcile, first_rows = chunk.params.detection, chunk.params.reconcile, _first_rows(chunk)
     key = result_key(
@@ -116,7 +115,7 @@ def _detections(chunk: Chunk, part: int, rig: Rig, read: ImageReader, extras: It
     for middle, block in blocks_of(len(pairs), chunk.params):
         fetch_pairs([pairs[k] for k in block])
         seen = {middle: _search(chunk, pairs[middle], first_rows, rig, read, tick, everywhere=True)}
-        # A pair of which an image is broken says nothing about the others.
+        # A pair with a broken image shows nothing about the others.
         everywhere = _is_broken(seen[middle]) or has_right_only_cone(seen[middle].detections, chunk.rig, chunk.params)
         for k in block:
             if k != middle:
@@ -165,7 +164,7 @@ def _search(
     *,
     everywhere: bool,
 ) -> _PairFound:
-    """Detections and matches of one frame pair; the right image where partners can be, or everywhere."""
+    """Detections and matches of one frame pair; the right image is searched around possible partners, or everywhere."""
     images: dict[Side, Image] = {}
     by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
     details: list[ImageDetail] = []
@@ -189,7 +188,7 @@ def _search(
 def _detect(
     chunk: Chunk, pair: FramePair, side: Side, read: ImageReader, first_row: int, region: Region | None
 ) -> tuple[Image | None, list[Detection], list[Rejection]]:
-    """One image, None where it cannot be decoded, and what was found in it from a row on, in a part of it (None: everywhere)."""
+    """One image (None if it cannot be decoded) and its detections, from a row on and within a region (None: everywhere)."""
     params = chunk.params.detection
     try:
         image = read(pair, side)
@@ -214,7 +213,7 @@ def _detect(
 def match(chunk: Chunk, rig: Rig, *detected: Detected) -> Path:
     """Stereo matches of a chunk from the detections of its parts; returns the Parquet file.
 
-    chunk: with the rig by which its images were read; rig: the same after self-calibration.
+    chunk: with the rig that was used to read its images; rig: the same after self-calibration.
     """
     files = [part.detections for part in detected]
     keys = [_match_key(chunk, path, rig) for path in files]
@@ -227,7 +226,7 @@ def match(chunk: Chunk, rig: Rig, *detected: Detected) -> Path:
 
 
 def _match_part(chunk: Chunk, part: int, detected: Path, rig: Rig) -> Path:
-    """The matches of a part by themselves, computed where they are not there yet; returns the Parquet file."""
+    """The matches of one part, computed if they are missing; returns the Parquet file."""
     key = _match_key(chunk, detected, rig)
     if has_result(chunk.results_folder, key):
         return result_path(chunk.results_folder, key)
@@ -250,12 +249,12 @@ def _match(
     rig: Rig,
     images: Mapping[Side, Image] | None = None,
 ) -> tuple[list[StereoMatch], list[Rejection]]:
-    """Stereo matches of one frame pair. images: of sides that have detections; None where they have to be read again."""
+    """Stereo matches of one frame pair. images: of sides with detections; None: read them again."""
     ours, theirs, params = by_side["left"], by_side["right"], chunk.params.match
     up = _up(pair, rig)
     if params.refine and images is None:
         if not match_pair(ours, theirs, rig, params, up_left=up)[0]:
-            images = {}  # decoding costs time: only where boxes alone say that something matches
+            images = {}  # decoding takes time: only if the boxes alone give a match
         else:
             images = {side: read_pair_image(pair, side, chunk.rig) for side in SIDES}
     both = (images["left"], images["right"]) if images and len(images) == len(SIDES) else None
@@ -263,7 +262,7 @@ def _match(
 
 
 def _match_key(chunk: Chunk, detected: Path, rig: Rig) -> str:
-    """Of the matches of one part by themselves."""
+    """Key of the matches of one part."""
     ups = b"".join(_up(pair, rig).tobytes() for pair in chunk.frame_pairs).hex()
     return result_key(
         RESULTS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), images_key(chunk, rig), ups
@@ -271,12 +270,12 @@ def _match_key(chunk: Chunk, detected: Path, rig: Rig) -> str:
 
 
 def _up(pair: FramePair, rig: Rig) -> Floats:
-    """Up of the map, as the left camera sees it at this instant."""
+    """Up direction of the map in the left camera's frame."""
     return map_SE3_left(pair.pose, rig)[2, :3]
 
 
 def _first_rows(chunk: Chunk) -> dict[Side, int]:
-    """Rows of the images of either side from which on they are searched."""
+    """First row to search in the images of each side."""
     return {
         side: first_road_row(
             camera_of(chunk.rig, side),

@@ -1,4 +1,4 @@
-"""How the steps of an analysis are run: in the caller's thread or beside it, and how long each of them took."""
+"""Running the steps of an analysis, in the caller's thread or beside it, and measuring their time."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ Tick = Callable[[int], None]
 
 
 class Submitted(Protocol):
-    """A step that runs beside the caller."""
+    """A step that runs in parallel to the caller."""
 
     def result(self) -> Any: ...
     def add_done_callback(self, fn: Callable[[Any], Any]) -> None: ...
 
 
 class Executor(Protocol):
-    """Runs steps: plain functions of this package. Their arguments may be what `submit` returned."""
+    """Runs steps: plain functions of this package. Results of `submit` may be used as arguments."""
 
     shares_memory: bool
     """Whether submitted steps run in this process, where they can call back."""
 
     def run(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        """Run a step in the caller's thread; its result."""
+        """Run a step in the caller's thread and return its result."""
 
     def submit(self, step: Callable[..., Any], *arguments: Any) -> Submitted:
-        """Run a step beside the caller."""
+        """Run a step in parallel to the caller."""
 
     def times(self) -> list[StepTime]:
-        """The steps that have ended, in the order in which they began."""
+        """The finished steps, in the order in which they began."""
 
 
 class StepClock:
@@ -50,7 +50,7 @@ class StepClock:
         self._spans.append((step, began, ended))
 
     def times(self) -> list[StepTime]:
-        """The steps that have ended, in the order in which they began."""
+        """The finished steps, in the order in which they began."""
         spans: dict[str, list[tuple[float, float]]] = defaultdict(list)
         zero = min((began for _, began, _ in self._spans), default=datetime.now(UTC))
         for step, began, ended in self._spans:
@@ -66,7 +66,7 @@ class StepClock:
 
 
 class ThreadExecutor(StepClock):
-    """Steps as plain calls, those that are submitted on a pool of threads. No server, no other process."""
+    """Steps as plain calls; submitted ones run on a pool of threads. No server, no other process."""
 
     shares_memory = True
 
@@ -93,7 +93,7 @@ class ThreadExecutor(StepClock):
 
 
 class ProgressCount:
-    """Counts images and motions of one drive, from any thread, and calls `progress` with them one at a time."""
+    """Counts finished images and motions of one drive, from any thread, and calls `progress` one call at a time."""
 
     def __init__(self, executor: Executor, total: int, progress: Progress | None) -> None:
         self._total, self._done = total, 0
@@ -115,7 +115,7 @@ class ProgressCount:
 
 
 def no_tick(_: int) -> None:
-    """A tick that nobody counts."""
+    """A tick that counts nothing."""
 
 
 def results(steps: Sequence[Submitted]) -> list[Any]:

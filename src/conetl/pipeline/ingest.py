@@ -1,4 +1,4 @@
-"""One drive folder becomes one changeset of the map, and everything that shows it; receipts say what became of it."""
+"""Ingest one drive folder: one changeset of the map, and everything that shows it; receipts record the outcome."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import DriveHeader
 
 _log = logging.getLogger(__name__)
-#: Steps that publish a drive that was committed now, and one that was already on the map.
+#: Steps that publish a newly committed drive, and one that was already on the map.
 PublishNew = Callable[[CommittedDrive, AnalysedDrive, Settings, MapDatabase, list[StepTime]], object]
 PublishKnown = Callable[[IngestReport, Settings, MapDatabase], object]
 
@@ -42,7 +42,7 @@ PublishKnown = Callable[[IngestReport, Settings, MapDatabase], object]
 def publish_files(
     committed: CommittedDrive, _: AnalysedDrive, settings: Settings, database: MapDatabase, times: list[StepTime]
 ) -> None:
-    """Write the files of a drive that was committed now; its notification stays pending."""
+    """Write the files of a newly committed drive; its notification stays pending."""
     publish(committed, settings, database, times)
 
 
@@ -67,13 +67,13 @@ def ingest(
     """Read -> analyse -> commit -> publish one drive.
 
     folder: a drive folder. map_srid: EPSG code of the map if it is not the UTM zone of the drive. settings, executor, progress:
-    as for `analyse`; database: as for `commit`. publish_new, publish_known: what to do with a drive that was committed now, and
-    with one that was before. The images of the drive are read once where they fit into `files.storage.CACHE_BYTES`; those of a
-    larger drive are read again.
+    as for `analyse`; database: as for `commit`. publish_new, publish_known: called for a newly committed drive, and for one that
+    was already on the map. The images of the drive are read once if they fit into `files.storage.CACHE_BYTES`; those of a larger
+    drive are read again.
 
     Raises ConetlError (bad input, service unavailable: nothing was written), DriveOnHoldError (stored, but the recording
-    contradicts itself) and TooManyRejectionsError (committed, but too many frame pairs were rejected). What fails after the
-    commit is in the report (`unpublished`).
+    contradicts itself) and TooManyRejectionsError (committed, but too many frame pairs were rejected). A failure after the commit
+    is noted in the report (`unpublished`).
     """
     params, settings, started = params or IngestParams(), settings or read_settings(), time.monotonic()
     make_home(settings.home)
@@ -103,11 +103,11 @@ def ingest(
         refuse_same_images(analysed.records, settings, db)
         try:
             committed: CommittedDrive = steps.run(commit, analysed, settings, db, run_info(analysed, flow_run_id))
-        except Exception:  # the commit may have succeeded, and the database's or Prefect's answer have been lost
+        except Exception:  # the commit may have succeeded although the answer of the database or Prefect was lost
             if (report := known()) is None:
                 raise
             return _raise_if_held(report)
-        if committed.report.is_known:  # another ingest of the same drive was faster
+        if committed.report.is_known:  # another ingest of the same drive finished first
             return _raise_if_held(known() or committed.report)
         report = committed.report.model_copy(update={"seconds": time.monotonic() - started})
         committed = replace(committed, report=report)
@@ -116,7 +116,7 @@ def ingest(
 
 
 def raise_if_doubtful(report: IngestReport, analysed: AnalysedDrive) -> IngestReport:
-    """The report of a drive that was committed now, unless a person has to look: DriveOnHoldError, TooManyRejectionsError."""
+    """The report of a newly committed drive. Raises DriveOnHoldError or TooManyRejectionsError if a person has to check it."""
     _raise_if_held(report)
     allowed = analysed.params.max_rejected_fraction
     lost = len(lost_frame_pairs(analysed.records.rejections, DOUBTFUL_REASONS))
@@ -132,7 +132,7 @@ def _raise_if_held(report: IngestReport) -> IngestReport:
 
 
 def _after_commit(report: IngestReport, publish: Callable[[], object]) -> IngestReport:
-    """Publish what is on the map; the report, with a note where that failed. What is committed stays committed."""
+    """Publish a committed drive; returns the report, with a note if that failed. The commit stays."""
     try:
         publish()
     except Exception as error:
@@ -147,13 +147,14 @@ def _after_commit(report: IngestReport, publish: Callable[[], object]) -> Ingest
 
 
 def error_text(error: Exception) -> str:
-    """Why something failed, for a person."""
+    """The message of an error for users."""
     known = as_conetl_error(error)
     return str(known) if isinstance(known, ConetlError) else f"{type(error).__name__}: {error}"
 
 
 def as_conetl_error(error: Exception) -> Exception:
-    """A service or a storage that failed with an error of a library or the system, as conetl's error; others as they are."""
+    """An error of a library or the system as conetl's error if it means that a service or storage failed; other errors
+    unchanged."""
     refused = isinstance(error, PermissionError) or (is_storage_error(error) and not isinstance(error, ConnectionError))
     if isinstance(error, OSError) and refused:
         return storage_error(error)
@@ -168,7 +169,7 @@ def as_conetl_error(error: Exception) -> Exception:
 def new_receipt(
     header: DriveHeader, settings: Settings, analysis_sha256: str, attempt_id: UUID, flow_run_id: str | None
 ) -> Receipt:
-    """The receipt of work that begins now."""
+    """The receipt at the beginning of the work."""
     return Receipt(
         attempt_id=attempt_id,
         map_name=settings.map_name,
@@ -189,13 +190,13 @@ def save_receipt(receipt: Receipt, settings: Settings, database: MapDatabase) ->
 
 
 def failed_receipt(begun: Receipt, error: Exception) -> Receipt:
-    """The receipt of work that ended before the commit; whether it is tried again depends on the error."""
+    """The receipt of work that ended before the commit; whether it is retried depends on the error."""
     reason = error_text(error)[:2000] or "no reason given"
     return replace(begun, state="failed", reason=reason, may_pass=is_retryable(error))
 
 
 def final_receipt(begun: Receipt, report: IngestReport, seconds: float, reason: str) -> Receipt:
-    """The receipt of a drive that is on the map. reason: what a person has to look at."""
+    """The receipt of a drive that is on the map. reason: what a person has to check."""
     return replace(
         begun,
         state="held" if report.on_hold else "known" if report.is_known else "committed",

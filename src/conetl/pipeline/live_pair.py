@@ -37,7 +37,7 @@ _WARM_UP_SHAPE = (320, 1242, 3)
 
 @dataclass(frozen=True)
 class Detectors:
-    """Two threads, a detector for either side, and what the network's scores mean."""
+    """Two threads with a detector for each side, and the evidence of the model."""
 
     pool: ThreadPoolExecutor
     by_side: Mapping[Side, Detector]
@@ -47,7 +47,7 @@ class Detectors:
 
 @dataclass(frozen=True)
 class LiveDrive:
-    """What is known of a drive so far; every pair makes a new one."""
+    """State of a drive so far; every pair makes a new one."""
 
     watch: WatchedDrive
     rig: Rig
@@ -60,7 +60,7 @@ class LiveDrive:
 
 
 class SearchedImage(NamedTuple):
-    """What one image of a pair shows."""
+    """The detections in one image of a pair."""
 
     found: tuple[Image, list[Detection]]
     """The image, and its cones."""
@@ -71,14 +71,14 @@ class SearchedImage(NamedTuple):
 
 @dataclass(frozen=True)
 class PairSearch:
-    """Both images of a pair while cones are detected in them."""
+    """Both images of a pair while they are being searched for cones."""
 
     pair: FramePair
     began_s: float
     sides: tuple[Future[SearchedImage], Future[SearchedImage]]
 
     def images(self) -> tuple[SearchedImage, SearchedImage]:
-        """What both show, once they have been searched. Raises ImageFileError where one is incomplete."""
+        """Results for both images, once they have been searched. Raises ImageFileError if one is incomplete."""
         return self.sides[0].result(), self.sides[1].result()
 
 
@@ -98,8 +98,8 @@ class StepTimes:
 def open_detectors(settings: Settings, params: IngestParams) -> Iterator[Detectors]:
     """Load the detector once for each side and run it once. Raises ModelFileError.
 
-    Both images of a pair are searched everywhere, at the same time: the right one does not wait for what the left one shows.
-    They are searched for cones: provisional features have no class.
+    Both images of a pair are searched in full, at the same time: the right one does not wait for the left one. They are searched
+    for cones only: provisional features have no class.
     """
     cones_everywhere: dict[str, object] = {"search_right": "everywhere", "categories": (CONE,)}
     params = params.model_copy(update={"detection": params.detection.model_copy(update=cones_everywhere)})
@@ -113,13 +113,13 @@ def open_detectors(settings: Settings, params: IngestParams) -> Iterator[Detecto
 
 
 def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str, first: FramePair) -> LiveDrive:
-    """A drive of which nothing was taken yet."""
+    """A drive of which no pair was processed yet."""
     watch = WatchedDrive(uuid4(), map_name, srid, drive_id, str(folder.resolve()))
     return LiveDrive(watch, rig, (first.captured_at_ns, first.captured_at_ns))
 
 
 def search_pair(detectors: Detectors, rig: Rig, pair: FramePair) -> PairSearch:
-    """Begin to search both images of a pair."""
+    """Start to search both images of a pair."""
     left, right = (detectors.pool.submit(_search, detectors, rig, pair, side) for side in SIDES)
     return PairSearch(pair, time.monotonic(), (left, right))
 
@@ -158,6 +158,6 @@ def _search(detectors: Detectors, rig: Rig, pair: FramePair, side: Side) -> Sear
     path = Path(pair.left_path if side == "left" else pair.right_path)
     try:
         found = search_image(path, rig, side, detectors.by_side[side], detectors.params.detection, pair)
-    except StorageError as error:  # the watch tries again, and leaves the pair out in time
+    except StorageError as error:  # the watch tries again, and skips the pair after a while
         raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
     return SearchedImage(found, time.monotonic(), time.thread_time() - started_s)

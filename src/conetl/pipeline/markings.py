@@ -31,10 +31,10 @@ _PAIRS_AT_ONCE = 8
 
 
 def find_marking_points(chunk: Chunk, part: int, rig: Rig, read: ImageReader) -> Iterator[None]:
-    """Search one frame pair of one of the parts of a chunk at each step, by the images of `read`; the end stores what was found.
+    """Search one frame pair of a part of a chunk at each step, in the images of `read`; the last step stores the points.
 
-    rig: the chunk's after self-calibration. A pair is searched for every `pair_spacing_m` of the path; one that cannot be
-    decoded shows nothing, the detection reports it.
+    rig: the chunk's after self-calibration. One pair is searched for every `pair_spacing_m` of the path. A pair that cannot be
+    decoded has no points; the detection reports it.
     """
     key = _points_key(chunk, part, rig)
     if has_result(chunk.results_folder, key):

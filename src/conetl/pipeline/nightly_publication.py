@@ -33,9 +33,10 @@ REPORTED = timedelta(days=1)
 def write_publication(
     conn: Connection, settings: Settings, formats: list[str], folder: Path, as_of: datetime | None = None
 ) -> tuple[Path, list[dict[str, Any]]]:
-    """Write the map of `as_of` (None: latest) in `formats` to a new folder in `folder`; that folder, and its files' manifests.
+    """Write the map of `as_of` (None: latest) in `formats` to a new folder in `folder`; returns that folder and its files'
+    manifests.
 
-    Raises InputError for an unknown format, a map that is not there, or a folder that cannot be written.
+    Raises InputError for an unknown format, a missing map, or a folder that cannot be written.
     """
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:

@@ -43,7 +43,7 @@ _SPANS_OF_PIECE = 20
 
 
 def with_refined_poses(chunks: Sequence[Chunk], drive: Drive) -> list[Chunk]:
-    """The chunks of a drive with its rig, its frame pairs and their poses as refined."""
+    """The chunks with the rig, frame pairs and refined poses of `drive`."""
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
     return [
         chunk.model_copy(
@@ -57,10 +57,10 @@ def with_refined_poses(chunks: Sequence[Chunk], drive: Drive) -> list[Chunk]:
 
 
 def track_motions(chunk: Chunk, part: int, rig: Rig, read: ImageReader, tick: Tick | None = None) -> Iterator[None]:
-    """Motions of one of the parts of a chunk, also to the first frame pair after it: at each step one more pair is read by
-    `read`; the end stores the motions.
+    """Motions of one part of a chunk, also to the first frame pair after it.
 
-    rig: of the drive after its self-calibration. tick: called for every motion.
+    Each step reads one more pair by `read`; the last step stores the motions. rig: of the drive after its self-calibration. tick:
+    called for every motion.
     """
     own, params = _part(chunk, part), chunk.params.trajectory
     key = _motions_key(own, rig)
@@ -84,7 +84,7 @@ def motions_path(chunk: Chunk, part: int, rig: Rig) -> Path:
 
 
 def _part(chunk: Chunk, part: int) -> Chunk:
-    """One of the parts of a chunk and the first frame pair after it, so that no interval between two is lost."""
+    """One part of a chunk and the first frame pair after it, so that no interval is lost between parts."""
     within = parts_of(chunk)[part]
     pairs = chunk.frame_pairs[within.start : within.stop + 1]
     if within.stop == len(chunk.frame_pairs) and chunk.next_pair is not None:
@@ -98,7 +98,7 @@ def _motions_key(own: Chunk, rig: Rig) -> str:
 
 
 def calibration_pieces(chunk: Chunk, pairs: Sequence[FramePair]) -> list[Chunk]:
-    """Pieces of a drive, each as a chunk, over whose spans self-calibration compares points: all of it, or evenly spread ones.
+    """Pieces of a drive, as chunks, for self-calibration: all of its spans, or evenly spaced ones.
 
     chunk: any of the drive's; pairs: all of the drive's.
     """
@@ -113,7 +113,7 @@ def calibration_pieces(chunk: Chunk, pairs: Sequence[FramePair]) -> list[Chunk]:
 
 
 def follow_spans(piece: Chunk) -> Path:
-    """Points followed over the spans of one of the `calibration_pieces`; returns the Parquet file."""
+    """Follow points over the spans of one of the `calibration_pieces`; returns the Parquet file."""
     params, pairs, rig = piece.params.trajectory, piece.frame_pairs, piece.rig
     key = result_key(RESULTS_VERSION, "spans", params_sha256(params), geometry_key(piece))
     if has_result(piece.results_folder, key):
@@ -124,7 +124,7 @@ def follow_spans(piece: Chunk) -> Path:
 
 
 def self_calibrate(chunk: Chunk, pieces: Sequence[Chunk], followed: Sequence[Path]) -> SelfCalibration:
-    """What a drive says about its rig's calibration. chunk: any of the drive's; followed: the points of each of its pieces."""
+    """Self-calibration from the points of all pieces. chunk: any of the drive's; followed: one file per piece."""
     params, folder, rig = chunk.params.trajectory, chunk.results_folder, chunk.rig
     key = result_key(RESULTS_VERSION, "self-calibrate", *(path.stem for path in followed))
     if has_result(folder, key):
@@ -165,7 +165,7 @@ def _calibration(
 def refine(
     drive: Drive, motions: Sequence[RelativeMotion], matches: list[Path], params: IngestParams
 ) -> RefinedTrajectory:
-    """Refined poses of the whole drive; the logged ones, with the reason, where images or parameters do not allow it."""
+    """Refined poses of the whole drive, or the logged ones with the reason if images or parameters do not allow it."""
     pairs = drive.frame_pairs
     found, _ = load_matches(matches, pairs)
     params = params.model_copy(update={"trajectory": _with_clock_sigma(drive, params.trajectory)})
@@ -177,7 +177,7 @@ def refine(
 
 
 def drop_torn_pairs(drive: Drive, motions: Sequence[RelativeMotion]) -> tuple[Drive, HealthCheck, list[Rejection]]:
-    """The drive without the frame pairs that have a torn image, whether there are too many, and their rejections."""
+    """The drive without frame pairs that have a torn image; a check whether there are too many; rejections of these pairs."""
     torn = find_torn(drive, motions, grey_reader(drive.rig.rectified_from or drive.rig))
     check, rejections = check_torn(torn, drive)
     lost = {one.pair.frame_index for one in torn}
@@ -191,7 +191,7 @@ def check_poses(
     trajectory: RefinedTrajectory,
     params: TrajectoryParams,
 ) -> list[HealthCheck]:
-    """Checks of the poses as logged against the images. drive: with what its images show (`FramePair.detail`)."""
+    """Checks of the logged poses against the images. drive: with the detail of its images (`FramePair.detail`)."""
     details = {pair.frame_index: pair.detail for pair in drive.frame_pairs}
     pairs = [
         pair.model_copy(update={"detail": details[pair.frame_index]})
@@ -208,17 +208,17 @@ def check_poses(
 
 
 def _with_clock_sigma(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:
-    """The parameters with the sigma of the drive's own clocks, where it is known."""
+    """The parameters with the sigma of the drive's own clocks, if known."""
     return params if drive.clock_sigma_s is None else params.model_copy(update={"clock_sigma_s": drive.clock_sigma_s})
 
 
 def grey_reader(rig: Rig, in_order: Sequence[FramePair] = ()) -> ImageReader:
-    """Reads the grey images of a drive's frame pairs; those that are read in order are asked for some pairs ahead."""
+    """Reads the grey images of a drive's frame pairs; images of pairs that are read in order are prefetched."""
     return _prefetching(lambda pair, side: read_pair_image(pair, side, rig, grey=True), in_order)
 
 
 def _prefetching(read: ImageReader, in_order: Sequence[FramePair]) -> ImageReader:
-    """As `read`; images of frame pairs that are read in order are asked for some pairs ahead."""
+    """As `read`; images of frame pairs that are read in order are prefetched."""
     batches = {
         in_order[k].frame_index: in_order[k : k + _PAIRS_AT_ONCE] for k in range(0, len(in_order), _PAIRS_AT_ONCE)
     }

@@ -107,6 +107,6 @@ def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: 
 
 
 def is_plausible(one: CameraPosition, limits: TrackParams) -> bool:
-    """Whether its height is that of its category."""
+    """Whether its height is plausible for its category."""
     lowest_m, highest_m = limits.heights_m(one.category)
     return lowest_m <= one.cone_height_m <= highest_m

@@ -1,7 +1,7 @@
-"""After the commit: the map and the drive's changes as files, and what is to be notified of them.
+"""After the commit: write the map and the drive's changes as files, and send notifications.
 
-A run may be killed between its commit and its notifications, or be unable to write its files. What it left pending is made up for
-by the run that ingests the same drive again and finds it on the map, or by the next backfill or look at the drop folder.
+A run may be killed between its commit and its notifications, or be unable to write its files. What is left pending is completed
+when the same drive is ingested again and found on the map, or by the next backfill or check of the drop folder.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_page import write_drive_page
 
 _log = logging.getLogger(__name__)
-#: Hands the report of a changeset and the cones that it removed to whoever wants to know; returns when they have left.
+#: Sends the report of a changeset and the cones that it removed; returns when they are sent.
 Notify = Callable[[IngestReport, Sequence[receipts.RemovedCone]], None]
 
 
@@ -50,9 +50,9 @@ def publish(
     database: MapDatabase | None = None,
     times: Sequence[receipts.StepTime] = (),
 ) -> PublishedFiles:
-    """Write the map as GeoJSON, and the plan view (PNG) and QA report of a drive. Notifies nobody: see `notify`.
+    """Write the map as GeoJSON, and the plan view (PNG) and QA report of a drive. Sends no notification: see `notify`.
 
-    settings: folders, database and name of the map; CONETL_* of the environment unless given. times: of the steps, for the page.
+    settings: folders, database and name of the map; default: CONETL_* of the environment. times: of the steps, for the page.
     """
     settings = settings or read_settings()
     changeset, plan_view = committed.changeset, settings.drive_image_path(committed.drive.drive_id)
@@ -67,9 +67,9 @@ def publish(
 
 
 def renew_pages(conn: Connection, changeset_ids: Collection[UUID], settings: Settings) -> list[Path]:
-    """Write the QA reports of drives again that are on disk, as after one went on hold or was released; their paths.
+    """Rewrite existing QA reports of drives, for example after one went on hold or was released; returns their paths.
 
-    Raises InputError where one cannot be written.
+    Raises InputError if one cannot be written.
     """
     if not changeset_ids:
         return []
@@ -79,7 +79,7 @@ def renew_pages(conn: Connection, changeset_ids: Collection[UUID], settings: Set
 
 
 def publish_decision(conn: Connection, decided: DecisionOutcome, settings: Settings) -> str | None:
-    """Write the QA reports of the drives again whose state a decision changed; why one could not be written, else None.
+    """Rewrite the QA reports of drives whose state a decision changed; returns why one could not be written, else None.
 
     The decision is made in either case.
     """
@@ -94,7 +94,7 @@ def publish_decision(conn: Connection, decided: DecisionOutcome, settings: Setti
 
 
 def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:
-    """Send what a changeset did, unless that was done before, and remember it."""
+    """Send the report of a changeset unless that was done before, and record it."""
     with database.connection() as conn:
         if receipts.is_published(conn, report.changeset_id):
             return
@@ -103,7 +103,7 @@ def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:
 
 
 def catch_up(report: IngestReport, settings: Settings, database: MapDatabase, send: Notify) -> None:
-    """Write the map's file and the drive's report, then notify: what the run that committed a drive left pending, if anything."""
+    """Complete what the run that committed a drive left pending: write the map's file and the drive's report, then notify."""
     with database.connection() as conn:
         if receipts.is_published(conn, report.changeset_id):
             return
@@ -119,9 +119,9 @@ def catch_up(report: IngestReport, settings: Settings, database: MapDatabase, se
 
 
 def catch_up_all(settings: Settings, database: MapDatabase, send: Notify, *, quiet: timedelta = receipts.QUIET) -> None:
-    """Catch up on every drive of the map that was committed longer ago than `quiet` and is still pending.
+    """Complete all pending drives of the map that were committed longer ago than `quiet`.
 
-    What fails is logged and left to the next caller: this one has drives to ingest.
+    Failures are logged and left to the next caller: this one has drives to ingest.
     """
     with database.connection() as conn:
         pending = receipts.pending_changesets(conn, map_name=settings.map_name, quiet=quiet)

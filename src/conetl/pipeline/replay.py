@@ -1,6 +1,6 @@
-"""One drive into the map, in the order of recording or later: between the fold (`mapping/history.py`) and the tables.
+"""Merge one drive into the map, in the order of recording or later: between the fold (`mapping/history.py`) and the tables.
 
-All of it runs inside the caller's transaction: `drive_transaction`, or `map_transaction` where the whole map is changed.
+All of it runs inside the caller's transaction: `drive_transaction`, or `map_transaction` if the whole map is changed.
 """
 
 from __future__ import annotations
@@ -39,18 +39,19 @@ from conetl.model.rig import Rig
 from conetl.pipeline.adjoining import WITHIN_NS, NewDrive, find_doubts
 
 _log = logging.getLogger(__name__)
-#: Views of drives are large; the fold needs one after the other.
+#: Views of drives are large; the fold needs them one after the other.
 _VIEWS_IN_MEMORY = 2
-#: The map may confirm other drives once some are held. Which are trusted hardly depends on that: they confirm older objects.
+#: Holding some drives may change which others the map confirms, but rarely: trusted drives confirm older objects.
 _MOST_ROUNDS = 5
 
 
 @contextmanager
 def gc_paused() -> Iterator[None]:
-    """Pause the search for reference cycles while many records are made.
+    """Pause the garbage collector while many records are made.
 
-    Records have none, and with millions of them the search takes a quarter of the whole time. Memory is freed by reference counts
-    as always. What is left afterwards counts as old, as if it had been searched: the first search would go through all of it.
+    Records have no reference cycles, and with millions of them the search for cycles takes a quarter of the whole time; reference
+    counts still free memory. Afterwards the records are moved to the oldest generation, so that the next collection does not scan
+    them all.
     """
     was_on = gc.isenabled()
     gc.disable()
@@ -64,7 +65,7 @@ def gc_paused() -> Iterator[None]:
 
 
 class MergeResult(NamedTuple):
-    """What a drive did to the map."""
+    """How a drive changed the map."""
 
     changeset: Changeset
     extension: MapUpdate
@@ -89,10 +90,10 @@ def merge_drive(
 ) -> MergeResult | CommittedChangeset:
     """Compare a drive with the map as the drives recorded before it left it, and commit the differences.
 
-    changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: what is measured of
-    the detector (None: nothing); the weight of a cone that it did not find follows from it. hold: the checks for which the
-    recording must not count; it is stored and changes nothing until a person accepts it. The result is a changeset where the
-    drive is already on the map; it is not merged again.
+    changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: measured response of
+    the detector (None: not measured), which gives the weight of a missed cone. hold: the checks for which the recording must not
+    count; it is stored and changes nothing until a person accepts it. If the drive is already on the map, the result is its
+    changeset, and nothing is merged.
     """
     drive, reach_m = records.drive, influence_m(params)
     figures = AbsenceFigures(
@@ -116,7 +117,7 @@ def merge_drive(
         conn, map_name, drive, changeset.idempotency_key, place, path_wkt=None if hold else path_wkt(drive), influence_m=reach_m,
         adjoining_ns=WITHIN_NS, reaches_far=is_in_doubt,
     )  # fmt: skip
-    if isinstance(near, CommittedChangeset):  # another ingest of the same drive was faster
+    if isinstance(near, CommittedChangeset):  # another ingest of the same drive finished first
         return near
     extension, replay = MapUpdate([], [], []), NOTHING
     changeset = with_free_id(conn, changeset, near.drive_uuid)
@@ -143,7 +144,7 @@ def merge_drive(
 def _own_evidence(
     records: DriveRecords, changeset: Changeset, founding_key: str, params: IngestParams, figures: AbsenceFigures
 ) -> DriveEvidence:
-    """What a drive contributes that is compared for the first time."""
+    """The evidence of a drive that is compared for the first time."""
     drive, spots = records.drive, [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
     view = visibility.observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
     visible, in_view = _visibility_checks(lambda: view, records.markings, params.reconcile)
@@ -164,7 +165,8 @@ def _own_evidence(
 def _compare(
     conn: Connection, near: store.Neighbourhood, own: DriveEvidence, drive: Drive, map_name: str
 ) -> tuple[MapUpdate, Replay]:
-    """What a drive changes, and the new state of what it changes: of its neighbourhood, if others have to be compared again."""
+    """The changes by a drive, and the new state of the changed features (of its whole neighbourhood if other drives are compared
+    again)."""
     decisions, later = read_decisions(conn, map_name=map_name), near.later
     if later or len(near.aside) > 1 or near.reaches_far:
         again = [*near.aside, *(ref.drive_uuid for ref in later)]
@@ -179,7 +181,7 @@ def _compare(
 def replay_of_newest(
     standing: Mapping[UUID, tuple[FeatureVersion, int]], update: MapUpdate, changeset_id: UUID
 ) -> Replay:
-    """What one drive that is newer than all others around it changes; standing: versions with their row ids, by feature id."""
+    """The changes by a drive that is newer than all others around it; standing: versions with their row ids, by feature id."""
     replaced = [(*standing[new.feature_id], new) for new in update.versions if new.feature_id in standing]
     ended = [version.model_copy(update={"valid_to_ns": new.valid_from_ns}) for version, _, new in replaced]
     return Replay(
@@ -205,12 +207,12 @@ def replay_of(
     around: Sequence[UUID] = (),
     new_drive: NewDrive | None = None,
 ) -> tuple[MapHistory, Replay]:
-    """A neighbourhood of the map, computed again.
+    """Compute a neighbourhood of the map again.
 
-    aside: the drives whose changes are set aside; again: those of them that are compared again, from what is stored; own: drives
-    that are compared for the first time; new_drive: the recorded one of them. What all other drives did to the features around
-    `aside` and `around` stays, except for their suppression. Drives that go on hold because adjoining ones contradict them, or
-    are on hold no longer, are compared again, too.
+    aside: the drives whose changes are set aside; again: those of them that are compared again, as stored; own: drives that are
+    compared for the first time; new_drive: the recorded one of them. Changes by all other drives to the features around `aside`
+    and `around` stay, except for their suppression. Drives that go on hold because adjoining ones contradict them, or are
+    released, are compared again, too.
     """
     again_ids = {ref.drive_uuid for ref in again}
     fixed = [one for one in aside if one not in again_ids]
@@ -277,7 +279,7 @@ def _fold(
 
 
 def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveEvidence]:
-    """The evidence of ingested drives; what they had in view is read when it is needed. InputError where it was pruned."""
+    """The evidence of ingested drives; their views are read on demand. Raises InputError if they were pruned."""
 
     @lru_cache(maxsize=_VIEWS_IN_MEMORY)
     def view_of(drive_uuid: UUID) -> visibility.DriveObservations:
@@ -312,20 +314,20 @@ def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveE
 
 
 def influence_m(params: IngestParams) -> float:
-    """How far from its path a drive may judge or change anything: its farthest position, the largest offset and a move."""
+    """How far from its path a drive may change anything: its farthest position, the largest offset and a move."""
     farthest_m = params.position.max_range_m + params.reconcile.max_offset_m + params.reconcile.moved_max_m
     return max(INFLUENCE_M, farthest_m + 10.0)
 
 
 def founding_key(id_name: str, content_sha256: str) -> str:
-    """What the ids of the features that a drive founds are derived from, with their first sighting."""
+    """Seed for the ids of the features that a drive adds; the other part is their first observation."""
     return f"{id_name}/{content_sha256}"
 
 
 def _visibility_checks(
     view: Callable[[], visibility.DriveObservations], markings: Sequence[MarkingTrack], params: ReconcileParams
 ) -> tuple[VisibilityCheck, ViewCheck]:
-    """Of cones and of lane markings; view: what the drive had in view, read when it is needed; markings: that it observed."""
+    """For cones and for lane markings; view: of the drive, read on demand; markings: those that it observed."""
     blur_px = visibility.median_blur_px(markings)
     return (
         lambda feature, offset_m, others_m: visibility.check_visibility(feature, offset_m, others_m, view(), params),

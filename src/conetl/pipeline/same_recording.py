@@ -1,4 +1,4 @@
-"""One recording must not count as two surveys, whatever its settings, its files or its name."""
+"""One recording must not count as two surveys, whatever its settings, files or name."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from conetl.model.rig import Rig
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings
 
-#: Another lever arm, GNSS solution or start of the clock moves the camera less.
+#: Larger than what another lever arm, GNSS solution or clock start changes.
 _SAME_CAMERA_M, _SAME_CAMERA_RAD = 2.0, 0.5
 #: Two recordings never have the same intervals between all their images; texts of time stamps may be rounded.
 _SAME_STAMP_NS = 2_000_000
@@ -30,7 +30,7 @@ _SAME_STAMP_NS = 2_000_000
 #: frame, nor to `_MOST_LOG_M`; a few frames, or those of a vehicle that waits, do not show that.
 _SAME_LOG_M, _SAME_LOG_RAD, _LEAST_PAIRS, _LEAST_PATH_M = 0.1, np.radians(0.1), 8, 5.0
 _MOST_LOG_M, _MOST_LOG_RAD = 0.5, np.radians(0.5)
-#: Over less than so many tolerances, two drives in one lane at about one speed, with a regular trigger, are as near each other.
+#: On shorter paths (in tolerances), two drives in one lane at about one speed, with a regular trigger, may be as near each other.
 _TOLERANCES = 45.0
 #: Of the shorter recording so many must be frames of the other one, and so many of the time that both have in common. A vehicle
 #: that moves less between two frames waits.
@@ -62,9 +62,9 @@ def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabas
 
 
 def refuse_same_images(records: DriveRecords, settings: Settings, database: MapDatabase) -> None:
-    """Raise MapMismatchError where the images of a drive are already on the map, with any log, stamps and compression.
+    """Raise MapMismatchError if the images of a drive are already on the map, with any log, time stamps and compression.
 
-    No vehicle sees objects again in the same pixels, image by image; an image that is recompressed moves boxes by some.
+    No vehicle sees objects again in the same pixels, image by image; recompressing an image moves boxes only slightly.
     """
     drive = records.drive
     if len(drive.frame_pairs) < _LEAST_PAIRS:
@@ -108,7 +108,7 @@ def _is_same_recording(drive: Drive, other: ConcurrentDrive, pairs: Sequence[Fra
 
 
 def has_same_log(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
-    """Whether frame pairs, or a part of them, have the poses of a drive and time stamps that are all off by one time."""
+    """Whether frame pairs, or a part of them, have the poses of a drive, and time stamps with one constant shift."""
     sigma_m = float(np.median([np.hypot(*pair.pose.sigma_enu_m[:2]) for pair in pairs]))
     sigma_rad = float(np.median([np.hypot(*pair.pose.sigma_rpy_rad[1:]) for pair in pairs]))
     within_m, within_rad = min(_SAME_LOG_M + sigma_m, _MOST_LOG_M), min(_SAME_LOG_RAD + sigma_rad, _MOST_LOG_RAD)
@@ -128,11 +128,11 @@ def is_redated(
     uneven_m: float = _SAME_CAMERA_M,
     least_path_m: float = _LEAST_PATH_M,
 ) -> bool:
-    """Whether the left camera of a drive was where that of other frame pairs was, and looked the same way, at times that are all
-    off by one time: as of another zone, with other leap seconds, or re-dated; whatever the numbers of the frames.
+    """Whether other frame pairs show the left camera of a drive at the same poses, with one constant time shift: another time
+    zone, other leap seconds, or re-dated files; the numbers of the frames do not matter.
 
     `_LEAST_SHARE` of the frames of the shorter recording, at least `_LEAST_PAIRS` over `least_path_m`, must be frames of the
-    other, displaced alike: to `uneven_m` (RMS).
+    other, displaced equally: to `uneven_m` (RMS).
     """
     if min(len(drive.frame_pairs), len(pairs)) < _LEAST_PAIRS:
         return False
@@ -157,12 +157,12 @@ def is_redated(
 
 
 def _count_within(times_ns: NDArray[np.int64], others_ns: NDArray[np.int64]) -> int:
-    """How many times are in the span of others."""
+    """Number of times within the span of others."""
     return int(((times_ns >= others_ns[0] - _SAME_STAMP_NS) & (times_ns <= others_ns[-1] + _SAME_STAMP_NS)).sum())
 
 
 def _moving(pairs: Sequence[FramePair], rig: Rig) -> tuple[NDArray[np.int64], Floats]:
-    """Time stamps (N,) and poses of the left camera (N, 4, 4) of the frame pairs of a vehicle that moves."""
+    """Time stamps (N,) and poses of the left camera (N, 4, 4) of the frame pairs while the vehicle moves."""
     at_ns = np.array([pair.captured_at_ns for pair in pairs])
     poses = _left_poses(pairs, rig)
     moves = np.hypot(*np.diff(poses[:, :2, 3], axis=0, append=poses[-2:-1, :2, 3]).T) >= _MOVING_M
@@ -176,10 +176,10 @@ def _left_poses(pairs: Sequence[FramePair], rig: Rig) -> Floats:
 
 
 def is_same_camera(drive: Drive, rig: Rig, pairs: Sequence[FramePair]) -> bool:
-    """Whether a drive's left camera was, in most of its frames of that time, where that of other frame pairs was, and looked the
-    same way. The tolerances allow for another lever arm, GNSS solution or start of the clock.
+    """Whether the left camera of a drive and that of other frame pairs have the same poses in most frames of their common time.
 
-    Two vehicles are farther apart; two rigs of one vehicle look in different directions.
+    The tolerances allow for another lever arm, GNSS solution or start of the clock. Two vehicles are farther apart; two rigs of
+    one vehicle look in different directions.
     """
     if len(pairs) < 2:
         return False

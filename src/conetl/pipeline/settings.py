@@ -103,32 +103,29 @@ class Settings(BaseSettings):
             )
 
     def drive_report_path(self, drive_id: str, changeset_no: int) -> Path:
-        """Where the ingest writes the QA report of a drive."""
+        """Path of the QA report of a drive."""
         return self.reports_folder / f"{changeset_no:06d}-{file_name_part(drive_id, 120)}.html"
 
     def drive_image_path(self, drive_id: str) -> Path:
-        """Where the ingest draws the plan view of a drive and its changes on this map."""
+        """Path of the plan view of a drive and its changes on this map."""
         return self.reports_folder / f"{file_name_part(drive_id, 120)}.png"
 
 
 def validated_map_name(name: str) -> str:
-    """The name, if a map may have it. Raises InputError."""
+    """The name, if it is valid for a map. Raises InputError."""
     if not MAP_NAME.fullmatch(name):
         raise InputError(f"invalid map name {name!r}: {_expected_map_name(name)}")
     return name
 
 
 def _expected_map_name(name: str) -> str:
-    """What a map name consists of, and the nearest such name. Only one case: names are parts of paths, which may ignore it."""
+    """The rules for map names, and the nearest valid name. One case only: names are parts of paths, which may ignore case."""
     near = re.sub("[^a-z0-9_-]+", "_", name.lower())[:40].strip("_-")
     return f"expected 1 to 40 characters of a-z, 0-9, _ and -, the first not -, for example {near or 'night_survey'}"
 
 
 def read_settings(map_name: str | None = None) -> Settings:
-    """Settings from the environment; map_name, if given, takes the place of CONETL_MAP_NAME.
-
-    Raises InputError naming the variable that cannot be used.
-    """
+    """Settings from the environment; map_name overrides CONETL_MAP_NAME. Raises InputError naming the invalid variable."""
     try:
         return Settings() if map_name is None else Settings(map_name=validated_map_name(map_name))
     except ValidationError as error:
@@ -139,7 +136,7 @@ def read_settings(map_name: str | None = None) -> Settings:
 
 
 def ignored_variables(names: Iterable[str]) -> list[str]:
-    """Of the names of environment variables those that look like settings but are not, with the setting that may be meant."""
+    """Environment variables (of `names`) that look like settings but are not, with the setting that may be meant."""
     known = [f"CONETL_{name.upper()}" for name in Settings.model_fields]
     unknown = [n for n in names if n.startswith("CONETL_") and n not in known and not _NO_SETTING.fullmatch(n)]
     near = {name: get_close_matches(name, known, n=1, cutoff=0.7) for name in unknown}

@@ -1,8 +1,8 @@
-"""A drive while it is recorded: frame pairs as they arrive, in the order of recording, into provisional features.
+"""Watch a drive while it is recorded: frame pairs, in the order of recording, become provisional features as they arrive.
 
-The images of the next pair are searched while the cones of this one are matched, located and committed. An incomplete pair holds
-up those behind it for `PATIENCE_S` and is then left to the ingest, which takes the whole drive anyway; so are pairs for which the
-machine is too slow.
+The images of the next pair are searched while the cones of this one are matched, located and committed. An incomplete pair delays
+those behind it for `PATIENCE_S` and is then left to the ingest, which processes the whole drive anyway; so are pairs for which
+the machine is too slow.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ MAX_BEHIND_S = 0.5
 
 @dataclass(frozen=True)
 class PairTime:
-    """How long one frame pair took; seconds."""
+    """Processing time of one frame pair, seconds."""
 
     frame_index: int
     total_s: float
@@ -61,7 +61,7 @@ class PairTime:
 
 @dataclass
 class WatchReport:
-    """What a watch did so far."""
+    """Progress of a watch."""
 
     drive_id: str = ""
     map_name: str = ""
@@ -183,13 +183,13 @@ def watch_drive(
 
 
 def pause_s(listing_s: float) -> float:
-    """How long to wait before all folders are listed again, where listing them took so long."""
+    """Pause before all folders are listed again, longer if listing them is slow."""
     return max(_LIST_EVERY_S, listing_s / _LIST_SHARE)
 
 
 @contextmanager
 def _watch_folder(folder: Path, *, poll: bool) -> Iterator[SimpleQueue[Path]]:
-    """Files below a folder that changed, as the system reports them to a thread."""
+    """Files below a folder that changed, as a thread receives them from the system."""
     queue: SimpleQueue[Path] = SimpleQueue()
     stop = threading.Event()
 
@@ -211,7 +211,7 @@ def _watch_folder(folder: Path, *, poll: bool) -> Iterator[SimpleQueue[Path]]:
 
 
 def _wait_for_changes(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
-    """What changed since the last call; waits for the first notice."""
+    """What changed since the last call; waits for the first change."""
     paths: list[Path] = []
     with suppress(Empty):
         paths.append(changes.get(timeout=wait_s) if wait_s else changes.get_nowait())
@@ -221,7 +221,7 @@ def _wait_for_changes(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
 
 
 def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
-    """The drive is known: nobody else may watch it, and what earlier watches left is removed."""
+    """Start once the drive is known: lock it against other watches, and remove the results of earlier ones."""
     name = watch_lock(watch.settings.map_name, source.drive_id)
     if not stack.enter_context(held_if_free(watch.conn, name)):
         raise InputError(f"{watch.folder}: the drive {source.drive_id} is being watched already")
@@ -230,7 +230,8 @@ def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
 
 
 def _register_pairs(watch: _Watch, source: ArrivingDrive, paths: list[Path] | None) -> None:
-    """Take in pairs that came, and the number in the recording of those that have one by now: finding it costs time."""
+    """Add the pairs that arrived, and number those of which the number in the recording is known by now: finding it takes
+    time."""
     new = source.new_pairs(paths)
     watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in new}
     orders = [(source.order(pair), pair) for pair in (*watch.unplaced, *new) if pair.key in watch.waiting]
@@ -241,7 +242,7 @@ def _register_pairs(watch: _Watch, source: ArrivingDrive, paths: list[Path] | No
 
 
 def _take_next(watch: _Watch) -> bool:
-    """Take the next pair whose turn has come, and begin with the one behind it; False where there is nothing to do yet."""
+    """Process the next due pair, and begin with the one after it; False if none is due."""
     if watch.source is None:
         return False
     ahead = watch.begun is not None
@@ -269,7 +270,7 @@ def _take_next(watch: _Watch) -> bool:
 
 
 def _begin_next(watch: _Watch, source: ArrivingDrive) -> _Begun | None:
-    """Begin with the next pair whose turn has come, if any. An incomplete one holds up the rest for a while."""
+    """Begin with the next due pair, if any. An incomplete one delays the others for a while."""
     watch.turn = [order for order in watch.turn if order[1] in watch.waiting]
     turn = [*watch.turn, *sorted((BEHIND, pair.key) for pair in watch.unplaced if pair.key in watch.waiting)]
     newest_ns = max((_written_ns(watch.waiting[key][0]) for _, key in turn[-2:]), default=0)
@@ -302,14 +303,14 @@ def _is_overdue(watch: _Watch, since_s: float) -> bool:
 
 
 def _is_late(watch: _Watch, pair: ArrivingPair, newest_ns: int) -> bool:
-    """Whether a pair is too old to be worth the time while pairs that came during the watch wait behind it."""
+    """Whether a pair is too old to process while newer pairs wait."""
     written_ns = _written_ns(pair)
     behind_s = (time.time_ns() - written_ns) * 1e-9
     return behind_s > watch.max_behind_s and newest_ns > max(written_ns, watch.ready_ns)
 
 
 def _written_ns(pair: ArrivingPair) -> int:
-    """When the later image of a pair changed last (inode time, which a rename sets too); 0 where one has vanished."""
+    """Time of the last change of the later image of a pair (inode time, which a rename sets too); 0 if one has vanished."""
     try:
         return max(path.stat().st_ctime_ns for path in (pair.left_path, pair.right_path))
     except OSError:
@@ -317,7 +318,7 @@ def _written_ns(pair: ArrivingPair) -> int:
 
 
 def _take(watch: _Watch, drive: live.LiveDrive, begun: _Begun) -> None:
-    """Take a pair whose images are complete."""
+    """Process a pair whose images are complete."""
     pair, written_ns = begun.search.pair, _written_ns(begun.arriving)
     watch.drive, times = live.process_pair(watch.conn, watch.detectors, drive, begun.search)
     watch.report.standing = watch.drive.standing
@@ -330,7 +331,7 @@ def _take(watch: _Watch, drive: live.LiveDrive, begun: _Begun) -> None:
 
 
 def _srid(watch: _Watch) -> int | None:
-    """CRS of the drive, once it is known; of the map, where there is one."""
+    """CRS of the drive once it is known, else of the map, if there is one."""
     if watch.drive is not None:
         return watch.drive.watch.srid
     info = find_map(watch.conn, watch.settings.map_name)
@@ -339,7 +340,7 @@ def _srid(watch: _Watch) -> int | None:
 
 
 def _check_motion(watch: _Watch, pair: FramePair) -> None:
-    """Time must rise, and nobody drives at 100 m/s from the last pair, or one that was rejected for that. Raises PairError."""
+    """Raise PairError unless time rises and the speed from the last pair, also a rejected one, is below 100 m/s."""
     if watch.last is not None and pair.captured_at_ns <= watch.last.captured_at_ns:
         raise PairError(RejectionReason.TIMESTAMP_INVALID, f"frame pair {pair.frame_index}: the time does not rise")
     known = [other for other in (watch.last, watch.jumped) if other is not None]

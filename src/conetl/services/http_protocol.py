@@ -1,4 +1,4 @@
-"""HTTP connections that cannot starve a server: each must send a request in time, and too many idle ones are closed."""
+"""HTTP connections that cannot block a server: each must send a request in time, and too many idle ones are closed."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Background processes: start, find again, stop, without ever signalling a process of somebody else.
+"""Background processes: start, find again and stop them, without ever signalling a process of someone else.
 
 Process ids are reused, so a service is identified by a token in its environment. Its children inherit the token, so the children
-of a killed service are found as well. Signals go through a process descriptor, which never changes its process.
+of a killed service are found as well. Signals go through a process descriptor, which always refers to the same process.
 
-And a Prefect server as seen from outside, without importing Prefect: its command, its health, access to it.
+Also a Prefect server from outside, without importing Prefect: its command, its health, access to it.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ class Service:
 
 @contextmanager
 def services_lock(home: Path) -> Iterator[None]:
-    """Let one command at a time start or stop the services of a home folder. Raises InputError if the folder cannot be used."""
+    """Allow one command at a time to start or stop the services of a home folder. Raises InputError if the folder cannot be
+    used."""
     make_home(home)
     with (home / _LOCK).open("w") as handle:
         fcntl.flock(handle, fcntl.LOCK_EX)
@@ -114,12 +115,12 @@ def start_service(
 
 
 def is_running(service: Service) -> bool:
-    """Whether the process that was started still runs."""
+    """Whether the service still runs."""
     return _has_token(service.pid, service.token)
 
 
 def stop_service(service: Service, *, grace_s: float = 15.0) -> bool:
-    """Stop a service and its children; whether anything was running. Data and logs are kept."""
+    """Stop a service and its children; returns whether anything was running. Data and logs are kept."""
     with ExitStack() as stack:
         found: dict[int, int] = {}
 
@@ -223,7 +224,7 @@ def server_command(host: str, port: int) -> list[str]:
 
 
 def answers(url: str) -> bool:
-    """Whether GET `url` returns 200, or requires a login."""
+    """Whether GET `url` returns 200 or requires a login."""
     try:
         answer = httpx.get(url, timeout=_TIMEOUT_S, trust_env=False)
         return answer.status_code in (httpx.codes.OK, httpx.codes.UNAUTHORIZED)
@@ -255,9 +256,9 @@ def require_access(api: str, auth: str | None, variable: str) -> None:
 
 
 def unavailable(error: BaseException) -> ServiceError | None:
-    """The error of a Prefect server that stopped answering meanwhile, or whose database did, or of a full disk; None for others.
+    """The error if a Prefect server, or its database, stopped answering, or a disk is full; None for other causes.
 
-    Where conetl noticed first that a service is gone, and Prefect failed because of that, the first one is the error.
+    If conetl detected first that a service is gone, and Prefect failed because of that, it is conetl's error.
     """
     chain: list[BaseException] = []
     cause: BaseException | None = error

@@ -60,7 +60,7 @@ def _lean(angle_rad: float, azimuth_rad: float, height_m: float = 0.0) -> Floats
 def cone_parts(cone: Cone, seed: int) -> list[Part]:
     """Base plate and body, together `height_m` high."""
     h = cone.height_m
-    side = 0.03 + 0.5 * h  # of the base plate: 38 cm under a 70 cm cone, 28 cm under a 50 cm one
+    side = 0.03 + 0.5 * h  # base plate: 38 cm under a 70 cm cone, 28 cm under a 50 cm one
     thick = 0.04 * math.sqrt(h / 0.7)
     bottom, top = 0.37 * side * cone.slimness, 0.035 * math.sqrt(h / 0.7)
     plate = meshes.box([side, side, thick])
@@ -242,7 +242,7 @@ def _tree(item: RoadObject, seed: int) -> list[Part]:
 
 
 class TrueShape(NamedTuple):
-    """What truth.csv states about an object: its class, the lower end of what is located above the ground, and its height."""
+    """The values of an object in truth.csv: its class, its lower end above the ground, and its height."""
 
     category: str
     foot_m: float
@@ -250,7 +250,7 @@ class TrueShape(NamedTuple):
 
 
 def true_shape(item: RoadObject) -> TrueShape:
-    """For signs and boards the plate alone. Raises KeyError for kinds without a class."""
+    """Class and size of an object; for signs and boards of the plate alone. Raises KeyError for kinds without a class."""
     if item.kind in _STANDING:
         return TrueShape(_STANDING[item.kind], 0.0, item.height_m)
     plate = _plate_height_m(item)

@@ -94,7 +94,7 @@ def street_markings(
 
 
 def painted_lines(marking: RoadMarking) -> list[Floats]:
-    """Centre lines (K, 2) of its paint: the whole line, or one per dash."""
+    """Centre lines (K, 2) of the paint: the whole line, or one per dash."""
     line = np.array(marking.points_m)
     if marking.dash_m is None or marking.gap_m is None:
         return [line]

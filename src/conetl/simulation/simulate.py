@@ -1,7 +1,7 @@
-"""One pass of a simulated world as a drive in the layout of KITTI's raw data (synced and rectified), plus its truth.
+"""One pass of a simulated world as a drive in the layout of KITTI's raw data (synced and rectified), with its truth.
 
-The chain of the rig is KITTI's (Geiger et al., IJRR 2013): IMU -> velodyne -> camera 0 -> rectified camera 0 -> P_rect_0i =
-K [I | t_i]. It is computed here independently of the code that reads calibration files, so that one checks the other.
+The calibration chain is KITTI's (Geiger et al., IJRR 2013): IMU -> velodyne -> camera 0 -> rectified camera 0 -> P_rect_0i = K [I
+| t_i]. It is computed independently of the code that reads calibration files, so that each checks the other.
 """
 
 from __future__ import annotations

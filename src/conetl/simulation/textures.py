@@ -1,5 +1,5 @@
-"""Procedural colour textures as uint8 sRGB arrays (H, W, 3): everything a stereo matcher needs to hold on to, and faces of signs,
-arrow boards and striped boards, varied by a seed."""
+"""Procedural colour textures as uint8 sRGB arrays (H, W, 3), varied by a seed: surfaces with enough texture for stereo matching,
+and faces of signs, arrow boards and striped boards."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def _to_bytes(srgb: Floats) -> Image:
 
 
 def asphalt(seed: int, mean: float) -> Image:
-    """Grains, stains, patches and cracks-like streaks; one tile is meant for about 12 m."""
+    """Grains, stains, patches and crack-like streaks; one tile covers about 12 m."""
     rng, shape = np.random.default_rng([seed, 1]), (1536, 1536)
     grey = mean + 0.055 * _noise(rng, shape, 0.7) + 0.035 * _noise(rng, shape, 4.0)
     grey += 0.022 * _noise(rng, shape, 30.0) + 0.012 * _noise(rng, shape, 120.0)
@@ -144,7 +144,7 @@ def striped(colours: tuple[Colour, ...], seed: int) -> Image:
 
 
 def round_sign(seed: int) -> Image:
-    """A red ring on white with two dark digits-like bars."""
+    """A red ring on white with two dark bars that resemble digits."""
     rng = np.random.default_rng([seed, 7])
     axis = np.linspace(-1.0, 1.0, 128)
     xx, yy = np.meshgrid(axis, axis)

@@ -1,6 +1,5 @@
 """Truth and base layers beside a rendered drive: truth.csv with the objects, truth_markings.geojson with the lane markings; a
-LiDAR survey of the street without cones, and its lane boundaries.
-"""
+LiDAR survey of the street without cones, and its lane boundaries."""
 
 from __future__ import annotations
 

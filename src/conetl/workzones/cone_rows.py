@@ -108,7 +108,7 @@ def _tapers(
     traffic_sign: float,
     axis_sigma_m: float,
 ) -> list[Taper]:
-    """Tapers of one row of cones (C,); variances: of the offsets, as assumed before the scatter of the row is known."""
+    """Tapers of one row of cones (C,); variances: prior variances of the offsets, before the scatter of the row is known."""
     pieces = _pieces(s, o, 1.0 / variances, params.segment_penalty)
     scale = _variance_factor(pieces, o, s, variances)
     variances = scale * variances
@@ -176,7 +176,7 @@ def _chi2(moments: Floats) -> Floats:
 
 
 def _variance_factor(pieces: list[_Piece], o: Floats, s: Floats, variances: Floats) -> float:
-    """Factor on the assumed variances by the scatter of the row; the assumption has the weight of `_PRIOR_FREEDOM` cones."""
+    """Factor on the prior variances from the scatter of the row; the prior has the weight of `_PRIOR_FREEDOM` cones."""
     chi2 = sum(
         (o[k] - piece.at(float(s[k]))) ** 2 / variances[k]
         for piece in pieces
@@ -238,7 +238,7 @@ def _crossing(stations: Floats, rise: Floats, best: int, step: int) -> float:
 
 
 def _chi2_of_knot(at_m: float, s: Floats, o: Floats, variances: Floats, first_level: bool, other_level: bool) -> float:
-    """Chi-square of the best two lines that meet at a station; those marked level are parallel to the axis."""
+    """Chi-square of the best two lines that meet at a station; level ones are parallel to the axis."""
     columns = [np.ones(len(s))]
     columns += [] if first_level else [np.minimum(s - at_m, 0.0)]
     columns += [] if other_level else [np.maximum(s - at_m, 0.0)]

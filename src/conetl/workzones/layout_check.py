@@ -55,7 +55,7 @@ def allowed_spacing_m(speed_kmh: float, rules: LayoutParams) -> tuple[float, flo
 
 
 def _certain_level(norm: str | None) -> Level:
-    """Level of a finding that certainly exceeds a limit; norm: the rule that states the limit, if any."""
+    """Level of a finding that certainly exceeds a limit; norm: the rule that sets the limit, if any."""
     return Level.VIOLATION if norm else Level.DEVIATION
 
 
@@ -163,7 +163,7 @@ def _read_gap(
     *,
     vague: bool,
 ) -> _Gap:
-    """One gap of a row against the rule and against the row; vague: the ends of tapers are poorly known."""
+    """Compare one gap of a row with the rule and with the row; vague: the ends of tapers are poorly known."""
     gap, (inside, blur_m) = float(gaps[index]), shares[index]
     used, sigma, limit_m = _used(gap, inside, blur_m, sigmas_m, limits)
     regular = _regular(gaps, shares[:, 0], index)
@@ -182,7 +182,7 @@ def _share_at_cones(tapers: Sequence[Taper], from_m: float, to_m: float) -> floa
 
 
 def _taper_share(tapers: Sequence[Taper], from_m: float, to_m: float) -> tuple[float, float]:
-    """Share of a gap inside tapers, and by how many metres it may be less (one sigma): a wide gap is allowed then."""
+    """Share of a gap that is inside tapers, and one sigma of it towards less (m), which allows a wider gap."""
     inside_m, blur_m = 0.0, 0.0
     for taper in tapers:
         inside_m += max(min(to_m, taper.end.station_m) - max(from_m, taper.start.station_m), 0.0)
@@ -259,8 +259,8 @@ def _taper_lengths(check: _Check, row: ConeRow) -> Iterator[Finding]:
 
 
 def _is_merging(layout: ZoneLayout, taper: Taper, members: Floats, params: WorkZoneParams) -> bool | None:
-    """Whether the taper closes a lane, or ends at the edge of all lanes (a shoulder taper); None if lane lines do not
-    decide."""
+    """Whether the taper closes a lane; False for one that ends at the edge of all lanes (a shoulder taper), None without a clear
+    answer from the lane lines."""
     if layout.bands is None or layout.axis_source != "lanes":
         sigma = float(np.hypot(taper.shift_sigma_m, layout.axis_sigma_m))
         return True if taper.shift_m - 2 * sigma >= params.full_lane_shift_m else None
@@ -332,7 +332,7 @@ def read_standard(name: str) -> Standard:
 
 
 def layout_rules(name: str = DEFAULT, own: LayoutParams | None = None) -> LayoutParams:
-    """The rules of a standard, with the values of `own` that were set; their only source is what `own.sources` states."""
+    """The rules of a standard, overridden by the values of `own` that were set; these have only the sources of `own.sources`."""
     standard = read_standard(name)
     values: dict[str, object] = {key: rule.value for key, rule in standard.rules.items()}
     sources = {key: f"{standard.standard}, {rule.source}" for key, rule in standard.rules.items()}

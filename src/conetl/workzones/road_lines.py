@@ -1,6 +1,5 @@
-"""Lines along the road: axes for the stations of cones, from the paths of drives, else through the cones themselves; lane lines
-beside an axis as offsets by station, and the lanes that a row of cones closes.
-"""
+"""Lines along the road: axes for the stations of cones (paths of drives, else lines through the cones), and lane lines beside an
+axis as offsets by station, with the lanes that a row of cones closes."""
 
 from __future__ import annotations
 
@@ -91,7 +90,7 @@ def _covered(line_m: Floats, s: Floats, o: Floats, params: WorkZoneParams) -> Bo
 
 
 def _best_pass(cones_m: Floats, passes: Sequence[DrivePath], params: WorkZoneParams) -> Floats | None:
-    """The pass beside the most cones, then with the fewest beyond its ends, then the earliest; None if none covers a cone."""
+    """The pass beside the most cones, then with the fewest beyond its ends, then the earliest; None if no cone is beside any."""
     ranked = []
     for number, one in enumerate(passes):
         s, o = project(one.xy_m, cones_m)
@@ -114,13 +113,13 @@ def _lengthened(line_m: Floats, cones_m: Floats, passes: Sequence[DrivePath], pa
         )
         if longer is None:
             break
-        # A line extended at its start was reversed for that.
+        # Lines are reversed to be extended at their start.
         line_m = longer if np.allclose(longer[0], line_m[0]) else longer[::-1]
     return line_m
 
 
 def _covers_more(line_m: Floats, cones_m: Floats, covered: Bools, params: WorkZoneParams) -> bool:
-    """Whether a line covers more cones than those given, and all of these."""
+    """Whether a line covers the given cones and at least one more."""
     own = _covered(line_m, *project(line_m, cones_m), params)
     return bool((own & ~covered).any() and not (covered & ~own).any())
 
@@ -177,7 +176,7 @@ def lane_bands(
 
 
 def _offsets_along(axis_m: Floats, line_m: Floats, at: Floats, reach_m: float) -> list[Floats]:
-    """Offsets of one line by station, one array per stretch along the axis."""
+    """Offsets of one line by station: one array for each stretch along the axis."""
     points = resampled(line_m, _STEP_M)
     s, o = project(axis_m, points)
     if s[-1] < s[0]:
@@ -245,9 +244,9 @@ def closed_lanes(
 ) -> tuple[int, int]:
     """How many lanes a row closes, and how many it narrows or may close: the maximum over its cones.
 
-    stations_m, offsets_m, sigmas_o_m: (C,) of the row's cones; traffic_sign as in `find_rows`. A cone closes a lane if it
-    leaves less of it than `min_open_lane_m`, by more than two sigmas. A lane wholly behind the row counts as closed only if the
-    row has crossed it: otherwise its direction is unknown.
+    stations_m, offsets_m, sigmas_o_m: (C,) of the row's cones; traffic_sign as in `find_rows`. A cone closes a lane if it leaves
+    less of it than `min_open_lane_m`, by more than two sigmas. A lane wholly behind the row counts as closed only if the row has
+    crossed it: otherwise its direction is unknown.
     """
     toward = offsets_m * traffic_sign
     swept_from = float(toward.min()) - _ON_LINE_M

@@ -1,7 +1,7 @@
 """Work zones from the map's history: cones chained along the road and tracked over time, so that a zone keeps its id.
 
 Time advances by changesets. At each one the present cones of a neighbourhood are chained along the road; a chain that shares
-cones with a zone is that zone, regardless of what was added, moved or removed.
+cones with a zone continues that zone, whatever was added, moved or removed.
 """
 
 from __future__ import annotations
@@ -57,10 +57,8 @@ def zones_over_time(
 
 
 def chain_stations(stations_m: Floats, params: WorkZoneParams) -> list[Ints]:
-    """Ints of cones (C,) along one road in successive groups, each sorted by station.
-
-    A gap separates if it exceeds `link_factor` times the spacing beside it.
-    """
+    """Groups of cones (C,) along one road, each sorted by station. A gap separates two groups if it exceeds `link_factor` times
+    the spacing beside it."""
     order = np.argsort(stations_m, kind="stable")
     gaps = np.diff(stations_m[order])
     cuts = []
@@ -93,7 +91,7 @@ def _both_sides(group: Ints, offsets_m: Floats) -> list[Ints]:
 
 
 def _neighbourhoods(versions: Sequence[FeatureVersion], params: WorkZoneParams) -> list[list[FeatureVersion]]:
-    """Versions in groups too far apart to be in one zone at any time; by cells, because one location has many versions."""
+    """Versions in groups too far apart ever to be in one zone; by cells, because one location has many versions."""
     cells: dict[tuple[int, int], int] = {}
     of_version = []
     for version in versions:

@@ -166,7 +166,7 @@ def _traffic_sign(line: Floats, passes: Sequence[DrivePath], s: Floats, o: Float
 
 
 def _lane_axis(line: Floats, cones_m: Floats, lanes: Sequence[LaneLine]) -> Floats | None:
-    """The lane line nearest to the cones and beside all of them, in the direction of the line; None if there is none."""
+    """The lane line nearest to the cones that runs beside all of them, in the direction of `line`; None if there is none."""
     s, o = project(line, cones_m)
     bands = _bands(line, np.sort(s), lanes)
     if bands is None:

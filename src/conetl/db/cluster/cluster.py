@@ -238,7 +238,7 @@ def _running_pid(location: ClusterLocation) -> int | None:
 
 
 def _remove_stale_files(location: ClusterLocation) -> None:
-    """Remove files that PostgreSQL would trust if any process had their number."""
+    """Remove files that PostgreSQL would trust if another process now had their process id."""
     if _running_pid(location) is None:
         location.pid_file.unlink(missing_ok=True)
         _socket_file(location).with_name(f"{_socket_file(location).name}.lock").unlink(missing_ok=True)

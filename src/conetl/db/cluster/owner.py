@@ -1,9 +1,9 @@
 """Where the server of a private cluster runs: in this PID namespace, in another container, or on another machine.
 
 A process id means nothing outside its namespace, so in a shared home folder the server of another container looks like a dead
-one; and two servers on one data folder destroy it. Beside the data are `server.host`, the host where the server was started, and
-`server.lock`, which every process of the server keeps locked through an inherited file: by it the kernel knows in all containers
-of one machine whether the server is running, however it ended.
+one; and two servers on one data folder destroy it. Beside the data are `server.host`, the host that started the server, and
+`server.lock`, which every process of the server keeps locked through an inherited file. The kernel shares the lock among all
+containers of a machine, and releases it however the server ends.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ class _MapRow(BaseModel, extra="forbid"):
 
 
 class _Manifest(BaseModel):
-    """What a dump states of itself. rows: of each table; columns: of each table, as SQL."""
+    """Description of a dump. rows: of each table; columns: of each table, as SQL."""
 
     format: str
     schema_: list[str] = Field(alias="schema", min_length=1)
@@ -88,7 +88,7 @@ def delete_map(conn: Connection, map_name: str, dump: Path) -> dict[str, int]:
 
 
 def _require_idle(conn: Connection, map_name: str) -> None:
-    """The ingest would make a new map of that name for the drive."""
+    """Raise InputError while a drive is being ingested: the ingest would create a new map of that name."""
     if busy := drives_under_way(conn, map_name=map_name):
         raise InputError(f"map {map_name}: drive {busy[0]} is being ingested into it; try again when that is done")
 

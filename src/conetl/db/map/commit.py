@@ -85,7 +85,7 @@ def place_drive(
 
 
 def with_free_id(conn: Connection, changeset: Changeset, drive_uuid: UUID) -> Changeset:
-    """A new changeset, with another id where its own is that of the same drive on a map of this name that was set aside."""
+    """A new changeset; it gets another id if its own belongs to the same drive on a map of this name that was set aside."""
     if db.query(conn, "commit.changeset_exists", changeset_id=changeset.changeset_id)[0]["found"]:
         return changeset.model_copy(update={"changeset_id": uuid5(drive_uuid, str(changeset.changeset_id))})
     return changeset
@@ -143,7 +143,7 @@ def insert_changeset(
     run: RunInfo | None,
     committed_at: datetime,
 ) -> None:
-    """Write a changeset's own row, and the run that it came from; not its deltas. records: of a drive; None of an import."""
+    """Write a changeset's own row and its run, but not its deltas. records: of a drive; None for an import."""
     if run is not None:
         facts = None if run.facts is None else json_text(dict(run.facts))
         kept = {"finished_at": committed_at, "params": json_text(dict(run.params)), "facts": facts}
@@ -164,13 +164,13 @@ def insert_changeset(
 
 
 def renew_statistics(conn: Connection, versions: int) -> None:
-    """Let the planner know the size of the map where new versions are a tenth of it; autovacuum comes only after a minute."""
+    """Update the planner's statistics if a tenth of the map's versions are new; autovacuum runs only after a minute."""
     if versions and db.query(conn, "commit.has_outgrown", versions=versions)[0]["outgrown"]:
         db.execute(conn, "analyze (skip_locked) conetl.feature, conetl.feature_version, conetl.delta")
 
 
 def committed_changeset(conn: Connection, changeset: Changeset, *, map_name: str) -> CommittedChangeset:
-    """The changeset as the database holds it."""
+    """The changeset as stored in the database."""
     written = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
     if written is None:
         raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
@@ -218,7 +218,7 @@ def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
 
 
 def path_wkt(drive: Drive) -> str:
-    """The drive's path as a line, without points nearer than `_PATH_STEP_M` to the one before."""
+    """The drive's path as a line, without points nearer than `_PATH_STEP_M` to the previous one."""
     points = [drive.frame_pairs[0].pose.map_t_body_m]
     for pair in drive.frame_pairs:
         at = pair.pose.map_t_body_m

@@ -1,4 +1,4 @@
-"""Decisions of people about a map, append-only: one is withdrawn by another one; and drives on hold until a person decides."""
+"""Decisions of people about a map (append-only; one is withdrawn by another one), and drives on hold until a person decides."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from conetl.model.map_records import Classification, Decisions, Location
 
 
 def list_decisions(conn: Connection, *, map_name: str = "default") -> list[StoredDecision]:
-    """The decisions that were not withdrawn, and the drives on hold, oldest first."""
+    """The decisions in force and the drives on hold, oldest first."""
     what = f"The decisions about map {map_name} cannot be read"
     rows = read(conn, what, "decisions.active_decisions", map_name=map_name)
     return [StoredDecision(**{name: row[name] for name in row if name != "drive_id"}) for row in rows]
 
 
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
-    """The decisions in the form for the comparison of drives."""
+    """The decisions as the comparison of drives takes them."""
     found = list_decisions(conn, map_name=map_name)
     placed = [(decision.kind, decision.place) for decision in found if decision.place is not None]
     return Decisions(
@@ -33,7 +33,7 @@ def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
 
 
 def find_decisions(conn: Connection, beginning: str, *, map_name: str = "default") -> list[DecisionTarget]:
-    """Changesets and decisions whose id begins with a text, or the changeset of that number; at most two."""
+    """Changesets and decisions whose id begins with `beginning`, or the changeset with that number; at most two."""
     wanted = {"map_name": map_name, "beginning": clean_text(beginning).lower()}
     rows = read(conn, f"The map {map_name} cannot be read", "decisions.find_decisions", **wanted)
     return [DecisionTarget(**row) for row in rows]
@@ -84,8 +84,11 @@ def insert_decision(
 def write_holds(
     conn: Connection, checks: Mapping[UUID, Sequence[HealthCheck]], committed_at: datetime, *, by_map: bool
 ) -> None:
-    """Begin and end holds of drives. checks: by changeset, those that hold it (none: it counts); by_map: as the comparison with
-    the map decided, and not the recording alone. Does not commit."""
+    """Begin and end holds of drives; does not commit.
+
+    checks: by changeset, the checks that hold it (none: it counts); by_map: whether the comparison with the map made them, and
+    not the recording alone.
+    """
     if checks:
         reasons = [hold_reason(found) for found in checks.values()]
         parameters = {
@@ -103,7 +106,7 @@ def _unread(map_name: str) -> str:
 
 
 def held_drives(conn: Connection, *, map_name: str) -> list[HeldDrive]:
-    """The drives of a map that are on hold, the one that waits longest first."""
+    """The drives of a map that are on hold, the longest-waiting first."""
     rows = read(conn, _unread(map_name), "holds.held_drives", map_name=map_name)
     return [HeldDrive(**row) for row in rows]
 
@@ -116,9 +119,10 @@ def hold_changes(
     by: UUID | None = None,
     among: Collection[UUID] = (),
 ) -> tuple[HoldChange, ...]:
-    """Which drives went on hold since `before` was read, and which are on hold no longer.
+    """Which drives went on hold, or were released, since `before` was read.
 
-    by: the changeset of a drive that did it, and not others that were merged beside it; among: changesets that it affects.
+    by: the changeset of the drive that caused it, to leave out others that were merged meanwhile; among: changesets that it
+    affects.
     """
     held = {drive.changeset_id: drive for drive in held_drives(conn, map_name=map_name)}
     was = {drive.changeset_id: drive for drive in before}
@@ -145,18 +149,18 @@ def hold_changes(
 def hold_events(
     conn: Connection, *, map_name: str, since: datetime | None = None, until: datetime | None = None
 ) -> list[HoldEvent]:
-    """What happened in [since, until) to drives that are or were on hold, in order."""
+    """Events in [since, until) of drives that are or were on hold, in order."""
     rows = read(conn, _unread(map_name), "holds.hold_events", map_name=map_name, since=since, until=until)
     return [HoldEvent(**row) for row in rows]
 
 
 def replaced_by_delivery(conn: Connection, changeset_id: UUID) -> int | None:
-    """Number of the later delivery of the recording that takes a changeset's place; None where none does."""
+    """Number of the later delivery of the recording that replaced a changeset; None if there is none."""
     rows = read(conn, "The deliveries of the drive cannot be read", "holds.replaced_by", changeset_id=changeset_id)
     return rows[0]["changeset_no"] if rows else None
 
 
 def map_checks(conn: Connection, changeset_id: UUID) -> tuple[HealthCheck, ...]:
-    """The checks by which the map holds a drive, also one that is reverted or replaced; none where it agrees."""
+    """The checks by which the map holds a drive, even if it is reverted or replaced; empty if it agrees."""
     rows = read(conn, "The drives on hold cannot be read", "holds.map_checks", changeset_id=changeset_id)
     return tuple(HealthCheck(**check) for row in rows for check in row["checks"])

@@ -34,7 +34,7 @@ Square = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class StoredDrive:
-    """The small part of a drive: its header, its path, its tracks and lane markings."""
+    """The small part of a drive: header, path, tracks and lane markings."""
 
     id_name: str
     content_sha256: str
@@ -58,7 +58,7 @@ class StoredDrive:
 
 @dataclass(frozen=True)
 class StoredView:
-    """The large part of a drive: what was visible, and what was seen."""
+    """The large part of a drive: what was in view, and what was detected."""
 
     frame_pairs: list[FramePair]
     detections: list[Detection]
@@ -95,7 +95,7 @@ def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
 
 
 class ConcurrentDrive(NamedTuple):
-    """A drive that may be another delivery of a recording."""
+    """A stored drive that may be another delivery of a recording."""
 
     drive_uuid: UUID
     drive_id: str
@@ -108,10 +108,10 @@ class ConcurrentDrive(NamedTuple):
 def drives_at_the_same_time(
     conn: Connection, drive: Drive, path_wkt: str, same_ns: int, *, map_name: str
 ) -> list[ConcurrentDrive]:
-    """The drives that count, of other content, whose areas and times meet those of a drive that is not stored yet; of its own
-    length and id, or past the same positions at the same intervals, at any time.
+    """Active drives with other content that may be another delivery of a drive which is not stored yet.
 
-    path_wkt: its path (line, map CRS); same_ns: intervals differ by no more.
+    They were near its path at the same time; or have its id and length, or passed the same positions at the same intervals, at
+    any time. path_wkt: its path (line, map CRS); same_ns: tolerance of the intervals.
     """
     captured_from_ns, captured_to_ns = drive.captured_ns
     eastings_m, northings_m, _ = zip(*(pair.pose.map_t_body_m for pair in drive.frame_pairs), strict=True)
@@ -128,7 +128,7 @@ def drives_at_the_same_time(
 def drives_with_boxes(
     conn: Connection, drive: Drive, boxes: Sequence[tuple[float, ...]], *, map_name: str, **limits: float
 ) -> list[ConcurrentDrive]:
-    """The drives that count, of other content, whose left images have boxes of a drive, in time as in space.
+    """Active drives with other content whose left images have the boxes of a drive, at the same positions and intervals.
 
     boxes: time stamp (ns), easting, northing (m) of the image, left, top, width, height (px), at least one; limits: of the query.
     """
@@ -141,7 +141,7 @@ def drives_with_boxes(
 
 
 class AdjoiningDrive(NamedTuple):
-    """A drive that counts, or that the map holds, recorded right before or after another one."""
+    """A drive that counts, or that the map holds, recorded immediately before or after another one."""
 
     drive_uuid: UUID
     drive_id: str
@@ -154,7 +154,8 @@ class AdjoiningDrive(NamedTuple):
 def adjoining_drives(
     conn: Connection, drive_uuids: Collection[UUID], within_ns: int
 ) -> list[tuple[UUID, AdjoiningDrive]]:
-    """Drives that ended at most within_ns before, or began after, some drives; and these themselves, unless they are not active.
+    """Drives that ended at most within_ns before, or began at most within_ns after, one of drive_uuids; and these themselves if
+    active.
 
     Each comes with the one of drive_uuids that it adjoins; in the order of the fold.
     """
@@ -166,14 +167,14 @@ def adjoining_drives(
 def trusted_drives(
     conn: Connection, drive_uuids: Collection[UUID], least_confirmed: int, before_ns: int
 ) -> frozenset[UUID]:
-    """Those of some drives that a person accepted, or that the map confirms (`mapping.agreement.is_confirmed`, as stored)."""
+    """Those of drive_uuids that a person accepted, or that the map confirms (`mapping.agreement.is_confirmed`, as stored)."""
     of = {"drive_uuids": list(drive_uuids), "least_confirmed": least_confirmed, "before_ns": before_ns}
     rows = read(conn, _UNREAD, "drives.trusted_drives", **of)
     return frozenset(row["drive_uuid"] for row in rows)
 
 
 def read_ends(conn: Connection, drive_uuids: Collection[UUID], count: int) -> dict[UUID, list[FramePair]]:
-    """The first and the last `count` frame pairs of some drives, in the order of their time."""
+    """The first and the last `count` frame pairs of some drives, by time."""
     found: dict[UUID, list[FramePair]] = {}
     for row in stream(conn, _UNREAD, "drives.frame_pairs_at_ends", drive_uuids=list(drive_uuids), count=count):
         found.setdefault(row["drive_uuid"], []).append(_frame_pair(row))

@@ -1,4 +1,5 @@
-"""Imported maps in the database: an event of the fold like a drive, with statements where a drive has tracks."""
+"""Imported maps in the database: an event of the fold like a drive, with the imported features as statements in place of
+tracks."""
 
 from __future__ import annotations
 
@@ -40,7 +41,7 @@ class KnownId(NamedTuple):
 
 
 def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, KnownId]:
-    """Those of the ids that features of this database have, in any map."""
+    """The features of this database, in any map, that have one of the ids."""
     rows = db.read(conn, "The features of the database cannot be read", "map.known_ids", feature_ids=list(feature_ids))
     return {
         row["feature_id"]: KnownId(
@@ -51,7 +52,7 @@ def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, Known
 
 
 def far_from_all(conn: Connection, info: MapInfo, places_m: Floats, far_m: float) -> Bools:
-    """Which positions (N, 2 or 3) are farther than this from every drive and imported map that counts; none if nothing does."""
+    """Which positions (N, 2 or 3) are farther than this from every drive and imported map; none if the map is empty."""
     cells, of = np.unique(np.floor(places_m[:, :2] / (far_m / 10)), axis=0, return_inverse=True)
     east, north = ((cells + 0.5) * (far_m / 10)).T.tolist()
     what, where = f"The map {info.map_name} cannot be read", {"eastings_m": east, "northings_m": north, "far_m": far_m}
@@ -60,7 +61,7 @@ def far_from_all(conn: Connection, info: MapInfo, places_m: Floats, far_m: float
 
 
 class StatedVersion(NamedTuple):
-    """One version of a feature, as far as an export states it."""
+    """One version of a feature with the values that an export contains."""
 
     version: int
     xyz_m: tuple[float, float, float]
@@ -71,7 +72,7 @@ class StatedVersion(NamedTuple):
 
 
 def versions_of_ids(conn: Connection, info: MapInfo, feature_ids: Sequence[UUID]) -> dict[UUID, list[StatedVersion]]:
-    """All versions of those of the ids that are features of the map."""
+    """All versions of those features of the map that have one of the ids."""
     found: dict[UUID, list[StatedVersion]] = {}
     what, wanted = f"The map {info.map_name} cannot be read", {"map_id": info.map_id, "feature_ids": list(feature_ids)}
     for feature_id, version, east, north, height, *values in db.stream_values(
@@ -121,7 +122,7 @@ def commit_import(
 
 
 def read_statements(conn: Connection, drive_uuid: UUID) -> list[ImportedFeature]:
-    """What an imported map states, in the order of its file."""
+    """The features that an imported map states, in the order of its file."""
     rows = db.stream(conn, f"Drive {drive_uuid} cannot be read", "drives.statements", drive_uuid=drive_uuid)
     return [
         ImportedFeature.model_construct(feature=feature_of(row), valid_from_ns=row["valid_from_ns"]) for row in rows

@@ -45,25 +45,25 @@ def map_transaction(
 def drive_transaction(
     conn: Connection, map_name: str = "default", *, lock_timeout_s: float = db.LOCK_TIMEOUT_S
 ) -> Iterator[None]:
-    """As `map_transaction`, but without a lock: for one drive, which takes its own locks (`lock_neighbourhood`)."""
+    """As `map_transaction`, but without the lock: a drive takes its own locks (`lock_neighbourhood`)."""
     with db.transaction(conn, f"The map {map_name} could not be changed, and is as it was before"):
         db.query(conn, "commit.set_lock_timeout", timeout=f"{lock_timeout_s * 1000:.0f}ms")
         yield
 
 
 def map_lock(conn: Connection, map_name: str = "default", *, shared: bool = False) -> None:
-    """Take the map's lock until the end of the open transaction. shared: together with others who share it."""
+    """Take the map's lock until the end of the open transaction. shared: as a shared lock."""
     db.query(conn, "commit.share_map" if shared else "commit.lock_map", map_name=map_name)
 
 
 def find_map(conn: Connection, map_name: str = "default") -> MapInfo | None:
-    """The map, None before anything was committed to it."""
+    """The map; None before the first commit to it."""
     rows = db.read(conn, f"The map {map_name} cannot be read", "map.find_map", map_name=map_name)
     return MapInfo(**rows[0]) if rows else None
 
 
 def require_map(conn: Connection, map_name: str) -> MapInfo:
-    """The map. Raises InputError if it does not exist, which names the maps whose names are nearest."""
+    """The map. Raises InputError if it does not exist, with the most similar names."""
     info = find_map(conn, map_name)
     if info is not None:
         return info
@@ -138,7 +138,7 @@ def feature_log(conn: Connection, feature_id: UUID) -> list[dict[str, Any]]:
 
 
 def find_features(conn: Connection, beginning: str, *, map_name: str = "default", max_rows: int = 2) -> list[UUID]:
-    """Ids that begin with `beginning`, of standing and removed features; two show that it is ambiguous."""
+    """Ids that begin with `beginning`, of standing and removed features; two results mean that it is ambiguous."""
     wanted = {"beginning": clean_text(beginning).lower(), "max_rows": max_rows}
     rows = db.read(conn, f"The map {map_name} cannot be read", "map.find_features", map_name=map_name, **wanted)
     return [row["feature_id"] for row in rows]
@@ -153,7 +153,7 @@ def map_summary(conn: Connection, map_name: str = "default") -> dict[str, Any] |
 def map_for(conn: Connection, map_name: str, srid: int, what: str) -> MapInfo:
     """The map, created if it is missing; does not commit. Raises MapMismatchError if it is not in EPSG:srid, as `what` is.
 
-    One that only drives on hold have begun, perhaps with swapped coordinates, does not fix its CRS: it gets another name.
+    If all its drives are on hold, perhaps with swapped coordinates, its CRS is not fixed: that map is renamed to set it aside.
     """
     info = find_map(conn, map_name)
     if info is not None and info.srid != srid and not info.counts:
@@ -180,10 +180,8 @@ def insert_map(conn: Connection, map_name: str, srid: int, *, vertical_srid: int
 
 
 def system_time(conn: Connection, info: MapInfo) -> datetime:
-    """The instant of a new changeset or decision: that of the server's clock, but later than the map's last one.
-
-    Under the map's lock, or in turn (`take_turn`).
-    """
+    """The instant of a new changeset or decision: the server's clock, but later than the map's last one. Call it under the map's
+    lock, or after `take_turn`."""
     instant: datetime = db.query(conn, "commit.system_time", map_id=info.map_id)[0]["committed_at"]
     return instant
 

@@ -1,13 +1,13 @@
 """Which drives must be compared with the map again, the current state of their neighbourhood, its locks, and its new state.
 
-Rows are only changed by closing their system period; versions and deltas with the same result stay as they are.
+Rows are changed only by closing their system period; versions and deltas whose result is unchanged stay as they are.
 
-Drives in different regions of a map are merged side by side. A drive shares the map's lock, which decisions, imports and
-everything else take for themselves, and has for itself the squares of the map that it, and the later drives that are compared
-again because of it, come near. Two drives with no square in common read and write different features: none is farther than the
-influence of a drive from its path. Locks are taken in one order, all before anything is written, so no two drives wait for each
-other. `take_turn` then lets one drive at a time number its changeset and commit, because numbers and instants of changesets rise
-in the order in which readers see them.
+Drives in different regions of a map are merged in parallel. A drive takes the map's lock as a shared one (decisions, imports and
+everything else take it exclusively), and exclusive locks on the squares of the map near its own area and those of the later
+drives that are compared again because of it. Two drives with no square in common read and write different features: none is
+farther than the influence of a drive from its path. Locks are taken in a fixed order, all before anything is written, so that
+drives cannot deadlock. `take_turn` then lets one drive at a time number its changeset and commit, because numbers and instants of
+changesets must rise in the order in which readers see them.
 """
 
 from __future__ import annotations
@@ -38,30 +38,30 @@ _UNREAD = "The neighbourhood of the drives cannot be read"
 
 
 def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, tuple[FeatureVersion, int]]:
-    """Open versions, with their row ids, of the features that stand around a drive's path, suppressed ones too, by feature id."""
+    """Open versions, with their row ids, of the features (suppressed ones included) around a drive's path, by feature id."""
     what = "The features around the drive cannot be read"
     rows = db.stream(conn, what, "replay.standing_around", drive_uuid=drive_uuid)
     return {row["feature_id"]: (version_of(row), row["version_row_id"]) for row in rows}
 
 
 def affected_drives(conn: Connection, drive_uuids: Sequence[UUID]) -> list[DriveRef]:
-    """The drives that must be compared again when these come, go or are judged differently, in the order of the fold.
+    """The drives to compare again if `drive_uuids` are added, removed or judged differently, in the order of the fold.
 
-    The active ones of `drive_uuids`, and all later ones whose areas they meet, directly or through others.
+    They are the active ones of `drive_uuids`, and all later ones whose areas they meet, directly or through others.
     """
     rows = db.query(conn, "replay.affected_drives", drive_uuids=list(drive_uuids))
     return [DriveRef(**row) for row in rows]
 
 
 def superseded_drives(conn: Connection, drive_uuid: UUID) -> list[UUID]:
-    """The other analysis or delivery of the same recording that is active, which this one replaces."""
+    """The active analysis or delivery of the same recording that this drive replaces."""
     return [row["drive_uuid"] for row in db.query(conn, "replay.superseded_drives", drive_uuid=drive_uuid)]
 
 
 def other_deliveries(
     conn: Connection, drive_id: str, captured_ns: tuple[int, int], content_sha256: str, *, map_name: str
 ) -> list[int]:
-    """Numbers of changesets that count of the same recording with other content, for example with corrected poses.
+    """Numbers of active changesets of the same recording with other content, for example with corrected poses.
 
     captured_ns: instants of its first and last frame pair.
     """
@@ -73,7 +73,7 @@ def other_deliveries(
 
 
 def drives_at(conn: Connection, map_name: str, place: Location) -> list[UUID]:
-    """The active drives that may judge features at a place (map CRS), anywhere within its radius."""
+    """The active drives that may judge features within the radius of a location (map CRS)."""
     easting_m, northing_m = place.xy_m
     around = {"easting_m": easting_m, "northing_m": northing_m, "radius_m": place.radius_m}
     return [row["drive_uuid"] for row in db.query(conn, "replay.drives_at", map_name=map_name, **around)]
@@ -82,8 +82,8 @@ def drives_at(conn: Connection, map_name: str, place: Location) -> list[UUID]:
 def read_versions(
     conn: Connection, drive_uuids: Sequence[UUID], *, without: Collection[UUID] = ()
 ) -> tuple[dict[FeatureVersion, int], list[tuple[DriveOrder, FeatureVersion]]]:
-    """All current versions of the features that ever stood around the drives: with their row ids, and, of drives that are not in
-    `without`, with the drives' keys."""
+    """All current versions of the features that ever stood around the drives: with their row ids and, if the drive is not in
+    `without`, with its key."""
     rows = db.stream(conn, _UNREAD, "replay.versions_around", drive_uuids=list(drive_uuids))
     stored: dict[FeatureVersion, int] = {}
     others: list[tuple[DriveOrder, FeatureVersion]] = []
@@ -96,7 +96,7 @@ def read_versions(
 
 
 def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, MissSummary]:
-    """Doubts of drives that missed them about the features that stand around a drive's path, by feature id."""
+    """State after all misses of the features around a drive's path, by feature id."""
     what = "The doubts about the features around the drive cannot be read"
     rows = db.stream(conn, what, "replay.doubts_around", drive_uuid=drive_uuid)
     return {row["feature_id"]: map_rows.record_of(MissSummary, row) for row in rows}
@@ -127,7 +127,7 @@ def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: 
 
 
 def load_stages(conn: Connection, info: MapInfo, replay: Replay) -> dict[str, Any]:
-    """Load what differs from the old state into temporary tables; parameters of the statements of `apply_stages`."""
+    """Load what differs from the old state into temporary tables; returns parameters for the statements of `apply_stages`."""
     wanted, known = set(replay.versions), replay.deltas_before
     values = {
         (changeset_id, *map_rows.change_values(delta)): (changeset_id, delta) for changeset_id, delta in replay.deltas
@@ -149,7 +149,8 @@ def load_stages(conn: Connection, info: MapInfo, replay: Replay) -> dict[str, An
 
 
 def apply_stages(conn: Connection, staged: dict[str, Any], replay: Replay, committed_at: datetime) -> int:
-    """Write what `load_stages` loaded; the number of versions written. MapMismatchError if the map is not as it was read."""
+    """Write what `load_stages` loaded; the number of versions written. MapMismatchError if the map has changed since it was
+    read."""
     parameters = staged | {"committed_at": committed_at}
     db.query(conn, "replay.insert_staged_features", **parameters)
     for rows in ("versions", "deltas"):
@@ -202,12 +203,12 @@ def lock_neighbourhood(
     adjoining_ns: int = 0,
     reaches_far: Callable[[Neighbourhood], bool] = lambda found: False,
 ) -> Neighbourhood | CommittedChangeset:
-    """Take the locks of a drive in an open transaction, which must not have written before, and add it to the map.
+    """Lock the neighbourhood of a drive and add the drive to the map, in an open transaction that has not written yet.
 
-    place: adds it (`place_drive`). path_wkt: its path (line, map CRS), of which it may change everything within influence_m;
-    None: it changes nothing, because its recording is on hold. adjoining_ns: no other drive of the rig that was recorded within
-    this time before or after it is merged meanwhile. reaches_far: whether drives of which nothing is known yet may have to be
-    compared again, too. The result is a changeset, and nothing was added, where the drive is already on the map.
+    place: adds the drive (`place_drive`). path_wkt: its path (line, map CRS), around which it may change everything within
+    influence_m; None: it changes nothing, because its recording is on hold. adjoining_ns: no other drive of the rig that was
+    recorded within this time before or after it is merged meanwhile. reaches_far: whether drives that are still unknown may have
+    to be compared again as well. If the drive is already on the map, the result is its changeset, and nothing is added.
     """
     recording = {f"{map_name}/drive/{drive.drive_id}", f"{map_name}/content/{drive.content_sha256}"}
     if path_wkt is not None and adjoining_ns:
@@ -241,7 +242,7 @@ def lock_neighbourhood(
                 if whole or not far:
                     db.execute(conn, "release savepoint neighbourhood")
                     return found._replace(reaches_far=far)
-            regions |= near  # another drive was there meanwhile, or a late one affects drives farther away
+            regions |= near  # another drive came first, or a late one affects drives farther away
         whole = far or len(regions) > MAX_REGIONS or info is None or not info.counts
         db.execute(conn, "rollback to savepoint neighbourhood")  # frees the locks, too
 
@@ -249,7 +250,7 @@ def lock_neighbourhood(
 def regions_of(
     conn: Connection, drive_uuids: Collection[UUID], *, path_wkt: str | None = None, influence_m: float = 0.0
 ) -> set[str]:
-    """The regions that the areas of some drives, and of a path of a drive that is not stored yet, come near."""
+    """The regions near the areas of some drives, and near the path of a drive that is not stored yet."""
     if not drive_uuids and path_wkt is None:
         return set()
     rows = db.query(

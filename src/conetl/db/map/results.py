@@ -120,7 +120,7 @@ StoredDeltas = Mapping[tuple[Any, ...], int]
 
 @dataclass(frozen=True)
 class Replay:
-    """What of a neighbourhood may change, before and after it does; deltas after it with their changesets."""
+    """What may change in a neighbourhood, before and after; the new deltas with their changesets."""
 
     versions_before: Mapping[FeatureVersion, int]
     """With their row ids."""
@@ -165,7 +165,7 @@ class StoredDecision(DecisionFacts):
 
     @property
     def place(self) -> Location | None:
-        """The place that it is about, of a `classify` with the classes; None of a revert."""
+        """The location that it applies to, with the classes of a `classify`; None for a revert."""
         if self.easting_m is None or self.northing_m is None or self.radius_m is None:
             return None
         place = Location(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m, of_line=self.of_line)
@@ -176,7 +176,7 @@ class StoredDecision(DecisionFacts):
 
 @dataclass(frozen=True)
 class DecisionTarget:
-    """A changeset, which can be reverted, or a decision, which can be withdrawn."""
+    """A changeset that can be reverted, or a decision that can be withdrawn."""
 
     id: UUID
     kind: str

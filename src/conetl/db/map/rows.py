@@ -1,4 +1,4 @@
-"""Records as columns for COPY, and as rows read back (unchecked), to the last bit."""
+"""Records as columns for COPY, and exact records from rows (unchecked)."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _CHANGE = (
 
 
 def record_of(record_type: type[R], row: Row, **computed: Any) -> R:
-    """A record whose fields are columns of the same name, or computed from others."""
+    """A record from the columns named like its fields, and from `computed` values."""
     return record_type(**{name: computed[name] if name in computed else row[name] for name in record_type.model_fields})
 
 
@@ -124,7 +124,7 @@ def marking_track_columns(drive_uuid: UUID, srid: int, tracks: Sequence[MarkingT
 
 
 def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
-    """Temporary table replayed_delta_stage: (changeset, delta) as they hold from now on."""
+    """Temporary table replayed_delta_stage: the new (changeset, delta) pairs."""
     deltas = [delta for _, delta in changes]
     return {
         "changeset_id": [changeset_id for changeset_id, _ in changes],
@@ -135,7 +135,7 @@ def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
 
 
 def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
-    """Temporary table version_stage: whole versions, as they hold from now on."""
+    """Temporary table version_stage: the new versions."""
     return {
         **feature_columns(srid, [v.feature for v in versions]),
         "feature_id": [v.feature.feature_id for v in versions],
@@ -149,7 +149,7 @@ def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
 
 
 def change_values(delta: Delta) -> tuple[Any, ...]:
-    """Values of the columns `_CHANGE` of a delta's row."""
+    """Values of a delta for the columns `_CHANGE`."""
     e, old = delta.evidence, None if delta.old is None else delta.old.version
     new = delta.state_after.version if old is None else old + 1 if delta.is_change else old
     evidence: tuple[float | None, ...] = (None,) * 4
@@ -177,12 +177,12 @@ def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Co
 
 
 def feature_columns(srid: int, features: Sequence[MapFeature]) -> Columns:
-    """What is stored of the state of features."""
+    """Columns of the state of features."""
     return {**cone_columns(srid, features), **marking_columns(srid, [feature.marking for feature in features])}
 
 
 def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:
-    """What tracks, feature versions and statements of imported maps have in common."""
+    """Columns that tracks, feature versions and statements of imported maps share."""
     names = "cone_height_sigma_m existence_probability observation_count first_seen_ns last_seen_ns"
     return {
         **_position_columns(srid, cones),
@@ -192,12 +192,12 @@ def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Co
 
 
 def _attributes(records: Sequence[Any], names: str) -> Columns:
-    """Columns that are named as the attributes, at least two. Each record is read once: half the time."""
+    """Columns named like attributes, at least two. Each record is read once: half the time."""
     return _to_columns(names.split(), map(attrgetter(*names.split()), records))
 
 
 def _to_columns(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Columns:
-    """Columns by name of rows that have a value for each."""
+    """Columns by name from rows that have a value for each."""
     return dict(zip(names, list(zip(*rows, strict=True)) or [()] * len(names), strict=True))
 
 
@@ -226,7 +226,7 @@ def jacobian_columns(jacobians: Sequence[SharedErrorJacobian | None]) -> Columns
 
 
 def read_jacobian(row: Row) -> SharedErrorJacobian | None:
-    """Of the column shared_jacobian: both arrays as `array_send` makes them, concatenated."""
+    """The column shared_jacobian: both arrays as `array_send` makes them, concatenated."""
     if (wire := row["shared_jacobian"]) is None:
         return None
     both, (count,) = bytes(wire), struct.unpack_from(">i", wire, _LENGTH_AT)
@@ -238,8 +238,8 @@ def read_jacobian(row: Row) -> SharedErrorJacobian | None:
 
 
 def marking_columns(srid: int, markings: Sequence[Marking | None]) -> Columns:
-    """Columns of the shape of lines; NULL in the rows of point objects."""
-    if not any(markings):  # millions of versions are not lines: none of them is read a second time
+    """Columns of the shape of lines; NULL for point objects."""
+    if not any(markings):  # avoids a second pass over millions of versions that are not lines
         return dict.fromkeys(("line", "line_cov", *_PAINT), [None] * len(markings))
     lines = [None if m is None else shapely.set_srid(shapely.LineString(m.vertices_m), srid) for m in markings]
     return {
@@ -250,7 +250,7 @@ def marking_columns(srid: int, markings: Sequence[Marking | None]) -> Columns:
 
 
 def marking_of(row: Row) -> Marking | None:
-    """Columns as in `map.features_as_of` from the line to gap_m; None of point objects."""
+    """Shape of a line from the columns of `map.features_as_of`, from the line to gap_m; None for point objects."""
     if row["line"] is None:
         return None
     vertices_m = np.frombuffer(row["line"], "<f8", offset=_WKB_HEAD).reshape(-1, 3).tolist()
@@ -259,5 +259,5 @@ def marking_of(row: Row) -> Marking | None:
 
 
 def covariances(rows: list[list[float]]) -> tuple[Cov3, ...]:
-    """Of the vertices of a line, float8[][6]."""
+    """Covariances of the vertices of a line, from float8[][6]."""
     return tuple((xx, xy, xz, yy, yz, zz) for xx, xy, xz, yy, yz, zz in rows)

@@ -33,7 +33,7 @@ _MOVING_M_S, _MOVING_SIGMAS = 0.5, 4.0
 _AHEAD_OF_AXLE_M = 1.5
 #: No vehicle turns more tightly than with this radius (m).
 _LEAST_RADIUS_M = 5.0
-#: What course and grade do not show of roll, pitch and yaw (rad, one sigma): crossfall, springs, axes of the rig and the vehicle.
+#: Roll, pitch and yaw beyond course and grade (rad, one sigma): crossfall, springs, axes of the rig and the vehicle.
 _UNSEEN_RAD = np.radians([2.5, 1.5, 1.5])
 #: Pitch of a vehicle that stands on a slope, and of an angle about which nothing is known (rad, one sigma).
 _SLOPE_RAD, _UNKNOWN_RAD = np.radians(3.0), np.pi / 3**0.5
@@ -127,7 +127,7 @@ def position_spline(
     for k in range(count - 2, -1, -1):
         means[k] += (gain[k] @ (means[k + 1] - ahead[k + 1])[..., None])[..., 0]
         covs[k] += gain[k] @ (covs[k + 1] - ahead_cov[k + 1]) @ np.swapaxes(gain[k], -1, -2)
-    # The first records of a part only begin the estimate.
+    # The first records of a part only initialise the estimate.
     begun = ~(begins | np.r_[True, begins[:-1]])
     factor = np.maximum(np.median(unlikely[begun], axis=0) / _MEDIAN_CHI2, 1.0) if begun.any() else np.ones(3)
     factor[:2] = factor[:2].max()

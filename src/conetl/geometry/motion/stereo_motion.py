@@ -31,7 +31,7 @@ _CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
 _NEAREST_M = 0.3
 #: Points whose depth has a relative sigma above this are left out.
 _VAGUE_SHARE = 0.25
-#: A guess that this share of the usable points follow needs no search.
+#: No search is needed if this share of the usable points agrees with the guess.
 _MAJORITY = 0.5
 #: Largest step, squared and in sigmas, that ends the iteration.
 _CONVERGED = 1e-2
@@ -213,7 +213,7 @@ def estimate_motion(
 def _hypotheses(cameras: StereoCameras, points: Floats, second_px: Floats, expected: Floats, seed: int) -> Floats:
     """(H, 4, 4) three-point motions."""
     rng = np.random.default_rng(seed)
-    # One point twice wastes that hypothesis only.
+    # A point drawn twice only wastes that hypothesis.
     draws = rng.integers(0, len(points), (_HYPOTHESES, _MINIMAL_POINTS))
     poses = np.broadcast_to(expected, (_HYPOTHESES, 4, 4)).copy()
     for _ in range(4):

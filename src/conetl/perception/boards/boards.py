@@ -76,7 +76,7 @@ class Found:
 
 @dataclass(frozen=True)
 class NotFound:
-    """Why an image gives no corners."""
+    """Why no corners were found in an image."""
 
     reason: RejectionReason
     detail: str
@@ -138,9 +138,9 @@ def find_board(image: Grey, board: Board) -> Found | NotFound:
 
 
 def matched_orientation(left: Found, right: Found, board: Board) -> Found:
-    """The right corners in the order that fits the left ones: a symmetric chessboard looks the same upside down.
+    """The right corners in the order of the left ones: a symmetric chessboard looks the same upside down.
 
-    Only for whole chessboards; other boards come back as they are.
+    Only for whole chessboards; other boards are returned unchanged.
     """
     if board.kind != "chessboard":
         return right
@@ -210,12 +210,12 @@ def _sectors(image: Grey, size: tuple[int, int], flags: int, scale: int) -> Floa
 
 
 def _nearest_order(corners: Floats, like: Floats) -> Floats:
-    """Corners in the order, forwards or backwards, that is nearer to `like`."""
+    """The corners, forwards or backwards, whichever is nearer to `like`."""
     return min((corners, corners[::-1]), key=lambda c: float(((c - like) ** 2).sum()))
 
 
 def _right_handed(corners: Floats, size: tuple[int, int]) -> Floats:
-    """Corners with columns to the right of rows going down, as a board seen from its front has them."""
+    """Corners with columns to the right of descending rows: a board seen from its front."""
     grid = corners.reshape(size[1], size[0], 2)
     along, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     if along[0] * down[1] - along[1] * down[0] < 0:

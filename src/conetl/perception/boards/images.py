@@ -1,4 +1,4 @@
-"""Images of a calibration board: which ones in a folder belong together, and the corners in each."""
+"""Images of a calibration board: pairing the files of a folder, and the corners in each image."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Pairs of video frames that are worth a search for a calibration board: still, and each unlike the others.
+"""Pairs of video frames for calibration with a board: sharp, and each different from the others.
 
-A board that is moved blurs, and two cameras that were not triggered together see it at two places: frames are taken where both
-images stand still. Nothing is written to disk; a frame is read again when its corners are measured.
+A moving board blurs, and two cameras without a common trigger see it at two positions: frames are taken while both images are
+still. Nothing is written to disk; a frame is read again when its corners are measured.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Videos(NamedTuple):
 
 
 class VideoPairs(NamedTuple):
-    """Pairs of frames in the order of recording, and what to add to the times of the right file to have those of the left."""
+    """Pairs of frames in the order of recording, and the offset that converts times of the right file to those of the left."""
 
     pairs: list[ImagePair]
     offset_s: float
@@ -81,10 +81,10 @@ def open_videos(paths: Sequence[Path], layout: Layout | None) -> Videos:
 def pairs_in_videos(
     videos: Videos, offset_s: float | None = None, *, on_frame: Callable[[int, int], None] = lambda done, total: None
 ) -> VideoPairs:
-    """Up to `MAX_PAIRS` pairs of frames; offset_s as in `VideoPairs`, None: found from when both images move.
+    """Up to `MAX_PAIRS` pairs of frames.
 
-    on_frame: called with frames done and in total. Raises InputError where the images never stand still or the offset
-    cannot be found, ImageFileError where a video cannot be decoded.
+    offset_s: as in `VideoPairs`; None: estimated from the motion in both videos. on_frame: called with frames done and in total.
+    Raises InputError if the images never stand still or the offset cannot be found, ImageFileError if a video cannot be decoded.
     """
     files = [videos.left] if videos.layout else [videos.left, videos.right]
     in_step = [_sample_frames(video) for video in files]
@@ -142,7 +142,7 @@ def _small_images(video: VideoIndex, numbers: Sequence[int], count: Callable[[in
 
 
 def _motion(small: Image) -> Floats:
-    """(N,) how much each image differs from the one before it and the one after it, the larger; infinite at both ends."""
+    """(N,) difference of each image from the one before and the one after it, the larger; infinite at both ends."""
     steps = np.array([_difference(a, b) for a, b in pairwise(small)])
     motion = np.full(len(small), np.inf)
     motion[1:-1] = np.maximum(steps[:-1], steps[1:])
@@ -159,7 +159,7 @@ def _at(motion: Floats, positions: Floats) -> Floats:
 
 
 def _offset_s(videos: Videos, left: Floats, right: Floats) -> float:
-    """The shift at which both videos move and rest together. Raises InputError."""
+    """The shift at which both videos move and stand still together. Raises InputError."""
     ours, theirs = (np.log(np.maximum(motion[1:-1], _STILL)) for motion in (left, right))
     most = round(SEARCH_S / _STEP_S)
     found = np.zeros(2 * most + 1)
@@ -179,7 +179,8 @@ def _offset_s(videos: Videos, left: Floats, right: Floats) -> float:
 
 
 def _still_and_distinct(small: Image, motion: Floats) -> list[int]:
-    """Numbers of the still images, one of each window, the stillest first as long as they differ; in order."""
+    """Numbers of still images in order: the stillest of each window, stillest first, as long as each differs from those chosen
+    before."""
     finite = motion[np.isfinite(motion)]
     quietest = float(np.percentile(finite, 10)) if finite.size else 0.0
     quiet = float(np.clip(2.0 * quietest, _STILL, 3.0 * _STILL))  # the images of some cameras are noisier

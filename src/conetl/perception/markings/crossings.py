@@ -280,9 +280,9 @@ def _road_height_beside(road: RoadPlane, grid: _RoadGrid, row: Ints, edge_px: Fl
 
 
 def _log_colour_ratios(colours: Image, bands: _Bands, chosen: Ints) -> tuple[Floats, Floats]:
-    """(N,) logarithms of how much brighter than the road the paint is in blue, and in red, each against green.
+    """(N,) logarithms of how much brighter than the road the paint is, in blue and in red, each relative to green.
 
-    Ratios of paint to road do not depend on the white balance; of white paint they are equal in all colours.
+    Ratios of paint to road do not depend on the white balance; for white paint they are equal in all colours.
     """
     paint, before, behind = _inside_and_beside(colours, bands.row[chosen], bands.rise[chosen], bands.fall[chosen])
     blue, green, red = np.log(np.maximum(paint, 1) / np.maximum((before + behind) / 2, 1)).T

@@ -62,5 +62,5 @@ class MarkingPoints(Record):
         return PointColumns(*np.frombuffer(self.points, "<f8").reshape(-1, len(PointColumns._fields)).T)
 
     def searched(self) -> Floats:
-        """(R, 2), as `rows`."""
+        """As `rows`, (R, 2)."""
         return np.frombuffer(self.rows, "<f8").reshape(-1, 2)

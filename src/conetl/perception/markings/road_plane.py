@@ -1,8 +1,8 @@
 """The road in front of a stereo rig as a plane, from dense disparities of one frame pair.
 
-A plane of the left camera's frame is a plane of (u, v, disparity) too: f B / Z is linear in u and v. Which plane is the road is
-known but for its height below the camera: its normal is about that of the level body, and most of what lies low and near is
-road ("v-disparity", Labayrade, Aubert & Tarel 2002).
+A plane of the left camera's frame is a plane of (u, v, disparity) too: f B / Z is linear in u and v. Only its height below the
+camera is searched for: its normal is about that of the level body, and most of what lies low and near is road ("v-disparity",
+Labayrade, Aubert & Tarel 2002).
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Decisions of people about the map: there is no cone here, this cone stays or is a drum, that drive does not count.
 
-A decision is a row and takes part in every comparison of drives from then on. Its consequences are computed in the same
-transaction.
+A decision is a row and takes part in every later comparison of drives. Its consequences are computed in the same transaction.
 """
 
 from __future__ import annotations
@@ -28,14 +27,14 @@ from conetl.pipeline.replay import replay_of
 
 SUPPRESS, PIN, CLASSIFY = "suppress", "pin", "classify"
 REVERT, ACCEPT, WITHDRAW = "revert", "accept", "withdraw"
-#: What `list_decisions` calls a hold, which the checks made.
+#: Name of a hold (by the checks) in `list_decisions`.
 HOLD = "hold"
-#: A larger area is no statement about one cone.
+#: A larger circle would not concern a single cone.
 MAX_RADIUS_M = 20.0
 
 
 class RevertConflict(NamedTuple):
-    """A feature that a reverted changeset changed, and other changesets after it."""
+    """A feature that was changed by a reverted changeset, and by other changesets after it."""
 
     feature_id: UUID
     kind: str
@@ -89,10 +88,10 @@ def decide_place(
     expected_version: int | None = None,
     lock_timeout_s: float = LOCK_TIMEOUT_S,
 ) -> DecisionOutcome:
-    """Suppress or pin the position of a feature, or say of which `category` it is.
+    """Suppress or pin the position of a feature, or correct its `category`.
 
-    feature: its id, or the beginning of it. Raises InputError, and ConflictError where the same was decided already, or the
-    feature's version is not `expected_version`, on which the person decided.
+    feature: its id, or the beginning of it. Raises InputError, and ConflictError if the same was already decided, or the
+    feature's version is not `expected_version`, which the person saw.
     """
     if not 0 < radius_m <= MAX_RADIUS_M:
         raise InputError(f"radius {radius_m:g} m: expected more than 0 and at most {MAX_RADIUS_M:g} m")
@@ -129,9 +128,11 @@ def revert(
     decided_by: str | None = None,
     lock_timeout_s: float = LOCK_TIMEOUT_S,
 ) -> DecisionOutcome:
-    """Revert a changeset (its drive does not count any more) or a decision. what: its id, the beginning of it, or the changeset's
-    number. Nothing is lost: reverting the decision brings everything back. Raises InputError, ConflictError where that was done
-    already."""
+    """Revert a changeset (its drive no longer counts) or a decision. what: its id, the beginning of it, or the changeset's
+    number.
+
+    Nothing is lost: reverting the revert restores everything. Raises InputError, ConflictError if it was already reverted.
+    """
     with _open_decision(conn, map_name, note, decided_by, lock_timeout_s) as at:
         target, known = _find_target(conn, map_name, what), store.list_decisions(conn, map_name=map_name)
         if target.kind == "changeset":
@@ -164,8 +165,11 @@ def accept_drive(
     decided_by: str | None = None,
     lock_timeout_s: float = LOCK_TIMEOUT_S,
 ) -> DecisionOutcome:
-    """Let a drive on hold count as it is. drive: its id, or its changeset's number or id. Reverting the decision puts it on hold
-    again. Raises ConflictError where no such drive is on hold, or another delivery of it counts."""
+    """Accept a drive on hold, so that it counts. drive: its id, or its changeset's number or id.
+
+    Reverting the decision puts it on hold again. Raises ConflictError if no such drive is on hold, or another delivery of it
+    counts.
+    """
     with _open_decision(conn, map_name, note, decided_by, lock_timeout_s) as at:
         found = [
             known
@@ -208,7 +212,7 @@ def _classification(state: MapFeature, category: str | None, place: Location) ->
 def _open_decision(
     conn: Connection, map_name: str, note: str, decided_by: str | None, lock_timeout_s: float
 ) -> Iterator[_OpenDecision]:
-    """The map under its lock, the instant of the decision, `insert_decision` for it, and the drives on hold."""
+    """Lock the map for a decision: its instant, `insert_decision` for it, and the drives on hold before."""
     with map_transaction(conn, map_name, lock_timeout_s=lock_timeout_s):
         info = require_map(conn, map_name)
         decided_at = system_time(conn, info)
@@ -240,7 +244,7 @@ def _outcome(
     conflicts: tuple[RevertConflict, ...] = (),
     changeset_id: UUID | None = None,
 ) -> DecisionOutcome:
-    """What a decision did, read before it is committed. changeset_id: of the drive that it is about."""
+    """The consequences of a decision, read before it is committed. changeset_id: of the drive that it is about."""
     changes = hold_changes(conn, at.held_before, map_name=at.info.map_name)
     replaced_by = None if changeset_id is None else store.replaced_by_delivery(conn, changeset_id)
     return DecisionOutcome(
@@ -249,7 +253,7 @@ def _outcome(
 
 
 def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, decided_at: datetime) -> tuple[int, int]:
-    """Compute the consequences of a decision about a position; versions written, drives compared again."""
+    """Compute the consequences of a decision about a position: versions written, drives compared again."""
     around = replays.drives_at(conn, info.map_name, place)
     # Suppression hides detections and changes nothing that drives are compared with; a pin and a class do.
     again = replays.affected_drives(conn, around) if kind in (PIN, CLASSIFY) else []
@@ -262,7 +266,7 @@ def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, de
 def _judge_drive(
     conn: Connection, at: _OpenDecision, drive_uuid: UUID, decide: Callable[[], UUID], changeset_id: UUID | None
 ) -> tuple[UUID, int, int, tuple[RevertConflict, ...]]:
-    """Write by `decide` that a drive starts or ceases to count, and compute what changes by it."""
+    """Write by `decide` that a drive starts or ceases to count, and compute the consequences."""
     counted_before = replays.superseded_drives(conn, drive_uuid)
     decision_id = decide()
     seeds = list(dict.fromkeys([drive_uuid, *counted_before, *replays.superseded_drives(conn, drive_uuid)]))
@@ -274,7 +278,7 @@ def _judge_drive(
 
 
 def _conflicts(replay: Replay, changeset_id: UUID | None) -> tuple[RevertConflict, ...]:
-    """The features that this changeset and others changed, by feature id."""
+    """The features that both this changeset and others changed, by feature id."""
     own: dict[UUID, tuple[str, int | None, int]] = {}
     others = set()
     for changed_by, feature_id, kind, old, new in (values[:5] for values in replay.deltas_before):

@@ -1,4 +1,4 @@
-"""One file -> one base layer: read, transform, check, write. Nothing is written before the complete file was read."""
+"""Import one file as one base layer: read, transform, check, write. Nothing is written before the complete file was read."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A map that was made elsewhere, merged into this one: an event of its history, like a drive."""
+"""Import a map that was made elsewhere: it becomes an event in the history of this one, like a drive."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ class ImportResult(NamedTuple):
 def import_map(
     conn: Connection, imported: ImportedMap, params: ImportParams, *, map_name: str, accept: bool = False
 ) -> ImportResult:
-    """Compare an imported map with this one as the drives recorded before it left it, and commit what follows, or nothing.
+    """Compare an imported map with this one, as the drives recorded before it left it, and commit all changes, or none.
 
-    The same file with other parameters takes the place of its first import. accept: although its positions or heights are not
+    The same file with other parameters replaces its first import. accept: import it even if its positions or heights contradict
     those of the map. Raises InputError for ids that are taken, and for such positions and heights.
     """
     started_at = datetime.now(UTC)
@@ -129,7 +129,7 @@ def import_map(
 
 
 def _own_rows(conn: Connection, info: MapInfo, statements: Sequence[ImportedFeature]) -> set[int]:
-    """Indices of the rows that this map exported: what one of its versions says, by its number or with the same evidence."""
+    """Indices of the rows that this map exported: equal to one of its versions, by its number or with the same evidence."""
     known = store.versions_of_ids(conn, info, [s.stated_id for s in statements if s.stated_id is not None])
 
     def is_own(statement: ImportedFeature, version: store.StatedVersion) -> bool:
@@ -154,7 +154,7 @@ def _own_rows(conn: Connection, info: MapInfo, statements: Sequence[ImportedFeat
 
 
 def _standing_at(conn: Connection, map_name: str, statements: Sequence[ImportedFeature]) -> int:
-    """How many of the positions are those of standing cones, to a millimetre."""
+    """Number of positions that equal those of standing cones, to a millimetre."""
     standing_m = np.array([feature.xyz_m for feature in read_current_features(conn, map_name=map_name)]).reshape(-1, 3)
     if not len(standing_m):
         return 0
@@ -163,7 +163,7 @@ def _standing_at(conn: Connection, map_name: str, statements: Sequence[ImportedF
 
 
 def _keys(imported: ImportedMap, params: ImportParams) -> tuple[str, str]:
-    """The import's own key, and the one it has where the same file with other positions (of another `--crs`) has that."""
+    """The import's own key, and the key of an import of the same file with other positions (of another `--crs`)."""
     stated = str(imported.stated_at_ns)
     key = result_key("import", imported.content_sha256, params_sha256(params), str(imported.srid), stated)
     places_mm = np.rint(_places_m(imported.statements) * 1000).astype(np.int64)
@@ -182,8 +182,11 @@ def _places_m(statements: Sequence[ImportedFeature]) -> Floats:
 
 
 def _with_ids_of_map(imported: ImportedMap, id_name: str) -> ImportedMap:
-    """An import with the ids that the map founds for it. The map's name is in them: ids are unique in a database, and one
-    file may be imported into several of its maps."""
+    """The import with new ids from this map.
+
+    They are derived from the map's name as well: ids are unique in a database, and one file may be imported into several of its
+    maps.
+    """
     if not imported.founds_ids:
         return imported
     key = founding_key(id_name, imported.content_sha256)
@@ -195,7 +198,8 @@ def _with_ids_of_map(imported: ImportedMap, id_name: str) -> ImportedMap:
 
 
 def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
-    """An id names one feature in the whole database; on this map it may come again where that feature is."""
+    """Refuse ids of other features: an id names one feature in the whole database. On this map, the feature's own id may come
+    again."""
     features = [statement.feature for statement in imported.statements]
     taken = store.known_ids(conn, [feature.feature_id for feature in features])
     for index, feature in enumerate(features):
@@ -223,7 +227,8 @@ def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportPar
 
 
 def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) -> None:
-    """Coordinates that are far from everything by their stated CRS, but not by that of the map or of a zone beside it."""
+    """Refuse coordinates that are far from everything in their stated CRS, but not in that of the map or of a neighbouring
+    zone."""
     if not (imported.as_written and store.far_from_all(conn, info, _places_m(imported.statements), FAR_M).all()):
         return
     written = np.column_stack((imported.as_written, np.zeros(len(imported.as_written))))
@@ -241,7 +246,8 @@ def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) ->
 
 
 def _refuse_displaced(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
-    """Positions of another datum, or heights of another system, would put a second cone beside or below each one of the map."""
+    """Refuse positions of another datum, or heights of another system: each would put a second cone beside or below one of the
+    map."""
     stated = [statement.feature for statement in imported.statements]
     standing = read_current_features(conn, map_name=map_name)
     found = check_import(stated, standing, params.reconcile)

@@ -87,7 +87,7 @@ def read_zones(
 
 
 def _standing(versions: Sequence[FeatureVersion], at_ns: int | None) -> list[MapFeature]:
-    """What stands at a time (None: now), of versions that began until then."""
+    """What stands at a time (None: now), from versions that began until then."""
     open_until = [v for v in versions if v.valid_to_ns is None or (at_ns is not None and v.valid_to_ns > at_ns)]
     return [v.feature for v in open_until if v.present and not v.suppressed]
 
@@ -101,7 +101,7 @@ def _lane_lines(
     map_name: str,
     srid: int,
 ) -> tuple[list[list[LaneLine]], str | None]:
-    """Lane lines beside each zone and their source: the file if given, else the base layers of the map, else its markings."""
+    """Lane lines beside each zone and their source: the file, if given, else the map's base layers, else its markings."""
     if lanes is not None:
         from conetl.readers.base_layers.line_files import read_lane_lines  # GDAL takes seconds to load
 
