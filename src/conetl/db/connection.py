@@ -264,8 +264,8 @@ def copy_out(conn: Connection, sql: str, parameters: Mapping[str, Any], sink: IO
 
 
 def copy_in(conn: Connection, table_and_columns: str, source: IO[bytes], name: str, options: str = "") -> None:
-    """Load rows in COPY's text format, or as `options` say, inside the open transaction. Raises InputError, with the name, if
-    they do not fit."""
+    """Load rows in COPY's format, or as `options` say, inside the open transaction. Raises InputError with the name if they do
+    not fit."""
     try:
         with conn.cursor() as cursor:
             cursor.copy_expert(f"copy {table_and_columns} from stdin {options}", source, COPY_CHUNK_BYTES)

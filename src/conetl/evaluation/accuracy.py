@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from conetl.evaluation.truth import TruthCone, TruthLine
 from conetl.geometry.calibration.covariance import calibration_jacobian, known_covariance, unpack_jacobians
 from conetl.geometry.consistency import Consistency, ce90_m, consistency, le90_m, pooled
-from conetl.geometry.packing import cov_matrices, on_diagonal, vec3
+from conetl.geometry.packing import cov_matrices, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Bools, Floats
 from conetl.model.base import Record, Vec3
@@ -137,7 +137,7 @@ def track_errors(
         truth_m=truth,
         difference_m=xyz - truth,
         cov_m2=cov_matrices([track.cov_m2 for _, track in found]),
-        own_cov_m2=on_diagonal(cov_matrices([track.relative_cov_m2 for _, track in found])) + between,
+        own_cov_m2=block_diag(*cov_matrices([track.relative_cov_m2 for _, track in found])) + between,
         range_m=np.linalg.norm(level, axis=1),
         sight=_unit(level),
         common_jacobian=np.concatenate([np.concatenate(jacobians), by_class], axis=2),
@@ -183,7 +183,7 @@ def position_errors(
         truth_m=truth,
         difference_m=xyz - truth,
         cov_m2=cov_matrices([p.cov_m2 for p in chosen]),
-        own_cov_m2=on_diagonal(own_cov) + change,
+        own_cov_m2=block_diag(*own_cov) + change,
         range_m=np.array([p.range_m for p in chosen]),
         sight=_unit(xyz[:, :2] - left[:, :2, 3]),
         common_jacobian=np.concatenate([jacobian, outline], axis=2),
@@ -271,8 +271,7 @@ def _propagate(jacobian: Floats, cov: Floats) -> Floats:
 
 
 def _class_jacobian(tracks: Sequence[Track]) -> Floats:
-    """(N, 3, 3C) Jacobian of N tracks with respect to the errors common to each of their C classes, in sigmas
-    (`class_error_id`)."""
+    """(N, 3, 3C) Jacobian of N tracks by the errors common to each of their C classes, in sigmas (`class_error_id`)."""
     stated = {n: track.shared_jacobian for n, track in enumerate(tracks) if track.shared_jacobian is not None}
     ids = tuple(sorted({key for one in stated.values() for key in one.calibrations}))
     classes = [ids.index(key) for key in {class_error_id(track.category) for track in tracks} if key in ids]

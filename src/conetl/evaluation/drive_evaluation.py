@@ -87,8 +87,8 @@ class DriveEvaluation:
         return [line.truth.cone_id for line in self.lines if line.feature is None]
 
     def tables(self) -> list[Section]:
-        """Objects, errors, errors by range, and NEES; figures by class if there are several; lane markings. Without cones only
-        the last."""
+        """Objects, errors, errors by range, NEES; figures by class if there are several; lane markings. Without cones only the
+        last."""
         of_markings = self.markings.tables() if self.markings else []
         if not self.lines:
             return of_markings

@@ -44,6 +44,7 @@ Tags = Mapping[str, Any]
 _CSV_POSITION = ("lon_deg", "lat_deg", "ellipsoidal_height_m", "easting_m", "northing_m")
 LON_LAT_DECIMALS = 9  # 0.1 mm
 HEIGHT_DECIMALS = 4
+_DECIMALS = (LON_LAT_DECIMALS, LON_LAT_DECIMALS, HEIGHT_DECIMALS)
 _SIGMAS = {"sigma_e_m": 0, "sigma_n_m": 3, "sigma_u_m": 5}
 Object = dict[str, Any]
 
@@ -191,7 +192,7 @@ def write_features(sources: Sequence[ExportSource], path: Path) -> None:
                 feature = {
                     "type": "Feature",
                     **({"id": row.properties["feature_id"]} if with_id else {}),
-                    "geometry": _line_or_point([_rounded(*vertex) for vertex in place]),
+                    "geometry": _line_or_point([list(map(round, vertex, _DECIMALS)) for vertex in place]),
                     "properties": row.properties,
                 }
                 file.write(separator + json.dumps(feature, allow_nan=False))
@@ -271,10 +272,6 @@ def coordinates(points_m: ArrayLike, srid: int) -> list[list[float]]:
     points = np.asarray(points_m, float)
     degrees = to_geodetic(srid, points[:, [0, 1, -1]])[:, 1::-1].round(LON_LAT_DECIMALS)
     return np.hstack([degrees, points[:, 2:].round(HEIGHT_DECIMALS)]).tolist()  # type: ignore[no-any-return]
-
-
-def _rounded(lon_deg: float, lat_deg: float, height_m: float) -> list[float]:
-    return [round(lon_deg, LON_LAT_DECIMALS), round(lat_deg, LON_LAT_DECIMALS), round(height_m, HEIGHT_DECIMALS)]
 
 
 def _line_or_point(points: list[list[float]]) -> Object:

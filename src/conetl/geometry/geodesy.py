@@ -36,7 +36,7 @@ from conetl.model.errors import InputError
 
 #: CRSs that stretch lengths by more than this are refused as map CRS (Web Mercator stretches by 1.5 in Karlsruhe).
 MAX_SCALE_ERROR = 0.01
-#: CRSs that distort angles by more than this (7 mm at 15 m) are refused, as equal-area grids: EPSG:3035 by 0.95 degrees in Madrid.
+#: CRSs that distort angles by more than this (7 mm at 15 m) are refused, as equal-area grids (EPSG:3035, 0.95 degrees in Madrid).
 MAX_ANGULAR_DISTORTION_DEG = 0.05
 #: Name of the height system of a map that states none.
 ELLIPSOIDAL = "ellipsoidal"

@@ -19,8 +19,7 @@ _Item = TypeVar("_Item")
 
 
 def spaced(points_m: Floats, least_m: float) -> list[int]:
-    """Row numbers of points (N, D) that are at least `least_m` apart: the first one, then each that is far enough from the
-    last."""
+    """Row numbers of points (N, D): the first one, and each that is at least `least_m` from the last chosen one."""
     chosen: list[int] = []
     for row, at_m in enumerate(points_m):
         if not chosen or float(np.linalg.norm(at_m - points_m[chosen[-1]])) >= least_m:

@@ -29,13 +29,6 @@ def cov_matrix(cov: Cov3) -> Floats:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def on_diagonal(blocks: Floats) -> Floats:
-    """(N, 3, 3) -> (3N, 3N), zero elsewhere: the covariance of N points that are independent of each other."""
-    joint = np.zeros((len(blocks), 3, len(blocks), 3))
-    joint[np.arange(len(blocks)), :, np.arange(len(blocks))] = blocks
-    return joint.reshape(3 * len(blocks), 3 * len(blocks))
-
-
 def horizontal_sigma_m(cov: Cov3) -> float:
     """Standard deviation of the horizontal position in its worst direction: the semi-major axis of the error ellipse."""
     return float(np.sqrt(np.linalg.eigvalsh(cov_matrix(cov)[:2, :2])[-1]))

@@ -43,9 +43,9 @@ _BLIND_PRIOR, _MAX_BLIND = 0.01, 0.05
 
 
 def is_confirmed(deltas: Sequence[Delta], captured_from_ns: int) -> bool:
-    """Whether a drive confirms objects that were on the map an hour before it began. deltas: of point objects."""
-    kinds = DeltaKind.CONFIRMED, DeltaKind.HEIGHT_CHANGED
-    known = (d for d in deltas if d.kind in kinds and d.old and d.old.first_seen_ns < captured_from_ns - BEFORE_NS)
+    """Whether a drive confirms point objects that were on the map an hour before it began."""
+    kinds, before_ns = (DeltaKind.CONFIRMED, DeltaKind.HEIGHT_CHANGED), captured_from_ns - BEFORE_NS
+    known = (d for d in deltas if d.kind in kinds and not d.is_line and d.old and d.old.first_seen_ns < before_ns)
     return len(list(islice(known, LEAST_CONFIRMED))) == LEAST_CONFIRMED
 
 

@@ -134,8 +134,7 @@ def check_far_positions(
 
 
 def _check_other_section(tracks: Sequence[Track], features: Sequence[MapFeature]) -> HealthCheck | None:
-    """The height difference of a drive's cones against the map's nearest ones, if none of them can be on the same road: the drive
-    shows another section of it, in another height system."""
+    """The height difference of a drive's cones against the map's nearest ones, if it proves another section of the road."""
     if not tracks or not features:
         return None
     t, f = xyz_of(tracks), xyz_of(features)
@@ -220,8 +219,7 @@ def _places(objects: Sequence[Track | MapFeature]) -> _Places:
 
 
 def _same_positions(tracks: _Places, features: _Places, shift_m: Floats, params: ReconcileParams) -> dict[int, int]:
-    """Track -> feature of the same class at the same position, after moving tracks back by `shift_m` (3,); heights are
-    ignored."""
+    """Track -> feature of the same class at its position, after moving tracks back by `shift_m` (3,); heights are ignored."""
     (t, t_classes), (f, f_classes) = tracks, features
     rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
     alike = t_classes[rows] == f_classes[columns]  # a sign may hang above a cone

@@ -98,8 +98,7 @@ def independent_parts(cov: Sequence[Cov3], shared_jacobian: Sequence[SharedError
 
 
 def _fuse_correlated(old: Floats, a: Floats, new: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
-    """Gain, covariance (N, 3, 3) and shared-error Jacobian (N, C, 3, K) of pairs with Jacobians a and b, of the same
-    calibrations."""
+    """Gain, covariance (N, 3, 3), shared-error Jacobian (N, C, 3, K) of pairs with Jacobians a, b of the same calibrations."""
     flat_a, flat_b = _flat(a), _flat(b)
     own_old, own_new = _independent_part(old, flat_a), _independent_part(new, flat_b)
     apart = flat_a - flat_b

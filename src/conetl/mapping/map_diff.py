@@ -43,8 +43,7 @@ def _change(old: MapFeature | None, new: MapFeature | None) -> FeatureChange:
 
 
 def _shift_m(old: MapFeature, new: MapFeature) -> float:
-    """Horizontal distance of the positions; for a lane marking the distance from the old line, as its middle vertex may be
-    another one."""
+    """Horizontal distance of the positions; for a lane marking that from the old line (its middle vertex may be another)."""
     if old.marking is not None:
         _, aside_m = project(np.array(old.marking.vertices_m)[:, :2], np.array([new.xyz_m[:2]]))
         return abs(float(aside_m[0]))

@@ -301,8 +301,7 @@ def _attributes(old: Marking, old_frames: int, new: Marking, new_frames: int) ->
 
 
 def _turned_jacobians(drive: LineDrive, found: Feet) -> list[SharedErrorJacobian | None]:
-    """Jacobians of the points of `found` (K,): those of their markings, turned as the marking turns between its middle vertex and
-    the point."""
+    """Jacobians at the points of `found` (K,): those of their markings, turned from the middle vertex to the point."""
     heading = np.arctan2(drive.lines.tangents[:, 1], drive.lines.tangents[:, 0])
     first = np.searchsorted(drive.lines.line, np.arange(len(drive.tracks)))
     middle = first + np.array([len(track.relative_cov_m2) // 2 for track in drive.tracks], np.int64)

@@ -54,10 +54,6 @@ class _State(NamedTuple):
         count = int(self.missed.sum())
         return count >= _LEAST_VERTICES and 2 * count >= len(self.missed)
 
-    @property
-    def is_seen(self) -> bool:
-        return int(self.seen.sum()) >= _LEAST_VERTICES
-
 
 @dataclass(frozen=True)
 class _Comparison:
@@ -104,7 +100,7 @@ def reconcile_markings(
     seen = {
         j: marking_deltas.sighting(_main_line(c, j), drive, one.view, one.seen)
         for j, one in states.items()
-        if one.is_seen
+        if one.seen.sum() >= _LEAST_VERTICES
     }
     confirmations = marking_deltas.confirm_stretches(
         seen, features, c.on_map, c.same, drive, {j: evidence_for(j, seen[j]) for j in seen}

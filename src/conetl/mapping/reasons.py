@@ -1,5 +1,4 @@
-"""The reason for a change, or for no change, of a feature by a drive: one sentence with numbers, the same in the web view,
-reports and `conetl map log`."""
+"""The reason for a change of a feature by a drive, in one sentence: the same in the web view, reports and `conetl map log`."""
 
 from __future__ import annotations
 

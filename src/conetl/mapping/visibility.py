@@ -271,8 +271,7 @@ def _is_occupied(foot_m: Floats, positions_m: Floats | None, others_m: Floats, g
 
 
 def _corners_and_middle(box: Box) -> tuple[Floats, Floats]:
-    """Columns and rows (5,) of the points of a box that must be in clear parts of the image; boxes are rarely larger than a
-    square there."""
+    """Columns and rows (5,) of the points of a box that must be in clear squares; boxes are rarely larger than a square."""
     x0, y0, x1, y1 = box
     return np.array([x0, x1, x0, x1, (x0 + x1) / 2]), np.array([y0, y0, y1, y1, (y0 + y1) / 2])
 

@@ -46,8 +46,7 @@ class GeodeticPosition(Record):
 
 
 class SharedErrorJacobian(NamedTuple):
-    """How far a position moves for one sigma of each error that several drives share: those of a calibration, or of a class of
-    objects."""
+    """How far a position moves for one sigma of each error that drives share: of a calibration, or of a class of objects."""
 
     calibrations: tuple[UUID, ...]
     """Sorted; also `class_error_id` of a class."""

@@ -102,7 +102,7 @@ class DetectorEvidence(Record):
     look_correlation: ImageCorrelation
     """Of the log-likelihood ratios, cone against lookalike, of two images of one object."""
     miss_correlation: ImageCorrelation | None = None
-    """Of the misses in two images of one fully visible cone. None in older figures: then `look_correlation` and `joint_scale`
+    """Of the misses in two images of one fully visible cone. None in older figures: `look_correlation` and `joint_scale`
     apply."""
     joint_scale: Positive
     """Factor on the joint log-likelihood ratio that gives true odds; fitted on objects with several images."""

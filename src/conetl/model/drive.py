@@ -38,8 +38,8 @@ FrameIndex = Annotated[int, Field(ge=0, le=MAX_FRAME_INDEX)]
 
 
 class Interpolated(Record):
-    """Uncertainty that interpolation between sparse records (1 Hz) adds to the sigmas of a pose. All frame pairs between two
-    records share it: they are not independent measurements."""
+    """Uncertainty that interpolation between sparse records (1 Hz) adds to a pose; all frame pairs between two records share
+    it."""
 
     sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
     sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
@@ -81,7 +81,7 @@ class FramePair(Record):
 
     @property
     def shows_absence(self) -> bool:
-        """Whether a cone that is not detected in this pair may be gone: its images have enough detail, or their detail was not
+        """Whether a cone that is not detected in it may be gone: its images have enough detail, or their detail was not
         measured."""
         return self.detail is None or self.detail >= MIN_DETAIL
 
@@ -205,8 +205,7 @@ class StereoMatch(Record):
     tip_left_uv_px: Vec2
     tip_right_uv_px: Vec2
     sigma_u_px: Positive
-    """Of each image point along the rows, independent in both images: sigma of disparity over sqrt(2). sigma_v_px: across
-    them."""
+    """Of each image point along the rows, independent in both images: sigma of disparity over sqrt(2). sigma_v_px: across."""
     sigma_v_px: Positive
     sigma_pointing_px: NonNegative
     """Along the rows, common to both images: position of the cone's axis. Affects the bearing, not the range."""

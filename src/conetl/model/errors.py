@@ -78,8 +78,7 @@ def storage_error(error: OSError) -> StorageError:
 
 
 def is_retryable(error: BaseException) -> bool:
-    """Whether another attempt may succeed: true unless the content of the drive is the cause. Callers limit the number of
-    attempts."""
+    """Whether another attempt may succeed: unless the content of the drive is the cause. Callers limit the attempts."""
     if isinstance(error, DriveFolderError | MapMismatchError):
         return is_storage_error(error.__cause__)
     return True

@@ -19,8 +19,7 @@ class FeatureClass:
     heights_m: tuple[float, float]
     """Plausible heights (MUTCD 2023, chapter 6K; plates with the supplementary ones below them)."""
     match_heights_m: tuple[float, float]
-    """Bounds of the height that two boxes give: wide because boxes are loose. They keep an object from being matched with its
-    neighbour."""
+    """Bounds of the height from two loose boxes: they keep an object from being matched with its neighbour."""
     width_over_height: float
     """Of the box, seen from the front; common road cones have 0.5 to 0.6."""
     round_body: bool
@@ -130,6 +129,5 @@ def noun_of(category: str) -> str:
 
 
 def mutually_exclusive(a: str, b: str) -> bool:
-    """Whether two categories cannot be at the same position. Detectors confuse classes, but a plate may hang above a standing
-    object."""
+    """Whether two categories cannot be at one position: detectors confuse classes, but a plate may hang above an object."""
     return FEATURE_CLASSES[a].on_road == FEATURE_CLASSES[b].on_road

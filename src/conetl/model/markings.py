@@ -22,8 +22,8 @@ _PRIOR, _HALF_CONTRAST, _EVIDENCE = 0.2, 20.0, 0.6
 
 
 def marking_existence(frames: int, contrast: float, hit_share: float = 1.0) -> float:
-    """Existence probability of a marking: prior odds, times a factor per frame pair that grows with contrast (grey levels) and
-    with the share of the painted length that was hit."""
+    """Prior odds times a factor per frame pair that grows with contrast (grey levels) and the share of painted length that was
+    hit."""
     gain = _EVIDENCE * frames * hit_share * contrast / (contrast + _HALF_CONTRAST)
     return 1 / (1 + (1 - _PRIOR) / _PRIOR * exp(-gain))
 

@@ -81,8 +81,7 @@ class TrackParams(Params):
     max_gap_frames: int = Field(default=12, ge=1)
     """A track not observed for longer is closed; `join_gate_m` may still join it."""
     max_innovation_m: Positive = 2.0
-    """Limit of the distance to the prediction: far boxes are uncertain along the line of sight, where another cone may
-    stand."""
+    """Limit of the distance to the prediction: far boxes are uncertain along the line of sight, and may be another cone's."""
     motion_sigma_relative: Positive = 0.12
     """Error of the relative motion along the path, as a share of it: GNSS without a fix drifts by 10 %."""
     motion_sigma_aside: Positive = 0.04
@@ -92,8 +91,7 @@ class TrackParams(Params):
     """Two tracks never observed in one image and nearer than this (plus drift) are one cone."""
     min_observations: int = Field(default=3, ge=1)
     min_existence_probability: Fraction = 0.5
-    """Least existence probability of a track that confirms a feature; `ReconcileParams` has that of one that founds a
-    feature."""
+    """Least existence probability of a track that confirms a feature; `ReconcileParams` has that of one that adds a feature."""
     expected_cones_per_picture: Positive = 0.05
     """Prior: against the detector's false boxes per image it gives the odds that a group of boxes is a cone. One in twenty
     images suits an ordinary street; work zones have more."""
@@ -121,8 +119,7 @@ class ReconcileParams(Params):
     min_gate_m: Positive = 0.5
     """Nearer than this is always the same position: crews do not set cones closer than that."""
     max_rise_m: Positive = 1.5
-    """Cones at one place that differ more in height, and by more than their sigmas, are on two levels, as a bridge and the road
-    below it."""
+    """Cones at one place with a larger height difference, beyond their sigmas, are on two levels, such as a bridge and a road."""
     max_offset_m: Positive = 2.0
     """Largest common offset of a drive against the map that is estimated and taken out (GNSS without a fix)."""
     moved_max_m: Positive = 3.0
@@ -134,13 +131,11 @@ class ReconcileParams(Params):
     founding_existence_probability: Fraction = 0.6
     """A less certain track confirms a present feature but founds none: two drives rarely err at the same location."""
     vanished_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
-    """Probability that a cone is removed between two drives: the prior of a drive that misses it, however often it was
-    observed."""
+    """Probability that a cone is removed between two drives: the prior of a drive that misses it."""
     stray_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
     """Probability that a frame pair has a detection at an empty location: a stray box, or a neighbour's."""
     unseen_occluder_probability: Annotated[float, Field(gt=0, lt=1)] = 0.02
-    """Probability that an undetected object (a parked van) hid a location during the whole drive; limits the evidence of
-    absence."""
+    """Probability that an undetected object (a parked van) hid a location during the whole drive; limits evidence of absence."""
     removal_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
     """A feature is removed by the drive that lowers its existence probability below this ..."""
     removal_min_frames: int = Field(default=5, ge=1)
@@ -152,11 +147,10 @@ class ReconcileParams(Params):
     marking_gate_m: Positive = 0.25
     """Lane markings nearer than this across their direction, after the drive's common offset, are the same one."""
     marking_moved_max_m: Positive = 1.0
-    """A lane marking that is not observed although visible, and a new one at most this far beside it, are one that was
-    repainted."""
+    """A lane marking that is missed and a new one at most this far beside it are one that was repainted."""
     marking_least_m: Positive = 2.5
-    """Parts of a drive's lane marking that the map lacks are added from this length on: the ends of markings are found to about
-    the distance of their vertices."""
+    """Shorter parts of a drive's lane marking are not added: ends of markings are found to about the distance of their
+    vertices."""
     marking_missed_probability: Annotated[float, Field(gt=0, lt=1)] = 0.05
     """Probability that a drive does not observe a lane marking that it had in view: dirt, shadow, a lorry beside it. The frame
     pairs of one drive are not independent in that."""

@@ -81,8 +81,7 @@ class SharedErrors(Record):
     calibration: UUID
     """Id of the given calibration (`geometry/calibration/covariance.py`)."""
     matrix: tuple[tuple[float, ...], ...]
-    """One row per parameter, in the order of `CalibrationCovariance.names`: its change by one sigma of each independent
-    error."""
+    """A row per parameter, in the order of `CalibrationCovariance.names`: its change by one sigma of each independent error."""
 
 
 class CalibrationCovariance(Record):

@@ -30,8 +30,8 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 #: Start-of-frame markers: all of C0..CF but DHT (C4), JPG (C8) and DAC (CC).
 _SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})
-#: Larger files are not read at all.
 IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+#: Larger files are not read at all.
 MAX_FILE_BYTES = 256 * 2**20
 #: A larger image has a byte for this many pixels: one with less shows nothing, and fills the memory.
 SMALL_PIXELS, MAX_PIXELS_PER_BYTE = 2**24, 200
@@ -107,22 +107,17 @@ def _inspect_jpeg(data: bytes) -> ImageHeader:
         if data[position] != 0xFF:
             raise ImageFormatError(f"the JPEG's header is damaged at byte {position}")
         marker = data[position + 1]
-        if marker == 0xFF:
-            position += 1
-            continue
-        if marker in _STANDALONE:
-            position += 2
+        if marker == 0xFF or marker in _STANDALONE:
+            position += 1 if marker == 0xFF else 2
             continue
         if marker == 0xD9:
             raise ImageTruncatedError("the JPEG holds no image data")
         length = int.from_bytes(data[position + 2 : position + 4], "big")
-        if length < 2:
+        if length < (8 if marker in _SOF else 2):
             raise ImageFormatError(f"the JPEG's header is damaged at byte {position}")
         if position + 2 + length > len(data):
             raise ImageTruncatedError("the JPEG ends inside its header")
         if marker in _SOF:
-            if length < 8:
-                raise ImageFormatError(f"the JPEG's header is damaged at byte {position}")
             body = data[position + 4 : position + 2 + length]
             size = (int.from_bytes(body[3:5], "big"), int.from_bytes(body[1:3], "big"))
         scanned = marker == 0xDA
@@ -268,8 +263,7 @@ def read_upright_image(path: Path) -> Image:
 
 
 def read_bytes(path: Path) -> bytes:
-    """All bytes of an image file, unchecked. Raises ImageFileError if the file is missing or unreadable, StorageError for
-    temporary faults."""
+    """All bytes of an image file, unchecked. Raises ImageFileError (missing or unreadable) or StorageError (temporary faults)."""
     with _file_errors(path):
         if is_remote(path):
             return object_bytes(path)

@@ -24,8 +24,7 @@ _WINDOW_PX, _ROUNDS, _HUBER_SIGMAS, _LEAST_PX = 15, 10, 1.5, 0.05
 
 
 def check_distortion(pairs: Iterable[tuple[Image, Image, Floats, Floats]], camera: Camera, shrink: int) -> HealthCheck:
-    """pairs: grey images of some frame pairs, `shrink` times smaller, and matched points (N, 2) px of the whole ones in both.
-    camera: the right one."""
+    """pairs: grey images reduced by `shrink`, and matched points (N, 2) px of the whole images. camera: the right one."""
     name, detail = "distortion of the lenses", "The images do not show enough for this check."
     points = np.concatenate([np.empty((0, 3)), *(_track_corners(*pair, shrink) for pair in pairs)])
     if len(points) < _MIN_POINTS:

@@ -68,8 +68,7 @@ def read_frame(frame: FrameRef, sha256: str = "", *, grey: bool = False) -> Imag
 
 
 def frames_between(path: Path, first_pts: int, last_pts: int) -> Iterator[tuple[int, Image]]:
-    """Brightness (height, width) of frames in the order of their time stamps, from the first to the last of these. Raises
-    ImageFileError."""
+    """Brightness (height, width) of the frames from one time stamp to another, in their order. Raises ImageFileError."""
     decoder = _Decoder(_File(path, 0, 0))
     try:
         decoder.seek(first_pts)

@@ -71,8 +71,7 @@ class WorkingSize:
 
 @dataclass(frozen=True)
 class WorkingImages:
-    """Both images of one frame pair, grey, at working size; both at a quarter of it, the left one, without its padding, at
-    half of it, too."""
+    """Both images of one frame pair, grey, at working size and at a quarter of it; the left one without padding at half, too."""
 
     left: Image
     right: Image
@@ -121,8 +120,7 @@ def _stored_size(rig: Rig, side: Side) -> tuple[int, int]:
 
 
 def _resize(image: Image, working: WorkingSize) -> Image:
-    """A grey image padded to the common size, then reduced. The border is repeated: a step in brightness would give fixed
-    corners."""
+    """A grey image padded to the common size, then reduced. The border is repeated: a step would give fixed corners."""
     right, below = working.common_px[0] - image.shape[1], working.common_px[1] - image.shape[0]
     if right or below:
         padded = cv2.copyMakeBorder(image, 0, below, 0, right, cv2.BORDER_REPLICATE)

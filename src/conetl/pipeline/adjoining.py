@@ -95,7 +95,9 @@ def find_doubts(
         near = [
             (of, other.drive_uuid)
             for of, other in found
-            if of != other.drive_uuid and of in drives and _same_cameras(drives[of].rig, other.rig)
+            if of != other.drive_uuid
+            and of in drives
+            and (drives[of].rig.rig_id, drives[of].rig.left) == (other.rig.rig_id, other.rig.left)
         ]
         ends = read_ends(conn, {drive_uuid for pair in near for drive_uuid in pair} - parts.keys(), _PAIRS)
         parts |= {drive_uuid: _Part(drives[drive_uuid].rig, pairs) for drive_uuid, pairs in ends.items()}
@@ -144,10 +146,6 @@ def _propagate(
                 check = contradicted.get(one) or _continuation(drives[next(iter(contradicted))].drive_id)
             doubts[one] = Doubt(check, bool(contradicted), one in trusted, drives[one].on_hold)
     return doubts
-
-
-def _same_cameras(rig: Rig, other: Rig) -> bool:
-    return (rig.rig_id, rig.left) == (other.rig_id, other.left)
 
 
 def _misfit_m(one: _Part, other: _Part) -> float | None:

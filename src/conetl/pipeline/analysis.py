@@ -153,8 +153,7 @@ def _with_low_thresholds(params: IngestParams) -> IngestParams:
 
 
 class _ChunkResults(NamedTuple):
-    """Parquet files of the steps that read images, in the order of the drive; the self-calibration, and the rig corrected by
-    it."""
+    """Parquet files of the steps that read images, in the order of the drive; the self-calibration, and the corrected rig."""
 
     detections: list[Path]
     matches: list[Path]
@@ -214,16 +213,16 @@ def _calibrate(drive: Drive, chunk: Chunk, executor: Executor) -> SelfCalibratio
 
 def locate(chunks: Sequence[Chunk], matches: Sequence[Path]) -> list[Path]:
     """Positions of a drive by forward intersection, chunk by chunk; returns the Parquet files."""
-    return [_locate(chunk, path) for chunk, path in zip(chunks, matches, strict=True)]
-
-
-def _locate(chunk: Chunk, matches: Path) -> Path:
-    key = result_key(RESULTS_VERSION, "locate", matches.stem, params_sha256(chunk.params.position), geometry_key(chunk))
-    if has_result(chunk.results_folder, key):
-        return result_path(chunk.results_folder, key)
-    found, _ = load_matches([matches], chunk.frame_pairs)
-    positions, rejections = locate_positions(found, chunk.frame_pairs, chunk.rig, chunk.params.position)
-    return save_result(chunk.results_folder, key, positions, rejections)
+    paths = []
+    for chunk, path in zip(chunks, matches, strict=True):
+        params = params_sha256(chunk.params.position)
+        key = result_key(RESULTS_VERSION, "locate", path.stem, params, geometry_key(chunk))
+        paths.append(result_path(chunk.results_folder, key))
+        if not has_result(chunk.results_folder, key):
+            found, _ = load_matches([path], chunk.frame_pairs)
+            positions, rejections = locate_positions(found, chunk.frame_pairs, chunk.rig, chunk.params.position)
+            save_result(chunk.results_folder, key, positions, rejections)
+    return paths
 
 
 def fuse(
@@ -257,8 +256,7 @@ def estimate_variances(
 def inflate_outliers(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
-    """Matches of the whole drive with larger sigmas if they contradict their tracks, and their positions; see
-    `with_contradictions`."""
+    """Matches of the whole drive with larger sigmas if they contradict their tracks, and positions; see `with_contradictions`."""
     errors = pose_cov(trajectory, params.trajectory)
     compared = with_contradictions(matches, tracks, drive.rig, drive.frame_pairs, errors)
     return compared, *locate_positions(compared, drive.frame_pairs, drive.rig, params.position)

@@ -59,8 +59,7 @@ class CommittedDrive:
 
 
 def changeset_of(drive: Drive, params: IngestParams, settings: Settings) -> Changeset:
-    """The changeset of a drive, still without deltas. Its key is derived from content, parameters, model with its evidence, and
-    CRS."""
+    """The changeset of a drive, still without deltas. Its key is derived from content, parameters, model, evidence and CRS."""
     card = read_model_card(settings.model_path)
     parameters, measured = params_sha256(params), evidence_sha256(card.evidence)
     key = result_key(

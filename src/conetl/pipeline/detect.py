@@ -116,7 +116,8 @@ def _detections(chunk: Chunk, part: int, rig: Rig, read: ImageReader, extras: It
         fetch_pairs([pairs[k] for k in block])
         seen = {middle: _search(chunk, pairs[middle], first_rows, rig, read, tick, everywhere=True)}
         # A pair with a broken image shows nothing about the others.
-        everywhere = _is_broken(seen[middle]) or has_right_only_cone(seen[middle].detections, chunk.rig, chunk.params)
+        is_broken = any(rejection.reason in INPUT_REASONS for rejection in seen[middle].rejections)
+        everywhere = is_broken or has_right_only_cone(seen[middle].detections, chunk.rig, chunk.params)
         for k in block:
             if k != middle:
                 seen[k] = _search(chunk, pairs[k], first_rows, rig, read, tick, everywhere=everywhere)
@@ -148,10 +149,6 @@ class _PairFound(NamedTuple):
     rejections: list[Rejection]
     matches: list[StereoMatch]
     refused_matches: list[Rejection]
-
-
-def _is_broken(found: _PairFound) -> bool:
-    return any(rejection.reason in INPUT_REASONS for rejection in found.rejections)
 
 
 def _search(

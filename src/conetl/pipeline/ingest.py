@@ -153,8 +153,7 @@ def error_text(error: Exception) -> str:
 
 
 def as_conetl_error(error: Exception) -> Exception:
-    """An error of a library or the system as conetl's error if it means that a service or storage failed; other errors
-    unchanged."""
+    """An error of a library or the system as conetl's own, if a service or storage failed; other errors unchanged."""
     refused = isinstance(error, PermissionError) or (is_storage_error(error) and not isinstance(error, ConnectionError))
     if isinstance(error, OSError) and refused:
         return storage_error(error)

@@ -65,12 +65,7 @@ def write_publication(
     except BaseException:
         shutil.rmtree(unfinished, ignore_errors=True)
         raise
-    _point_at(folder / LATEST, name)
+    fresh = temporary_path(folder / LATEST)
+    fresh.symlink_to(name)
+    fresh.replace(folder / LATEST)  # replaces the old link in one step
     return folder / name, manifests
-
-
-def _point_at(link: Path, target: str) -> None:
-    """A symbolic link that replaces the old one in one step."""
-    fresh = temporary_path(link)
-    fresh.symlink_to(target)
-    fresh.replace(link)

@@ -165,8 +165,7 @@ def _own_evidence(
 def _compare(
     conn: Connection, near: store.Neighbourhood, own: DriveEvidence, drive: Drive, map_name: str
 ) -> tuple[MapUpdate, Replay]:
-    """The changes by a drive, and the new state of the changed features (of its whole neighbourhood if other drives are compared
-    again)."""
+    """The changes by a drive, and the new state of what it changes, or of the neighbourhood if others are compared again."""
     decisions, later = read_decisions(conn, map_name=map_name), near.later
     if later or len(near.aside) > 1 or near.reaches_far:
         again = [*near.aside, *(ref.drive_uuid for ref in later)]
@@ -233,7 +232,9 @@ def replay_of(
             [replace(one, doubt=checks.get(one.changeset_id)) for one in compared], decisions,
         )  # fmt: skip
         # Whether the map confirms a drive is known only now; what continues it follows.
-        confirmed = {one.changeset_id: _is_confirmed(folded.updates[one.changeset_id], one.key[0]) for one in compared}
+        confirmed = {
+            one.changeset_id: is_confirmed(folded.updates[one.changeset_id].deltas, one.key[0]) for one in compared
+        }
         known = {
             one: changesets[one] in decisions.accepted or confirmed[changesets[one]]
             for one, doubt in doubts.items()
@@ -247,10 +248,6 @@ def replay_of(
             "After %d rounds it is not settled which drives the map confirms: see `conetl drive held`.", _MOST_ROUNDS
         )
     return folded, replay
-
-
-def _is_confirmed(update: MapUpdate, captured_from_ns: int) -> bool:
-    return is_confirmed([delta for delta in update.deltas if not delta.is_line], captured_from_ns)
 
 
 def _fold(

@@ -230,8 +230,7 @@ def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
 
 
 def _register_pairs(watch: _Watch, source: ArrivingDrive, paths: list[Path] | None) -> None:
-    """Add the pairs that arrived, and number those of which the number in the recording is known by now: finding it takes
-    time."""
+    """Add the pairs that arrived, and number those whose number in the recording is known by now: finding it takes time."""
     new = source.new_pairs(paths)
     watch.waiting |= {pair.key: (pair, time.monotonic()) for pair in new}
     orders = [(source.order(pair), pair) for pair in (*watch.unplaced, *new) if pair.key in watch.waiting]

@@ -53,7 +53,7 @@ class Service:
 
 @contextmanager
 def services_lock(home: Path) -> Iterator[None]:
-    """Allow one command at a time to start or stop the services of a home folder. Raises InputError if the folder cannot be
+    """Lock the services of a home folder while one command starts or stops them. Raises InputError if the folder cannot be
     used."""
     make_home(home)
     with (home / _LOCK).open("w") as handle:

@@ -259,8 +259,8 @@ def _taper_lengths(check: _Check, row: ConeRow) -> Iterator[Finding]:
 
 
 def _is_merging(layout: ZoneLayout, taper: Taper, members: Floats, params: WorkZoneParams) -> bool | None:
-    """Whether the taper closes a lane; False for one that ends at the edge of all lanes (a shoulder taper), None without a clear
-    answer from the lane lines."""
+    """Whether the taper closes a lane, or is a shoulder taper, which ends at the edge of all lanes; None if lane lines do not
+    decide."""
     if layout.bands is None or layout.axis_source != "lanes":
         sigma = float(np.hypot(taper.shift_sigma_m, layout.axis_sigma_m))
         return True if taper.shift_m - 2 * sigma >= params.full_lane_shift_m else None

@@ -57,8 +57,8 @@ def zones_over_time(
 
 
 def chain_stations(stations_m: Floats, params: WorkZoneParams) -> list[Ints]:
-    """Groups of cones (C,) along one road, each sorted by station. A gap separates two groups if it exceeds `link_factor` times
-    the spacing beside it."""
+    """Groups of cones (C,) along one road, sorted by station, separated by gaps over `link_factor` times the spacing beside
+    them."""
     order = np.argsort(stations_m, kind="stable")
     gaps = np.diff(stations_m[order])
     cuts = []

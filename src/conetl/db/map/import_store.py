@@ -1,5 +1,4 @@
-"""Imported maps in the database: an event of the fold like a drive, with the imported features as statements in place of
-tracks."""
+"""Imported maps in the database: an event of the fold like a drive, with statements in place of tracks."""
 
 from __future__ import annotations
 

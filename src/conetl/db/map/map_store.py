@@ -180,8 +180,8 @@ def insert_map(conn: Connection, map_name: str, srid: int, *, vertical_srid: int
 
 
 def system_time(conn: Connection, info: MapInfo) -> datetime:
-    """The instant of a new changeset or decision: the server's clock, but later than the map's last one. Call it under the map's
-    lock, or after `take_turn`."""
+    """The instant of a new changeset or decision: the server's clock, but after the map's last one. Requires the map's lock or
+    turn."""
     instant: datetime = db.query(conn, "commit.system_time", map_id=info.map_id)[0]["committed_at"]
     return instant
 

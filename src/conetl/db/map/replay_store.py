@@ -82,8 +82,7 @@ def drives_at(conn: Connection, map_name: str, place: Location) -> list[UUID]:
 def read_versions(
     conn: Connection, drive_uuids: Sequence[UUID], *, without: Collection[UUID] = ()
 ) -> tuple[dict[FeatureVersion, int], list[tuple[DriveOrder, FeatureVersion]]]:
-    """All current versions of the features that ever stood around the drives: with their row ids and, if the drive is not in
-    `without`, with its key."""
+    """All current versions of features that ever stood around the drives, with row ids; with drive keys if not in `without`."""
     rows = db.stream(conn, _UNREAD, "replay.versions_around", drive_uuids=list(drive_uuids))
     stored: dict[FeatureVersion, int] = {}
     others: list[tuple[DriveOrder, FeatureVersion]] = []
@@ -149,8 +148,7 @@ def load_stages(conn: Connection, info: MapInfo, replay: Replay) -> dict[str, An
 
 
 def apply_stages(conn: Connection, staged: dict[str, Any], replay: Replay, committed_at: datetime) -> int:
-    """Write what `load_stages` loaded; the number of versions written. MapMismatchError if the map has changed since it was
-    read."""
+    """Write what `load_stages` loaded; the number of versions written. MapMismatchError if the map has changed meanwhile."""
     parameters = staged | {"committed_at": committed_at}
     db.query(conn, "replay.insert_staged_features", **parameters)
     for rows in ("versions", "deltas"):

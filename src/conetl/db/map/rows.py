@@ -93,7 +93,7 @@ def position_columns(drive_uuid: UUID, srid: int, positions: Sequence[Position])
     names = "frame_index match_index iterations range_m ray_angle_rad residual_rms_px score"
     return {
         "drive_uuid": [drive_uuid] * len(positions),
-        **_position_columns(srid, positions),
+        **_location_columns(srid, positions),
         **{f"camera_{axis}_m": camera[:, i] for i, axis in enumerate("xyz")},
         **_covariance("camera_cov", [p.camera_cov_m2 for p in positions]),
         **_attributes(positions, names),
@@ -137,7 +137,8 @@ def replayed_delta_columns(changes: Sequence[tuple[UUID, Delta]]) -> Columns:
 def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
     """Temporary table version_stage: the new versions."""
     return {
-        **feature_columns(srid, [v.feature for v in versions]),
+        **cone_columns(srid, [v.feature for v in versions]),
+        **marking_columns(srid, [v.feature.marking for v in versions]),
         "feature_id": [v.feature.feature_id for v in versions],
         "version": [v.feature.version for v in versions],
         "present": [v.present and not v.suppressed for v in versions],
@@ -176,16 +177,11 @@ def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Co
     }
 
 
-def feature_columns(srid: int, features: Sequence[MapFeature]) -> Columns:
-    """Columns of the state of features."""
-    return {**cone_columns(srid, features), **marking_columns(srid, [feature.marking for feature in features])}
-
-
 def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:
     """Columns that tracks, feature versions and statements of imported maps share."""
     names = "cone_height_sigma_m existence_probability observation_count first_seen_ns last_seen_ns"
     return {
-        **_position_columns(srid, cones),
+        **_location_columns(srid, cones),
         **_attributes(cones, names),
         **jacobian_columns([c.shared_jacobian for c in cones]),
     }
@@ -201,7 +197,7 @@ def _to_columns(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Columns:
     return dict(zip(names, list(zip(*rows, strict=True)) or [()] * len(names), strict=True))
 
 
-def _position_columns(srid: int, records: Sequence[Position] | Sequence[Track] | Sequence[MapFeature]) -> Columns:
+def _location_columns(srid: int, records: Sequence[Position] | Sequence[Track] | Sequence[MapFeature]) -> Columns:
     """Columns of class, foot, centre and height."""
     return {
         **_attributes(records, "category cone_height_m"),

@@ -63,7 +63,9 @@ def relative_orientation(rig: Rig) -> list[Value]:
 
     left_R_right = Rx(omega) Ry(phi) Rz(kappa), axes of the left camera (x right, y down, z forward).
     """
-    left_SE3_right, covariance = rigs.left_SE3_right(rig), _relative_covariance(rig)
+    left_SE3_right, known = rigs.left_SE3_right(rig), _covariance(rig)
+    index = [known.names.index(f"relative.{name}") for name in RELATIVE]
+    covariance = np.array(known.matrix)[np.ix_(index, index)]
     rotation, base = Rotation.from_matrix(left_SE3_right[:3, :3]), left_SE3_right[:3, 3]
     angles = rotation.as_euler("XYZ")
     by_r = np.empty((3, 3))
@@ -123,9 +125,3 @@ def _covariance(rig: Rig) -> CalibrationCovariance:
     if rig.calibration_covariance is None:
         raise ValueError(f"rig {rig.rig_id} has no covariance of its calibration")
     return rig.calibration_covariance
-
-
-def _relative_covariance(rig: Rig) -> Floats:
-    covariance = _covariance(rig)
-    index = [covariance.names.index(f"relative.{name}") for name in RELATIVE]
-    return np.array(covariance.matrix)[np.ix_(index, index)]

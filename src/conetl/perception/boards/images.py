@@ -96,10 +96,7 @@ def pairs_even_odd(folder: Path) -> list[ImagePair]:
 
 
 def find_boards(
-    pairs: Sequence[ImagePair],
-    board: Board,
-    *,
-    on_image: Callable[[], None] = lambda: None,
+    pairs: Sequence[ImagePair], board: Board, *, on_image: Callable[[], None] = lambda: None
 ) -> BoardImages:
     """Corners in all images; each image without is a rejection. `on_image` is called after each."""
     jobs = [(i, side, path) for i, pair in enumerate(pairs) for side in SIDES if (path := pair.path(side)) is not None]
@@ -109,9 +106,8 @@ def find_boards(
         on_image()
         return size, result
 
-    with ThreadPoolExecutor(
-        max_workers=min(os.cpu_count() or 1, 8)
-    ) as pool:  # OpenCV works without the interpreter's lock
+    # OpenCV works without the interpreter's lock.
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
         searched = dict(zip([(i, side) for i, side, _ in jobs], pool.map(search, jobs), strict=True))
     sizes: dict[Side, Size] = {}
     for side in SIDES:

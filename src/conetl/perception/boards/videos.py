@@ -179,8 +179,7 @@ def _offset_s(videos: Videos, left: Floats, right: Floats) -> float:
 
 
 def _still_and_distinct(small: Image, motion: Floats) -> list[int]:
-    """Numbers of still images in order: the stillest of each window, stillest first, as long as each differs from those chosen
-    before."""
+    """Numbers of still images in order: of each window the stillest, as long as it differs from those chosen before."""
     finite = motion[np.isfinite(motion)]
     quietest = float(np.percentile(finite, 10)) if finite.size else 0.0
     quiet = float(np.clip(2.0 * quietest, _STILL, 3.0 * _STILL))  # the images of some cameras are noisier

@@ -250,8 +250,7 @@ def _inside_and_beside(
 
 
 def _matched(ours: _Bands, theirs: _Bands) -> tuple[Ints, Ints]:
-    """Numbers (M,) of bands of the left and (M,) of the right image that are each other's nearest in a row, near enough and
-    alike."""
+    """Numbers (M,) of bands of the left and (M,) of the right image that are mutually nearest in a row, and similar."""
     if not len(ours.row) or not len(theirs.row):
         return np.zeros(0, dtype=np.intp), np.zeros(0, dtype=np.intp)
     apart = 1e6

@@ -198,8 +198,7 @@ def _with_ids_of_map(imported: ImportedMap, id_name: str) -> ImportedMap:
 
 
 def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
-    """Refuse ids of other features: an id names one feature in the whole database. On this map, the feature's own id may come
-    again."""
+    """Refuse ids of other features of the database. An id of this map may come again for the same feature."""
     features = [statement.feature for statement in imported.statements]
     taken = store.known_ids(conn, [feature.feature_id for feature in features])
     for index, feature in enumerate(features):
@@ -227,8 +226,7 @@ def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportPar
 
 
 def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) -> None:
-    """Refuse coordinates that are far from everything in their stated CRS, but not in that of the map or of a neighbouring
-    zone."""
+    """Refuse coordinates that are far from everything in their stated CRS, but not in the map's or a neighbouring zone."""
     if not (imported.as_written and store.far_from_all(conn, info, _places_m(imported.statements), FAR_M).all()):
         return
     written = np.column_stack((imported.as_written, np.zeros(len(imported.as_written))))
@@ -246,8 +244,7 @@ def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) ->
 
 
 def _refuse_displaced(conn: Connection, imported: ImportedMap, params: ImportParams, map_name: str) -> None:
-    """Refuse positions of another datum, or heights of another system: each would put a second cone beside or below one of the
-    map."""
+    """Refuse positions of another datum, or heights of another system: each would add a second cone next to one of the map."""
     stated = [statement.feature for statement in imported.statements]
     standing = read_current_features(conn, map_name=map_name)
     found = check_import(stated, standing, params.reconcile)
