@@ -42,7 +42,7 @@ from benchmarks.made_up_maps import (
 )
 from conetl.db.cluster.cluster import cluster_down, cluster_up
 from conetl.db.connection import Connection, connect, execute, load_sql
-from conetl.db.map.commit import INFLUENCE_M, commit_changeset, path_wkt, place_drive
+from conetl.db.map.commit import INFLUENCE_M, add_drive, commit_changeset, path_wkt
 from conetl.db.map.map_store import drive_transaction, read_features_as_of
 from conetl.db.map.replay_store import Neighbourhood, lock_neighbourhood, read_doubts_around, read_standing_around
 from conetl.db.schema import migrate, run_audits
@@ -71,7 +71,7 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
     with watch.phase("lock, commit"):  # noqa: SIM117 -- its own share is the rest
         with gc_paused(), drive_transaction(conn, MAP_NAME):
             with watch.phase("place the drive"):
-                place = partial(place_drive, conn, drive, key, map_name=MAP_NAME)
+                place = partial(add_drive, conn, drive, key, map_name=MAP_NAME)
                 near = lock_neighbourhood(
                     conn, MAP_NAME, drive, key, place, path_wkt=path_wkt(drive), influence_m=INFLUENCE_M
                 )

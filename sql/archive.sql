@@ -38,7 +38,7 @@ from conetl.map m
 where m.map_id = %(map_id)s;
 
 -- name: tables
--- The tables that hold one map beside conetl.map, parents first. Not among them: what is shown while a drive is recorded.
+-- The tables of one map besides conetl.map, parents first. Not among them: provisional features.
 -- Columns: table_name; columns (without identity columns, which the database renumbers, and without map_id or
 -- map_name); map_column (that one of both that it has, or null); condition (parameters map_id, map_name); sorting (by the
 -- identity column, so that the new numbers rise as the old ones did, or null).
@@ -87,7 +87,7 @@ order by t.no;
 select c.run_id from conetl.changeset c where c.map_id = %(map_id)s and c.run_id is not null;
 
 -- name: delete_map_row
--- The rest of a map whose tables are empty. Parameters: map_id; map_name; run_ids. Columns: map_id.
+-- Delete the rest of a map whose tables are empty. Parameters: map_id; map_name; run_ids. Columns: map_id.
 with steps as (
     delete from conetl.run_step where run_id = any(%(run_ids)s::uuid[])
 ),
@@ -106,5 +106,5 @@ values (%(map_name)s, %(id_name)s, %(srid)s, %(vertical_srid)s, %(licence)s, %(c
 returning map_id;
 
 -- name: same_ids
--- The map whose features have a name in their ids, if any. Parameters: id_name. Columns: map_name.
+-- The map whose features have this name in their ids, if any. Parameters: id_name. Columns: map_name.
 select m.map_name from conetl.map m where coalesce(m.id_name, m.map_name) = %(id_name)s;

@@ -26,7 +26,7 @@ on conflict do nothing
 returning source_id;
 
 -- name: drop_older_source
--- Drop what an earlier state of the same file left in the layer.
+-- Drop what was imported from an earlier state of the same file.
 -- Parameters: map_name; layer_name; source_path; source_id (stays).
 delete from conetl.base_source s
 using conetl.map m

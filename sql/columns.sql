@@ -7,7 +7,7 @@
 -- marking: shape of a lane marking for the web view (conetl.marking_json); null of point objects.
 -- receipt: what is read as Receipt.
 -- frame_pair: what is read as FramePair and its Pose.
--- evidence: no columns, but what ogc.page joins to p, a page of features or lane markings: n (counts of drives) and e (existence
+-- evidence: not columns, but what ogc.page joins to p, a page of features or lane markings: n (counts of drives) and e (existence
 -- after a miss), until $7 to_at as known at $8 known_at. It is that of conetl.feature_evidence, looked up for all items at once;
 -- existence after a miss only where there is a miss. The full join finds what a left join would, because n has no other
 -- features, but it is always hashed or merged, where a planner who expects one item would read n once per item.

@@ -5,11 +5,11 @@
 select set_config('lock_timeout', %(timeout)s, true);
 
 -- name: lock_map
--- Let no other transaction change this map until this one ends. Parameters: map_name.
+-- Lock this map exclusively until the transaction ends. Parameters: map_name.
 select pg_advisory_xact_lock(hashtextextended('conetl.map/' || %(map_name)s, 0));
 
 -- name: share_map
--- Let only transactions change this map that share it, until this one ends. Parameters: map_name.
+-- Take this map's shared lock until the transaction ends. Parameters: map_name.
 select pg_advisory_xact_lock_shared(hashtextextended('conetl.map/' || %(map_name)s, 0));
 
 -- name: system_time
@@ -70,7 +70,7 @@ where c.oid = 'conetl.feature_version'::regclass;
 select exists (select 1 from conetl.changeset_published t where t.changeset_id = %(changeset_id)s) as is_published;
 
 -- name: mark_published
--- Remember that a changeset's events were handed to Prefect. Parameters: changeset_id.
+-- Record that a changeset's events were handed to Prefect. Parameters: changeset_id.
 insert into conetl.changeset_published (changeset_id) values (%(changeset_id)s) on conflict do nothing;
 
 -- name: pending_changesets

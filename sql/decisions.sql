@@ -24,7 +24,7 @@ where m.map_name = %(map_name)s
 order by d.decided_at, d.decision_id;
 
 -- name: find_decisions
--- The changeset of a number, or decisions and changesets whose id begins with a text; at most two.
+-- The changeset with a number, or decisions and changesets whose id begins with a text; at most two.
 -- Parameters: map_name; beginning (lower case). The number of a changeset of this map always means that changeset,
 -- even if ids begin with it. Digits alone are the beginning of an id from eight characters on, as lists show ids;
 -- fewer are a number, possibly of another map. Other texts need at least four characters.

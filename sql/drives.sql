@@ -143,9 +143,9 @@ group by d.drive_uuid, d.drive_id, d.captured_from_ns
 order by d.captured_from_ns, d.drive_id;
 
 -- name: drives_at_the_same_time
--- The active drives with other content that were around a path while it was driven; that have the same id and length at any time; or
--- in which the longer one passed the middle and the first or third quarter of the shorter one (1 m) at the same interval, at any time;
--- and are not on hold. A part of half the length contains the middle and one of the others.
+-- The active drives with other content, not on hold, that may be the same recording: they were around a path while it was
+-- driven; or, at any time, have the same id and length; or passed (to 1 m) the middle and the first or third quarter of the
+-- shorter one at the same interval. A part of half the length contains the middle and one of the others.
 -- Parameters: map_name; drive_id; captured_from_ns, captured_to_ns (UTC); frame_count; content_sha256; path_wkt (a line), srid;
 -- at_ns, eastings_m, northings_m (arrays: its frame pairs, in order); same_ns: intervals differ by no more.
 -- Columns: drive_uuid, drive_id, changeset_no, rig, is_alike (id and length).
@@ -201,9 +201,9 @@ end
 order by d.changeset_no;
 
 -- name: drives_with_boxes
--- The active drives with other content that are not on hold and whose left images, of the same size, have the boxes of some images
--- of another drive: at times that are all off by one time, in least_images of these images and for least_share of the boxes
--- of the time that both have in common.
+-- The active drives with other content, not on hold, whose left images have the same size and the boxes of another drive's
+-- images: with one constant time shift, in least_images of these images and for least_share of the boxes of their common
+-- time.
 -- Parameters: map_name; content_sha256; srid; width_px, height_px; at_ns, eastings_m, northings_m, x_px, y_px, w_px, h_px (arrays: the
 -- boxes, with time and position of their images); within_m (of the positions), same_px (of each number), same_ns (of offsets);
 -- least_images, least_share. Columns: drive_uuid, drive_id, changeset_no, rig, is_alike (false).
@@ -276,7 +276,7 @@ where q.drive_uuid = any(%(drive_uuids)s)
 order by d.captured_from_ns, d.content_sha256 collate "C";
 
 -- name: trusted_drives
--- Those of some drives that a person accepted, or that confirm least_confirmed objects which were on the map before_ns before them.
+-- The drives that a person accepted, or that confirm least_confirmed objects which were on the map before_ns before them.
 -- Parameters: drive_uuids (uuid[]); least_confirmed; before_ns. Columns: drive_uuid.
 select d.drive_uuid
 from conetl.active_drive d

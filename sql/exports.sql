@@ -1,11 +1,11 @@
 -- What exports and QGIS projects read.
 
 -- name: snapshot
--- Everything that the open transaction reads is one state of the database. Must come before its first query.
+-- The open transaction reads a single state of the database. Must come before its first query.
 set transaction isolation level repeatable read, read only;
 
 -- name: memory
--- How much memory each sort and each join of the open transaction may use (a join twice that) before it uses the disk.
+-- Memory for each sort and each join of the open transaction (a join may use twice as much) before it uses the disk.
 -- Parameters: work_mem (for example '64MB').
 set local work_mem = %(work_mem)s;
 
@@ -38,7 +38,7 @@ where m.map_name = %(map_name)s;
 -- time_order (both false: by feature_id); lines: lane markings instead of point objects; category (null: all).
 -- Columns: the exported names (metres, m^2, probabilities, UTC) in the order of every file; the position of a line is that
 -- of its middle vertex, and line its well-known binary in the map's CRS, in hexadecimal digits. seen_count, missed_count:
--- drives that saw and that missed the feature until valid_at (of a version: until it ended), and existence_probability
+-- drives that saw or missed the feature until valid_at (of a version: until it ended), and existence_probability
 -- is the value after the last of them, all as of the end of the version's system period.
 with judged as not materialized (  -- until the instant; for all features at once, because a call per feature takes too long
     select x.feature_id, x.kind, x.old_version, x.existence_after, d.kind as source,
@@ -134,16 +134,15 @@ order by
     v.feature_id, v.version, lower(v.system_period);
 
 -- name: changes
--- Features that differ between the map of one instant on the road and that of a later one, both as the database knew
--- them at one instant.
+-- Features that differ between two instants on the road, both as the database knew them at one instant.
 -- Parameters: map_name; from_valid_at, to_valid_at, known_at (timestamptz; 'infinity' = latest); moved_from_m: a
--- position that differs by more (horizontally) was moved, by less it was only measured better; line_moved_from_m: the same
--- of lane markings, across the line; spatial_order, time_order (both false: by feature_id); lines: lane markings instead of point objects; category (null:
--- all).
+-- larger horizontal shift is a move, a smaller one a better measurement; line_moved_from_m: the same for lane markings,
+-- across the line; spatial_order, time_order (both false: by feature_id); lines: lane markings instead of point objects;
+-- category (null: all).
 -- Columns: as exports.versions, of the later state (of removed features: of the earlier one, with valid_to when they
 -- were removed, whatever confirmed them in between), change (added, moved, confirmed, removed) and shift_m;
 -- old_easting_m, old_northing_m, old_height_m, old_version: of the earlier state (null for added); seen_count,
--- missed_count: drives that saw and that missed the feature until to_valid_at.
+-- missed_count: drives that saw or missed the feature until to_valid_at.
 with before as (
     select f.feature_id, f as state
     from conetl.map_as_of(%(map_name)s, %(from_valid_at)s::timestamptz, %(known_at)s::timestamptz) f
@@ -212,8 +211,8 @@ where m.map_name = %(map_name)s and upper_inf(v.system_period);
 
 -- name: qgis_now
 -- Layer of a QGIS project: the standing point objects, with the last change of each. Parameters: map_name.
--- Columns: as below (metres, UTC); sigma_m along the major axis of the error ellipse; seen_count, missed_count: drives that saw and
--- that missed it, existence_probability is the value after them.
+-- Columns: as below (metres, UTC); sigma_m along the major axis of the error ellipse; seen_count, missed_count: drives that saw or
+-- missed it, existence_probability is the value after them.
 select
     v.version_row_id, v.feature_id::text as feature_id, v.version, x.kind as change, v.category,
     coalesce(e.existence_after, v.existence_probability) as existence_probability, e.seen_count, e.missed_count,

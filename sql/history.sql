@@ -3,7 +3,7 @@
 -- name: changesets
 -- Changesets of a map, newest first, or the one of an idempotency key.
 -- Parameters: map_name; idempotency_key (null: all). Columns: as CommittedChangeset.
--- A drive that was committed on hold changed the map when it was released: its counts and effective_at are those of then.
+-- A drive that was committed on hold changed the map when it was released: its counts and effective_at are from then.
 select
     c.changeset_no, c.changeset_id, d.drive_id, d.kind, c.drive_uuid, c.idempotency_key, c.params_sha256, c.model_sha256,
     c.code_version, c.committed_at, coalesce(e.at, c.committed_at) as effective_at,
@@ -50,8 +50,8 @@ where m.map_name = %(map_name)s and (%(idempotency_key)s::text is null or c.idem
 order by c.changeset_no desc;
 
 -- name: changes_of_changeset
--- What one changeset did to each feature that it judged, as committed, or as released where it was committed on hold: an
--- earlier drive that arrived later may have replaced it since, see feature_log. Parameters: map_name; changeset_no.
+-- What one changeset did to each feature that it judged, as committed (or as released, if it was committed on hold). An
+-- earlier drive that arrived later may have replaced it since: see feature_log. Parameters: map_name; changeset_no.
 -- Columns: kind 'missed': visible but not observed, and still standing; track_index: null where not seen; old_*: null for
 -- added; position, sigma_m (along the major axis of the horizontal error ellipse), sigma_height_m and values after the
 -- change, of a removed feature the last ones; marking, old_marking: as serving.features.

@@ -1,8 +1,8 @@
 -- Drives on hold: what begins and ends a hold, which drives wait, and what happened in order.
 
 -- name: end_holds
--- End the holds against the map of some changesets that are no longer held for this reason. A hold against the recording
--- remains, also once it is accepted.
+-- End the holds by the map of some changesets that are no longer held for this reason. A hold because of the recording
+-- itself remains, even if it was accepted.
 -- Parameters: committed_at (timestamptz); changeset_ids (uuid[]); reasons (text[], null: not held).
 update conetl.hold h
 set system_period = tstzrange(lower(h.system_period), %(committed_at)s)
@@ -53,8 +53,8 @@ from conetl.changeset c
 where c.changeset_id = any(%(changeset_ids)s);
 
 -- name: replaced_by
--- The later delivery of the recording of a changeset that counts, or waits, in its place; no row where the changeset was
--- reverted itself, or counts because the later one does not. Parameters: changeset_id. Columns: changeset_no.
+-- The later delivery of a changeset's recording that counts, or waits, in its place; no row if the changeset itself was
+-- reverted, or counts because the later one does not. Parameters: changeset_id. Columns: changeset_no.
 select n.newer_no as changeset_no
 from conetl.newer_delivery n
 where n.changeset_id = %(changeset_id)s
@@ -73,14 +73,15 @@ limit 1;
 select n.changeset_id from conetl.newer_delivery n where n.newer_id = %(changeset_id)s;
 
 -- name: map_checks
--- The open hold of a changeset against the map, whether the drive is active or not. Parameters: changeset_id. Columns: checks.
+-- The open hold of a changeset by the map, whether the drive is active or not. Parameters: changeset_id. Columns: checks.
 select h.checks
 from conetl.hold h
 where h.changeset_id = %(changeset_id)s and h.by_map and upper_inf(h.system_period);
 
 -- name: hold_events
 -- What happened to drives that are or were on hold, in order. The end of a hold by acceptance, or by a hold with
--- another cause, is not a separate event; nor is a hold with other figures of the same check. Parameters: map_name; since, until (timestamptz, null: all). Columns: as HoldEvent.
+-- another cause, is not a separate event; nor is a hold with other figures of the same check.
+-- Parameters: map_name; since, until (timestamptz, null: all). Columns: as HoldEvent.
 with held as (
     select distinct h.changeset_id, c.changeset_no, d.drive_id
     from conetl.hold h

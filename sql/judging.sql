@@ -1,4 +1,4 @@
--- What a person needs to judge changes: the drives that passed a position, their images, and what waits for a decision.
+-- What a person needs to judge changes: the drives that passed a position, their images, and pending decisions.
 
 -- name: drives_past
 -- The drives whose area contains a position, the latest first; those on hold and reverted ones too.
@@ -51,7 +51,7 @@ and not exists (
 -- Nearest and farthest distance (m) at which tracks were observed, where their positions are kept.
 -- Parameters: drive_uuids (uuid[]), track_indexes (integer[]), of the same length.
 -- Columns: drive_uuid, track_index, near_m, far_m, frames (frame pairs).
--- offset 0: each position is looked up, whatever the planner assumes of a drive that is newer than its statistics.
+-- offset 0: forces a lookup of each position; for a drive newer than its statistics the planner would choose worse.
 select n.drive_uuid, n.track_index, min(p.range_m) as near_m, max(p.range_m) as far_m, count(distinct p.frame_index) as frames
 from unnest(%(drive_uuids)s::uuid[], %(track_indexes)s::integer[]) n (drive_uuid, track_index)
 join conetl.track_member t using (drive_uuid, track_index)
@@ -88,8 +88,8 @@ where b.drive_uuid = %(drive_uuid)s and b.frame_index = %(frame_index)s
 order by b.side, b.detection_index;
 
 -- name: review_changes
--- Cones that the last drive which judged them removed, the latest first, or moved, the largest moves first, without those
--- about which somebody decided. Parameters: map_name; first_row; max_rows; change ('removed' or 'moved'); moved_from_m (the
+-- Cones without a decision that were removed (the latest first) or moved (the largest moves first) by the last drive that
+-- judged them. Parameters: map_name; first_row; max_rows; change ('removed' or 'moved'); moved_from_m (the
 -- least move). Columns: total (of all pages), feature_id (null on an empty page).
 with found as (
     select v.feature_id, x.changed_at, case x.kind when 'moved' then x.shift_m end as shift_m
@@ -114,8 +114,8 @@ left join lateral (
 ) p on true;
 
 -- name: review_doubtful
--- Standing cones whose existence probability, after the last drive that missed them, is between two values; the least
--- certain (nearest to 0.5) first, without those about which somebody decided.
+-- Standing cones without a decision whose existence probability, after the last drive that missed them, is between two
+-- values; the least certain (nearest to 0.5) first.
 -- Parameters: map_name; first_row; max_rows; least; most. Columns: as above.
 with doubted as (
     select distinct on (x.feature_id) x.feature_id, x.old_version as version, x.existence_after

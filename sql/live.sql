@@ -47,7 +47,7 @@ delete from conetl.provisional_feature where watch_id = %(watch_id)s and feature
 update conetl.watched_drive set ended_at = clock_timestamp() where watch_id = %(watch_id)s;
 
 -- name: provisional_features
--- What drives show that are being recorded, or are not ingested yet. Parameters: map_name.
+-- Provisional features of drives that are being recorded, or are not ingested yet. Parameters: map_name.
 -- Columns: as below (metres, m^2, UTC ns); ended_at is null while it is watched, or where its watcher died; near_feature_id
 -- is null where no standing feature is near.
 select

@@ -35,7 +35,7 @@ join pg_stat_activity a on a.pid = blocking.pid
 order by a.xact_start;
 
 -- name: wait_without_limit
--- Locks that show which processes are alive are waited for as long as their holders work.
+-- Wait without limit for locks that are held as long as their holders work.
 set lock_timeout = 0;
 
 -- name: take_parts
@@ -44,8 +44,8 @@ set lock_timeout = 0;
 select pg_advisory_xact_lock(hashtextextended('conetl.map/' || part.name, 0)) from unnest(%(names)s::text[]) as part (name);
 
 -- name: regions
--- The squares of side_m, numbered from the origin of the map's CRS, to which the areas of some drives come within margin_m, and
--- that of a path which is not stored yet (as drives.insert_drive makes it).
+-- The squares of side_m, numbered from the origin of the map's CRS, within margin_m of the areas of some drives, and of the
+-- area of a path that is not stored yet (as drives.insert_drive makes it).
 -- Parameters: drive_uuids (uuid[]); path_wkt (line, null: none), influence_m; side_m, margin_m. Columns: region.
 with around (area) as (
     select d.area from conetl.drive d where d.drive_uuid = any(%(drive_uuids)s::uuid[])

@@ -6,8 +6,8 @@ select map_name, srid from conetl.map order by map_name;
 
 -- name: find_map
 -- One map. Parameters: map_name.
--- Columns: map_id, map_name, id_name (in the ids of its features), srid, vertical_srid, last_committed_at (of changesets and decisions; null while empty), counts (false while
--- all its drives are on hold or reverted and nothing else is on it).
+-- Columns: map_id, map_name, id_name (in the ids of its features), srid, vertical_srid, last_committed_at (of changesets and
+-- decisions; null while empty), counts (false while all its drives are on hold or reverted and nothing else is on it).
 select
     m.map_id, m.map_name, coalesce(m.id_name, m.map_name) as id_name, m.srid, m.vertical_srid,
     greatest(
@@ -111,7 +111,7 @@ order by v.feature_id
 limit %(max_rows)s;
 
 -- name: find_features
--- Features of a map by the beginning of their id, standing or removed. Two rows are enough to see that a beginning is
+-- Features of a map by the beginning of their id, standing or removed. Two rows are enough to show that it is
 -- ambiguous. Parameters: map_name; beginning (lower case, no wildcard characters); max_rows. Columns: feature_id.
 select f.feature_id
 from conetl.feature f
@@ -121,7 +121,7 @@ order by f.feature_id
 limit %(max_rows)s;
 
 -- name: far_from_all
--- Which of some points are farther than far_m from every drive and imported map that counts; none where nothing does.
+-- Which points are farther than far_m from every drive and imported map that counts; none if nothing counts.
 -- Parameters: map_id; eastings_m, northings_m (float8[], map CRS); far_m. Columns: is_far, in the order of the points.
 select exists (select from conetl.active_drive a where a.map_id = %(map_id)s) and not exists (
     select from conetl.active_drive d
@@ -144,7 +144,7 @@ where f.feature_id = any(%(feature_ids)s) and f.map_id > 0
 order by f.feature_id;
 
 -- name: versions_of_ids
--- All versions, replaced ones too, of those of these ids that are features of a map now. Parameters: map_id; feature_ids
+-- All versions, also replaced ones, of the current features of a map with these ids. Parameters: map_id; feature_ids
 -- (uuid[]). Columns: feature_id, version, easting_m, northing_m, height_m, category, cone_height_m,
 -- observation_count, last_seen_ns.
 select

@@ -1,7 +1,7 @@
 -- The outcome of every drive that was submitted.
 
 -- name: insert_receipt
--- One receipt; nothing where the attempt already has one of this kind. Parameters: as the columns.
+-- Insert one receipt, unless the attempt already has one of this kind. Parameters: as the columns.
 insert into conetl.receipt (
     attempt_id, map_name, drive_path, drive_id, header_sha256, analysis_sha256, content_sha256, state, reason, may_pass,
     changeset_id, frame_pairs, seconds, flow_run_id, host

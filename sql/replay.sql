@@ -66,7 +66,7 @@ and upper_inf(v.system_period) and upper_inf(v.valid_period) and (v.present or v
 order by v.feature_id;
 
 -- name: doubts_around
--- What drives that missed features conclude about those that stand around a drive's path now: existence probability
+-- State after all misses of the features that stand around a drive's path now: existence probability
 -- after the latest of them, and time of the earliest. Parameters: drive_uuid.
 -- around is materialized: starting with the deltas, the planner would subdivide the drive's area once per delta.
 with around as materialized (
@@ -147,7 +147,7 @@ and (x.cell, x.feature_id) in (
 order by x.feature_id, x.changeset_id;
 
 -- name: current_deltas
--- What some drives did, as it holds now. Parameters: drive_uuids (uuid[]).
+-- The current deltas of some drives. Parameters: drive_uuids (uuid[]).
 select
     x.delta_row_id, x.changeset_id, x.feature_id, x.kind, x.old_version, x.new_version, x.track_index, x.changed_at_ns, x.shift_m,
     x.other_feature_id, x.log_likelihood_ratio, x.existence_after, x.frames_seen, x.frames_empty
@@ -157,8 +157,7 @@ where c.drive_uuid = any(%(drive_uuids)s) and upper_inf(x.system_period)
 order by x.changeset_id, x.feature_id;
 
 -- name: create_version_stage
--- Where whole versions are loaded that hold from now on (units as in feature_version). valid_to counts only where
--- is_open is false.
+-- Staging table for the new versions (units as in feature_version). valid_to counts only where is_open is false.
 create temporary table version_stage on commit drop as
 select
     feature_id, version, changeset_id, present, suppressed, {{state columns}},
@@ -167,7 +166,7 @@ from conetl.feature_version
 with no data;
 
 -- name: create_replayed_delta_stage
--- Where the deltas are loaded that hold from now on, of drives that were compared with the map again.
+-- Staging table for the new deltas of drives that were compared with the map again.
 create temporary table replayed_delta_stage on commit drop as
 select changeset_id, feature_id, old_version, new_version, {{change columns}}, of_line
 from conetl.delta

@@ -37,8 +37,8 @@ order by frame_index, match_index;
 -- name: sighting
 -- The image pair that shows a cone best: the nearest position of a track. Parameters: drive_uuid; track_index.
 -- Columns: as below; boxes in pixels of the rectified image.
--- nearest is materialized and looks each position up (offset 0): where the statistics are older than the drive, the planner expects
--- one row of it in each table, and would join the tables by the drive alone.
+-- nearest is materialized and looks up each position (offset 0): if the statistics are older than the drive, the planner
+-- expects one row of it in each table, and would join the tables by the drive alone.
 with nearest as materialized (
     select p.drive_uuid, p.frame_index, p.match_index, p.range_m
     from conetl.track_member t
@@ -80,7 +80,7 @@ order by d.captured_from_ns desc, c.changeset_no desc
 limit 1;
 
 -- name: map_size
--- Number of cones and other point objects on a map after each instant at which it changed, as the database knew it then. Parameters: map_name.
+-- Number of cones and other point objects on a map after each change, as the database knew it then. Parameters: map_name.
 -- A present version that is open on the road is on the map during its system period.
 with steps as (
     select e.at, sum(e.change) as change
@@ -133,7 +133,7 @@ where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_
 order by c.changeset_no;
 
 -- name: night_failures
--- Drives whose last receipt in a time span is not a success, and those that were started and did not end, oldest first;
+-- Drives whose last receipt in a time span is not a success, or that started but did not end, oldest first;
 -- attempts: in the span. Parameters: map_name; since; until.
 with last_receipt as (
     select distinct on (r.header_sha256) r.*
@@ -171,8 +171,8 @@ group by x.kind
 order by x.kind;
 
 -- name: night_changes
--- Cones and other point objects that drives committed in a time span added, moved, removed or changed otherwise, as the database knows
--- it now; those that are gone first, then moved ones. Parameters: map_name; since; until; max_rows.
+-- Cones and other point objects that drives committed in a time span changed, as the database knows it now; those that are
+-- gone first, then moved ones. Parameters: map_name; since; until; max_rows.
 -- Columns: as below; total, gone: of all rows; xyz_m and sigma_m: of the version after the change; frames_empty: pairs without it.
 with changed as (
     select

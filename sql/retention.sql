@@ -60,11 +60,11 @@ where m.map_name = %(map_name)s and d.archive_path is not null and (%(drive_id)s
 order by d.captured_from_ns, d.drive_uuid;
 
 -- name: mark_archived
--- Remember where the raw records of a drive that is being pruned are. Parameters: drive_uuid; archive_path.
+-- Record the path of the archived raw records of a drive that is being pruned. Parameters: drive_uuid; archive_path.
 update conetl.drive set archive_path = %(archive_path)s where drive_uuid = %(drive_uuid)s;
 
 -- name: mark_restored
--- The raw records of a drive are in the tables again. Parameters: drive_uuid.
+-- Record that the raw records of a drive are in the tables again. Parameters: drive_uuid.
 update conetl.drive set archive_path = null, pruned_at = null where drive_uuid = %(drive_uuid)s;
 
 -- name: records_of_detection

@@ -1,7 +1,7 @@
 -- The schema's own bookkeeping: migrations, roles, extensions, session settings.
 
 -- name: schema_migration
--- The table that remembers which migrations were applied. Runs before every migration; harmless where it exists.
+-- The table of applied migrations. Runs before every migration; harmless if it exists.
 create schema if not exists conetl;
 create table if not exists conetl.schema_migration (
     name       text primary key,
@@ -14,7 +14,7 @@ create table if not exists conetl.schema_migration (
 select name, sha256 from conetl.schema_migration order by name;
 
 -- name: insert_migration
--- Remember an applied migration. Parameters: name; sha256 (hex, of the file).
+-- Record an applied migration. Parameters: name; sha256 (hex, of the file).
 insert into conetl.schema_migration (name, sha256) values (%(name)s, %(sha256)s);
 
 -- name: search_path

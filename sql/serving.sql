@@ -62,7 +62,7 @@ order by v.feature_id
 limit %(max_rows)s;
 
 -- name: changes_between
--- How the map of one instant differs from that of another, each as the database knew it at its own instant.
+-- Difference between the map at two instants, each as the database knew it at its own instant.
 -- Parameters: map_name; from_valid_at, from_known_at, to_valid_at, to_known_at (timestamptz; 'infinity' = latest);
 -- moved_from_m: horizontal distance (m) from which a feature counts as moved; line_moved_from_m: the same of lane markings,
 -- across the line; max_rows.

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 from uuid import UUID, uuid5
 
-from conetl.db.map.commit import commit_changeset, place_drive
+from conetl.db.map.commit import add_drive, commit_changeset
 from conetl.db.map.map_store import map_transaction
 from conetl.db.map.replay_store import read_versions
 from conetl.evaluation.truth import TruthCone
@@ -282,13 +282,13 @@ def commit(
 
 def write(conn: Any, records: DriveRecords, made: Changeset, *, map_name: str = "default", **options: Any) -> Any:
     """`commit_changeset` of made-up deltas, of a drive that is newer than all others around it."""
-    placed = place_drive(conn, records.drive, made.idempotency_key, map_name=map_name)
+    placed = add_drive(conn, records.drive, made.idempotency_key, map_name=map_name)
     stored, _ = read_versions(conn, [placed])
     standing = {one.feature_id: (one, row_id) for one, row_id in stored.items() if one.valid_to_ns is None}
     replay = replay_of_newest(
         standing, MapUpdate(list(made.deltas), versions_of(made, standing), []), made.changeset_id
     )
-    return commit_changeset(conn, records, made, map_name=map_name, replay=replay, placed=placed, **options)
+    return commit_changeset(conn, records, made, map_name=map_name, replay=replay, drive_uuid=placed, **options)
 
 
 def versions_of(made: Changeset, standing: Mapping[UUID, tuple[FeatureVersion, int]]) -> list[FeatureVersion]:

@@ -18,7 +18,7 @@ from conetl.cli.app import app as command_line
 from conetl.db.connection import execute
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import list_changesets, read_current_features
-from conetl.pipeline.maps.decisions import PIN, decide_place, revert
+from conetl.pipeline.maps.decisions import PIN, decide_location, revert
 from conetl.web.decisions import Writer
 from tests.browser.test_view import click_cone, settle
 from tests.chromium import HTML, HTML_NAME, nothing_of_html_happens
@@ -119,7 +119,7 @@ def test_a_refusal_leaves_the_buttons_of_the_drive_form_free_and_goes_with_it(pa
 
 def test_a_stated_class_shows_on_drives_that_were_committed_before(page, conn):
     assert page.locator(".classes").is_hidden()  # cones alone
-    decided = decide_place(conn, "classify", the_one(conn, 4), map_name="default", category="drum")
+    decided = decide_location(conn, "classify", the_one(conn, 4), map_name="default", category="drum")
     page.wait_for_selector(".classes label >> text=Drum")
     page.click("text=Any time")
     page.wait_for_selector(".classes label >> text=Drum")
@@ -135,7 +135,7 @@ def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):
     page.reload()  # this page hears of nothing
     page.wait_for_selector(".decide-section button:text('Pin')")
     conn.rollback()
-    decide_place(conn, PIN, one, map_name="default", note="of old", decided_by="Grace")
+    decide_location(conn, PIN, one, map_name="default", note="of old", decided_by="Grace")
     fill_form(page, "Pin", "on the kerb", token=TOKEN)
     page.wait_for_selector(".decide-status.bad >> text=There is already a decision to pin this position")
     assert "It is now version 1, added by" in page.locator(".panel .decide-status").inner_text()
@@ -232,7 +232,7 @@ def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: P
     came(f"drive {second.drive.drive_id}", time.time())
     one = the_one(conn, 1)
     conn.rollback()
-    decide_place(conn, "suppress", one, map_name="default", note="a bin", decided_by="Grace")
+    decide_location(conn, "suppress", one, map_name="default", note="a bin", decided_by="Grace")
     came("suppressed 1", time.time())
     features = read_current_features(conn)
     east, north = features[0].xyz_m[:2]

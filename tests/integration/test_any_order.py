@@ -17,7 +17,7 @@ from conetl.model.errors import ConflictError, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
-from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
+from conetl.pipeline.maps.decisions import accept_drive, decide_location, revert
 from conetl.pipeline.replay import replay_of
 from tests.integration import drives_of_days as world
 from tests.synthetic.painted_road import Paint, markings_of
@@ -141,8 +141,8 @@ def test_people_decide_about_stretches_as_about_cones(conn):
     before = {f.feature_id: f for f in read_current_features(conn, lines=True) if f.marking}
     cones = read_current_features(conn)
     gone, kept = sorted(f.feature_id for f in before.values() if abs(f.xyz_m[1] - ORIGIN_M[1] - 1.5) < 0.4)[:2]
-    decide_place(conn, "pin", str(kept), map_name="default", radius_m=1.0)
-    suppressed = decide_place(conn, "suppress", str(gone), map_name="default", radius_m=1.0)
+    decide_location(conn, "pin", str(kept), map_name="default", radius_m=1.0)
+    suppressed = decide_location(conn, "suppress", str(gone), map_name="default", radius_m=1.0)
     assert {f.feature_id for f in read_current_features(conn, lines=True) if f.marking} == before.keys() - {gone}
     assert read_current_features(conn) == cones
     world.merge(conn, painted(1))  # which does not show this marking any more

@@ -19,7 +19,7 @@ from conetl.db.map.map_store import (
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ImportParams
-from conetl.pipeline.maps.decisions import CLASSIFY, PIN, SUPPRESS, decide_place, revert
+from conetl.pipeline.maps.decisions import CLASSIFY, PIN, SUPPRESS, decide_location, revert
 from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.maps.imported_rows import read_map_file
 from tests.integration.drives_of_days import RIGS, failed_audits, merge, survey, valid_time_map
@@ -42,7 +42,7 @@ def test_a_suppressed_place_stays_suppressed_whatever_comes(conn):
     [feature] = near(conn, 14.0, 3.6)
     known = list_changesets(conn)[0].committed_at
     conn.rollback()
-    decided = decide_place(conn, SUPPRESS, str(feature.feature_id), map_name="default", note="a bollard")
+    decided = decide_location(conn, SUPPRESS, str(feature.feature_id), map_name="default", note="a bollard")
     assert decided.versions_written == 1
     assert near(conn, 14.0, 3.6) == []
     for day in (2, 1):
@@ -54,10 +54,10 @@ def test_a_suppressed_place_stays_suppressed_whatever_comes(conn):
     assert log is True
     conn.rollback()
     with pytest.raises(InputError, match="already"):
-        decide_place(conn, SUPPRESS, str(feature.feature_id), map_name="default")
+        decide_location(conn, SUPPRESS, str(feature.feature_id), map_name="default")
     for kind, category in ((PIN, None), (CLASSIFY, "drum")):
         with pytest.raises(ConflictError, match=f"suppressed.* no effect.*`conetl map revert {decided.decision_id}`"):
-            decide_place(conn, kind, str(feature.feature_id), category=category, map_name="default")
+            decide_location(conn, kind, str(feature.feature_id), category=category, map_name="default")
     revert(conn, str(decided.decision_id)[:8], map_name="default")
     [back] = near(conn, 14.0, 3.6)
     assert back.observation_count > feature.observation_count, "drives went on counting it"
@@ -78,7 +78,7 @@ def test_a_map_tells_when_it_was_last_decided_about(conn):
         return summary["last_committed_at"]
 
     committed = told()
-    decided = decide_place(conn, PIN, str(feature.feature_id), map_name="default")
+    decided = decide_location(conn, PIN, str(feature.feature_id), map_name="default")
     assert committed < told() == decided.decided_at
     revert(conn, str(decided.decision_id), map_name="default")
     assert told() > decided.decided_at
@@ -88,7 +88,7 @@ def test_a_decision_reaches_the_cones_of_others_within_its_radius(conn, tmp_path
     """An import whose area does not hold the centre of the place, but whose cone is within the radius."""
     first = one_cone(conn, tmp_path / "a.csv", 458005.0)
     second = one_cone(conn, tmp_path / "b.csv", 458024.0)
-    decided = decide_place(conn, SUPPRESS, str(first), map_name="default", radius_m=20.0)
+    decided = decide_location(conn, SUPPRESS, str(first), map_name="default", radius_m=20.0)
     assert decided.versions_written == 2
     assert read_current_features(conn) == []
     conn.rollback()
@@ -96,7 +96,7 @@ def test_a_decision_reaches_the_cones_of_others_within_its_radius(conn, tmp_path
     revert(conn, str(decided.decision_id), map_name="default")
     assert {feature.feature_id for feature in read_current_features(conn)} == {first, second}
     conn.rollback()
-    narrow = decide_place(conn, SUPPRESS, str(first), map_name="default", radius_m=18.9)
+    narrow = decide_location(conn, SUPPRESS, str(first), map_name="default", radius_m=18.9)
     assert (narrow.versions_written, [f.feature_id for f in read_current_features(conn)]) == (1, [second])
 
 
@@ -120,7 +120,7 @@ def test_a_pin_that_comes_after_the_removal_brings_the_cone_back(conn):
     assert near(conn, 34.0, 2.0) == []
     conn.rollback()
     before = valid_time_map(conn)
-    decided = decide_place(conn, PIN, str(feature.feature_id), map_name="default")
+    decided = decide_location(conn, PIN, str(feature.feature_id), map_name="default")
     assert decided.replayed == 2
     [back] = near(conn, 34.0, 2.0)
     assert (back.feature_id, back.version, back.xyz_m) == (feature.feature_id, feature.version, feature.xyz_m)
@@ -133,22 +133,22 @@ def test_a_class_that_a_person_states_holds_for_all_drives_and_is_taken_back(con
     [feature] = near(conn, 34.0, 2.0)  # taken away before the second day
     conn.rollback()
     before = valid_time_map(conn)
-    decided = decide_place(conn, CLASSIFY, str(feature.feature_id), category="drum", map_name="default")
+    decided = decide_location(conn, CLASSIFY, str(feature.feature_id), category="drum", map_name="default")
     [drum] = near(conn, 34.0, 2.0)
     assert drum == feature.model_copy(update={"category": "drum"})
     conn.rollback()
     with pytest.raises(ConflictError, match="already"):
-        decide_place(conn, CLASSIFY, str(feature.feature_id), category="barricade", map_name="default")
+        decide_location(conn, CLASSIFY, str(feature.feature_id), category="barricade", map_name="default")
     revert(conn, str(decided.decision_id), map_name="default")
     assert valid_time_map(conn) == before
-    decide_place(conn, CLASSIFY, str(feature.feature_id), category="drum", map_name="default")
+    decide_location(conn, CLASSIFY, str(feature.feature_id), category="drum", map_name="default")
     merged = merge(conn, survey(1))
     assert {d.kind for d in merged.changeset.deltas if d.feature_id == feature.feature_id} == {DeltaKind.REMOVED}, (
         "the detector takes it for a cone, and no cone is there any more"
     )
     [other] = near(conn, 14.0, 3.6)
     with pytest.raises(InputError, match="is a traffic_cone; expected another class: tubular_marker, drum"):
-        decide_place(conn, CLASSIFY, str(other.feature_id), category="lamp", map_name="default")
+        decide_location(conn, CLASSIFY, str(other.feature_id), category="lamp", map_name="default")
 
 
 @pytest.mark.parametrize("day", range(2))
@@ -211,11 +211,11 @@ def place_of_first_day(conn, kind, feature, order):
     from conetl.db.map.decision_store import insert_decision
     from conetl.db.map.map_store import find_map, map_transaction, system_time
     from conetl.model.map_records import Location
-    from conetl.pipeline.maps.decisions import _judge_place
+    from conetl.pipeline.maps.decisions import _judge_location
 
     with map_transaction(conn):
         info = find_map(conn)
         at = system_time(conn, info)
         place = Location(xy_m=feature.xyz_m[:2], radius_m=1.0)
-        insert_decision(conn, info, kind, decided_at=at, note=" ".join(order), place=place)
-        _judge_place(conn, info, kind, place, at)
+        insert_decision(conn, info, kind, decided_at=at, note=" ".join(order), location=place)
+        _judge_location(conn, info, kind, place, at)

@@ -25,7 +25,7 @@ from conetl.exports.text_files import export_geojson, iso_utc
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
-from conetl.pipeline.maps.decisions import SUPPRESS, decide_place
+from conetl.pipeline.maps.decisions import SUPPRESS, decide_location
 from tests.integration.drives_of_days import merge, survey
 
 CONTRACT = [
@@ -82,7 +82,7 @@ def test_the_manifest_tells_of_decisions_too(conn, tmp_path):
     feature = read_current_features(conn)[0]
     conn.rollback()
     before = export_map(conn, tmp_path / "before.csv", "csv", ExportRequest())
-    decided = decide_place(conn, SUPPRESS, str(feature.feature_id), map_name="default")
+    decided = decide_location(conn, SUPPRESS, str(feature.feature_id), map_name="default")
     after = export_map(conn, tmp_path / "after.csv", "csv", ExportRequest())
     assert (before["rows"] - after["rows"], before["changesets"]) == (1, after["changesets"])
     assert before["last_committed_at"] < after["last_committed_at"] == iso_utc(decided.decided_at)

@@ -11,8 +11,8 @@ from uuid import uuid4
 import pytest
 
 from conetl.db.connection import connect, execute, load_sql
-from conetl.db.receipt_store import Receipt, held_if_free, write_receipt
-from conetl.pipeline.maps.decisions import decide_place, revert
+from conetl.db.receipt_store import Receipt, try_lock, write_receipt
+from conetl.pipeline.maps.decisions import decide_location, revert
 from conetl.pipeline.settings import Settings
 from tests.command import free_port
 from tests.conftest import filled_template
@@ -37,7 +37,7 @@ def two_maps(conn):
         merge(conn, survey(day), map_name="south")
     conn.commit()
     [feature, *_] = features_of(conn, "north")
-    decide_place(conn, "pin", feature, map_name="north", radius_m=1.0, note="bollard", decided_by="ann")
+    decide_location(conn, "pin", feature, map_name="north", radius_m=1.0, note="bollard", decided_by="ann")
     reverted = revert(conn, "2", map_name="north", note="", decided_by="ann")
     revert(conn, str(reverted.decision_id), map_name="north", note="", decided_by="bob")
 
@@ -116,7 +116,7 @@ def test_a_map_that_a_drive_is_ingested_into_keeps_its_name(conetl, conn, databa
         analysis_sha256="1" * 64, frame_pairs=9, flow_run_id=None, host="here",
     )  # fmt: skip
     write_receipt(conn, started, tmp_path)
-    with closing(connect(database_url)) as other, held_if_free(other, started.drive_lock):
+    with closing(connect(database_url)) as other, try_lock(other, started.drive_lock):
         for command in (("rename", "north", "old"), ("delete", "north", "--yes")):
             assert "map north: drive d9 is being ingested into it" in conetl("map", *command, code=2)
     left = Settings(home=tmp_path / "home", map_name="old").reports_folder

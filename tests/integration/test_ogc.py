@@ -19,7 +19,7 @@ from fastapi.testclient import TestClient
 from conetl.db.connection import execute
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.base import utc_from_ns
-from conetl.pipeline.maps.decisions import SUPPRESS, decide_place, revert
+from conetl.pipeline.maps.decisions import SUPPRESS, decide_location, revert
 from conetl.web.app import create_app
 from tests import ogc_schemas as standard
 from tests.integration.drives_of_days import merge, survey
@@ -297,7 +297,7 @@ def test_decisions_are_served_at_once(conn, own_view):
         return answer
 
     assert is_served()
-    decided = decide_place(conn, SUPPRESS, cone_id, map_name="default")
+    decided = decide_location(conn, SUPPRESS, cone_id, map_name="default")
     assert not is_served()
     assert get(own_view, link)["numberMatched"] == before["numberMatched"], "a page that was begun goes on"
     taken_back = revert(conn, str(decided.decision_id), map_name="default")

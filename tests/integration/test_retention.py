@@ -17,7 +17,7 @@ from conetl.db.retention import archive_drive, parse_age, prunable_drives, prune
 from conetl.files.parquet_store import read_table, write_table
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
-from conetl.pipeline.maps.decisions import REVERT, SUPPRESS, decide_place, revert
+from conetl.pipeline.maps.decisions import REVERT, SUPPRESS, decide_location, revert
 from tests.integration.drives_of_days import failed_audits, merge, survey, valid_time_map
 
 LATER = datetime.now(UTC) + timedelta(days=1)
@@ -58,7 +58,7 @@ def test_what_needs_pruned_evidence_is_refused_and_changes_nothing(conn):
     assert list_changesets(conn) == changesets
     # what needs no comparison goes on: the last drive can be taken back, and a place suppressed
     feature = json.loads(before["versions"][0])["feature_id"]
-    assert decide_place(conn, SUPPRESS, feature, map_name="default").kind == SUPPRESS
+    assert decide_location(conn, SUPPRESS, feature, map_name="default").kind == SUPPRESS
     assert revert(conn, str(changesets[0].changeset_id), map_name="default").kind == REVERT
     assert failed_audits(conn) == []
 

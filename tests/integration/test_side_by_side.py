@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from conetl.db.connection import connect, execute
 from conetl.db.map import replay_store
-from conetl.db.map.commit import path_wkt, place_drive
+from conetl.db.map.commit import add_drive, path_wkt
 from conetl.db.map.map_store import drive_transaction, list_changesets, map_transaction
 from conetl.db.map.replay_store import REGION_M, affected_drives, lock_neighbourhood, regions_of, take_turn
 from conetl.model.errors import DatabaseError
@@ -41,7 +41,7 @@ def lock(conn, survey):
     """As `merge_drive` does at its beginning."""
     drive, key = survey.drive, key_of(survey, IngestParams())
     return lock_neighbourhood(
-        conn, "default", drive, key, lambda: place_drive(conn, drive, key, influence_m=REACH_M),
+        conn, "default", drive, key, lambda: add_drive(conn, drive, key, influence_m=REACH_M),
         path_wkt=path_wkt(drive), influence_m=REACH_M,
     )  # fmt: skip
 

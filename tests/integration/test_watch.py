@@ -21,7 +21,7 @@ from conetl.cli.watch import latency, report_as_dict
 from conetl.db.connection import connect, execute
 from conetl.db.live_store import WatchedDrive, drop_watched_recording, read_provisional, watch_lock, write_live
 from conetl.db.map.map_store import find_map, map_transaction
-from conetl.db.receipt_store import held_if_free
+from conetl.db.receipt_store import try_lock
 from conetl.db.schema import run_audits
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
@@ -219,7 +219,7 @@ def test_what_a_dead_watch_left_goes_and_a_living_one_is_left_alone(
 ) -> None:
     for name in ("dead", "alive", "drive"):
         live_row(conn, samples, name, samples.START_NS)
-    with closing(connect(database_url)) as other, held_if_free(other, watch_lock("default", "alive")):
+    with closing(connect(database_url)) as other, try_lock(other, watch_lock("default", "alive")):
         folder = begin(tmp_path / "drive")
         (folder / "COMPLETE").touch()
         assert watch(folder, settings).cleared == 2

@@ -12,7 +12,7 @@ import pytest
 
 from conetl.db import receipt_store
 from conetl.db.connection import CLIENT_KEEPALIVES, Connection, connect, execute, load_sql
-from conetl.db.receipt_store import held_if_free, held_locks, holding
+from conetl.db.receipt_store import held_locks, holding, try_lock
 from conetl.model.errors import DatabaseError
 from tests.command import until
 
@@ -87,13 +87,13 @@ def test_who_took_a_lost_lock_keeps_it(database_url: str, asking: Connection, fr
 def test_the_error_of_the_work_is_its_own(database_url: str, asking: Connection) -> None:
     with pytest.raises(psycopg2.DataError), holding(database_url, *NAMES):
         raise psycopg2.DataError("of the work")
-    with pytest.raises(psycopg2.DataError), held_if_free(asking, NAMES[0]):
+    with pytest.raises(psycopg2.DataError), try_lock(asking, NAMES[0]):
         raise psycopg2.DataError("of the work")
     assert held_locks(asking, NAMES) == set()
 
 
 def test_a_watch_that_lost_its_session_frees_without_an_error(database_url: str, asking: Connection) -> None:
-    with closing(connect(database_url)) as conn, held_if_free(conn, NAMES[0]) as free:
+    with closing(connect(database_url)) as conn, try_lock(conn, NAMES[0]) as free:
         assert free
         end_sessions(asking, owners(asking))
 

@@ -78,7 +78,7 @@ def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) ->
 def find_base_file(conn: Connection, file: BaseFile) -> int | None:
     """Number of points or lines kept by an earlier import of this file; None if there was none."""
     identity = asdict(file) | {"params": copy.json_text(file.params)}
-    rows = read(conn, _unread(file.map_name), "base_layers.find_source", **identity)
+    rows = read(conn, _unreadable(file.map_name), "base_layers.find_source", **identity)
     return int(rows[0]["kept_count"]) if rows else None
 
 
@@ -100,7 +100,7 @@ def write_lines(conn: Connection, file: BaseFile, counts: BaseCounts, lines: Ite
 
 def list_base_sources(conn: Connection, map_name: str) -> list[dict[str, Any]]:
     """All imported files of a map, by layer: columns of `base_layers.sources`."""
-    return read(conn, _unread(map_name), "base_layers.sources", map_name=map_name)
+    return read(conn, _unreadable(map_name), "base_layers.sources", map_name=map_name)
 
 
 def drop_base_layer(conn: Connection, map_name: str, layer_name: str) -> list[int]:
@@ -155,7 +155,7 @@ def _line_columns(source_id: UUID, lines: list[Line], srid: int) -> Columns:
     }
 
 
-def _unread(map_name: str) -> str:
+def _unreadable(map_name: str) -> str:
     return f"The base layers of map {map_name} cannot be read"
 
 
@@ -171,19 +171,19 @@ def _batches(items: Iterable[Any], size: int) -> Iterator[list[Any]]:
 
 
 def read_lanes_near(
-    conn: Connection, places_m: Sequence[Floats], *, map_name: str
+    conn: Connection, positions_m: Sequence[Floats], *, map_name: str
 ) -> tuple[list[list[LaneLine]], list[str]]:
     """Lane lines of the map's base layers near each set of positions, and the names of these layers.
 
-    places_m: (N, 2) each, in the map's CRS. Near: inside their box, widened by `_LANE_REACH_M`.
+    positions_m: (N, 2) each, in the map's CRS. Near: inside their box, widened by `_LANE_REACH_M`.
     """
-    found: list[list[LaneLine]] = [[] for _ in places_m]
+    found: list[list[LaneLine]] = [[] for _ in positions_m]
     layers: set[str] = set()
-    low = [places.min(axis=0) - _LANE_REACH_M for places in places_m]
-    high = [places.max(axis=0) + _LANE_REACH_M for places in places_m]
+    low = [positions.min(axis=0) - _LANE_REACH_M for positions in positions_m]
+    high = [positions.max(axis=0) + _LANE_REACH_M for positions in positions_m]
     corners = np.hstack([low, high]).reshape(-1, 4).T.tolist()
     box = dict(zip(("west_m", "south_m", "east_m", "north_m"), corners, strict=True))
-    rows = stream_values(conn, _unread(map_name), "base_layers.lines_near", map_name=map_name, **box)
+    rows = stream_values(conn, _unreadable(map_name), "base_layers.lines_near", map_name=map_name, **box)
     for zone, layer, kind, attributes, wkb in rows:
         if bounds_lanes(kind, attributes):
             line = shapely.get_coordinates(shapely.from_wkb(bytes(wkb)))

@@ -140,7 +140,7 @@ def drives_under_way(conn: Connection, *, map_name: str) -> list[str]:
 
 
 @contextmanager
-def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
+def try_lock(conn: Connection, name: str) -> Iterator[bool]:
     """Hold a lock in a session that is also used for the work, if it is free; yields whether it was."""
     with database_errors("A lock in PostgreSQL could not be taken"):
         conn.rollback()
@@ -159,7 +159,7 @@ def held_if_free(conn: Connection, name: str) -> Iterator[bool]:
 
 def end_crashed(conn: Connection, started: Receipt, reason: str, folder: Path) -> Receipt | None:
     """Record that an attempt was interrupted; None if its process is running, or it ended meanwhile."""
-    with held_if_free(conn, started.drive_lock) as free:
+    with try_lock(conn, started.drive_lock) as free:
         if not free or attempt_ends(conn, [started.attempt_id]):
             return None
         crashed = replace(started, state="crashed", reason=reason, may_pass=True, at=None)

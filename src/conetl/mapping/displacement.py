@@ -25,7 +25,7 @@ from conetl.model.map_records import DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
 
 #: Positions (N, 3) and classes (N,) of tracks or features.
-_Places = tuple[Floats, NDArray[np.str_]]
+_Located = tuple[Floats, NDArray[np.str_]]
 #: Sigmas of a common displacement that the stated ones do not explain.
 MAX_SIGMAS = 5.0
 #: Smaller displacements and height differences are left to the fusion.
@@ -56,7 +56,7 @@ def check_positions(
     tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
 ) -> HealthCheck | None:
     """A hold if the drive's cones have a common displacement against the map's that exceeds the stated sigmas."""
-    places, on_map = _places(tracks), _places(features)
+    places, on_map = _located(tracks), _located(features)
     t, f = places[0], on_map[0]
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
     near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
@@ -105,7 +105,7 @@ def check_import(
         return None
     t, f = xyz_of(stated), xyz_of(features)
     covs = cov_matrices([one.cov_m2 for one in stated]), cov_matrices([one.cov_m2 for one in features])
-    pairs = _same_positions(_places(stated), _places(features), np.zeros(3), params)
+    pairs = _same_positions(_located(stated), _located(features), np.zeros(3), params)
     if pairs:
         i, j = list(pairs), list(pairs.values())
         # If most have no cone near them, the rest match neighbours by chance: only heights are compared.
@@ -154,7 +154,7 @@ def check_arrangement(
     """A hold if the arrangement of enough cones matches the map elsewhere, even along a row from which no cone is missing."""
     if len(tracks) < _LEAST_SAME_OF_DRIVE or not features:
         return None
-    found = len(_same_positions(_places(tracks), _places(features), np.zeros(3), params))
+    found = len(_same_positions(_located(tracks), _located(features), np.zeros(3), params))
     return _match_arrangement(tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
 
 
@@ -162,7 +162,7 @@ def check_classes(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
 ) -> HealthCheck | None:
     """A hold if most of the objects at positions of map objects are of another class."""
-    t, f = _places(tracks), _places(features)
+    t, f = _located(tracks), _located(features)
     same = _same_positions(t, f, np.zeros(3), params)
     others = np.setdiff1d(np.arange(len(t[0])), list(same)), np.setdiff1d(np.arange(len(f[0])), list(same.values()))
     rows, columns = near_pairs(t[0][others[0], :2], f[0][others[1], :2], params.min_gate_m)
@@ -214,11 +214,11 @@ def _match_arrangement(
     return _position_hold(fit.middle_m, sigma_m, "", limit_m) if fit.largest_m > limit_m else None
 
 
-def _places(objects: Sequence[Track | MapFeature]) -> _Places:
+def _located(objects: Sequence[Track | MapFeature]) -> _Located:
     return xyz_of(objects), classes_of(objects)
 
 
-def _same_positions(tracks: _Places, features: _Places, shift_m: Floats, params: ReconcileParams) -> dict[int, int]:
+def _same_positions(tracks: _Located, features: _Located, shift_m: Floats, params: ReconcileParams) -> dict[int, int]:
     """Track -> feature of the same class at its position, after moving tracks back by `shift_m` (3,); heights are ignored."""
     (t, t_classes), (f, f_classes) = tracks, features
     rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)

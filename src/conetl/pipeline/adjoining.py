@@ -51,7 +51,7 @@ class Doubt(NamedTuple):
 
 
 class NewDrive(NamedTuple):
-    """A drive that was added to the map (`place_drive`) and has no changeset yet."""
+    """A drive that was added to the map (`add_drive`) and has no changeset yet."""
 
     drive_uuid: UUID
     drive: Drive

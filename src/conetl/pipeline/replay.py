@@ -18,7 +18,7 @@ import numpy as np
 
 from conetl.db.connection import Connection
 from conetl.db.map import replay_store as store
-from conetl.db.map.commit import INFLUENCE_M, commit_changeset, path_wkt, place_drive, with_free_id
+from conetl.db.map.commit import INFLUENCE_M, add_drive, commit_changeset, path_wkt, with_free_id
 from conetl.db.map.decision_store import held_drives, hold_changes, read_decisions
 from conetl.db.map.drive_store import load_stored_drive, read_view
 from conetl.db.map.map_store import require_map
@@ -102,8 +102,8 @@ def merge_drive(
         categories=params.detection.categories,
         unclear=drive.unclear,
     )
-    place = partial(
-        place_drive, conn, drive, changeset.idempotency_key, map_name=map_name, reconcile=params.reconcile, influence_m=reach_m,
+    add = partial(
+        add_drive, conn, drive, changeset.idempotency_key, map_name=map_name, reconcile=params.reconcile, influence_m=reach_m,
         figures=figures,
     )  # fmt: skip
 
@@ -114,7 +114,7 @@ def merge_drive(
         return any(doubt.contested or not doubt.is_settled for doubt in doubts)
 
     near = store.lock_neighbourhood(
-        conn, map_name, drive, changeset.idempotency_key, place, path_wkt=None if hold else path_wkt(drive), influence_m=reach_m,
+        conn, map_name, drive, changeset.idempotency_key, add, path_wkt=None if hold else path_wkt(drive), influence_m=reach_m,
         adjoining_ns=WITHIN_NS, reaches_far=is_in_doubt,
     )  # fmt: skip
     if isinstance(near, CommittedChangeset):  # another ingest of the same drive finished first
@@ -133,7 +133,7 @@ def merge_drive(
     changeset = changeset.model_copy(update={"deltas": tuple(extension.deltas)})
     committed = commit_changeset(
         conn, records, changeset, map_name=map_name, run=run, replay=replay, hold=hold, held_by_map=by_map,
-        placed=near.drive_uuid,
+        drive_uuid=near.drive_uuid,
     )  # fmt: skip
     others: tuple[HoldChange, ...] = ()
     if held_before or affected:  # else there is no drive whose hold could begin or end

@@ -22,7 +22,7 @@ from watchfiles import watch as watch_files
 from conetl.db.connection import Connection
 from conetl.db.live_store import clear_watches, end_watch, watch_lock
 from conetl.db.map.map_store import find_map
-from conetl.db.receipt_store import held_if_free
+from conetl.db.receipt_store import try_lock
 from conetl.model.drive import MAX_SPEED_M_S, FramePair, Track
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
@@ -223,7 +223,7 @@ def _wait_for_changes(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
 def _begin(watch: _Watch, source: ArrivingDrive, stack: ExitStack) -> None:
     """Start once the drive is known: lock it against other watches, and remove the results of earlier ones."""
     name = watch_lock(watch.settings.map_name, source.drive_id)
-    if not stack.enter_context(held_if_free(watch.conn, name)):
+    if not stack.enter_context(try_lock(watch.conn, name)):
         raise InputError(f"{watch.folder}: the drive {source.drive_id} is being watched already")
     watch.source, watch.report.drive_id = source, source.drive_id
     watch.report.cleared = clear_watches(watch.conn, map_name=watch.settings.map_name, drive_id=source.drive_id)

@@ -96,7 +96,7 @@ def ribbon(points_m: ArrayLike, width_m: float, height_m: float, tile_m: float) 
     )
 
 
-def placed(mesh: Mesh, matrix: Floats) -> Mesh:
+def transformed(mesh: Mesh, matrix: Floats) -> Mesh:
     """The mesh after a rigid (4, 4) motion."""
     return mesh._replace(
         vertices=mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3], normals=mesh.normals @ matrix[:3, :3].T

@@ -70,7 +70,7 @@ def cone_parts(cone: Cone, seed: int) -> list[Part]:
     radii[0] *= 1.16
     radii[-1] = 0.0
     body = meshes.lathe(radii, heights)
-    body = meshes.placed(body, _lean(cone.tilt_rad, cone.tilt_azimuth_rad, thick))
+    body = meshes.transformed(body, _lean(cone.tilt_rad, cone.tilt_azimuth_rad, thick))
     stand = motion(cone.x_m, cone.y_m, 0.0, cone.yaw_rad)
     if cone.fallen:  # lies on the plate's edge and the tip
         lie = math.pi / 2 - math.asin((side / 2 - top) / (h - thick))
@@ -80,8 +80,8 @@ def cone_parts(cone: Cone, seed: int) -> list[Part]:
         stand = motion(0.0, 0.0, -low) @ stand
     plate_skin = textures.mottled(seed + 11, cone.plate_colour, 0.18, size=64)
     return [
-        Part(meshes.placed(plate, stand), plate_skin),
-        Part(meshes.placed(body, stand), textures.cone_skin(cone, seed)),
+        Part(meshes.transformed(plate, stand), plate_skin),
+        Part(meshes.transformed(body, stand), textures.cone_skin(cone, seed)),
     ]
 
 
@@ -91,7 +91,7 @@ def _part(
 ) -> Part:  # fmt: skip
     """A mesh at (x, y, z) of the object's frame as a part in the road frame."""
     stand = motion(item.x_m, item.y_m, item.ground_m, item.yaw_rad) @ motion(x, y, z)
-    return Part(meshes.placed(mesh, stand), surface, roughness)
+    return Part(meshes.transformed(mesh, stand), surface, roughness)
 
 
 def _bollard(item: RoadObject, seed: int) -> list[Part]:
@@ -153,7 +153,7 @@ def _hydrant(item: RoadObject, seed: int) -> list[Part]:
     body = meshes.lathe(
         [0.13, 0.13, 0.09, 0.09, 0.13, 0.12, 0.05, 0.0], np.array([0, 0.06, 0.1, 0.7, 0.72, 0.84, 0.98, 1]) * h
     )
-    arm = meshes.placed(meshes.box([0.09, 0.34, 0.09]), motion(0.0, 0.0, 0.55 * h))
+    arm = meshes.transformed(meshes.box([0.09, 0.34, 0.09]), motion(0.0, 0.0, 0.55 * h))
     return [_part(item, body, item.colour, 0.3), _part(item, arm, item.colour, 0.3)]
 
 
@@ -164,10 +164,10 @@ def _van(item: RoadObject, seed: int) -> list[Part]:
     nose = length / 2
     outline = np.array([[-nose, 0.35], [nose, 0.35], [nose, 1.05], [nose - 0.55, 1.2], [nose - 1.35, h], [-nose, h]])
     turn = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-    side = meshes.placed(meshes.prism(outline @ np.array([[-1.0, 0.0], [0.0, 1.0]]), width), turn)
+    side = meshes.transformed(meshes.prism(outline @ np.array([[-1.0, 0.0], [0.0, 1.0]]), width), turn)
     skin = textures.mottled(seed, item.colour, 0.03, size=256)
     # The hull between the two sides: one thin box per edge of the outline.
-    parts = [_part(item, meshes.placed(side, motion(0, 0, 0, math.pi)), skin, 0.15)]
+    parts = [_part(item, meshes.transformed(side, motion(0, 0, 0, math.pi)), skin, 0.15)]
     for (x0, z0), (x1, z1) in zip(outline, np.roll(outline, -1, axis=0), strict=True):
         run = math.hypot(x1 - x0, z1 - z0)
         lean = math.atan2(z1 - z0, x1 - x0)
@@ -175,14 +175,14 @@ def _van(item: RoadObject, seed: int) -> list[Part]:
         place = np.array([[c, 0, -s, (x0 + x1) / 2], [0, 1, 0, 0], [s, 0, c, (z0 + z1) / 2], [0, 0, 0, 1.0]])
         surface, roughness = (glass, 0.1) if x0 == nose - 0.55 else (skin, 0.15)
         panel = meshes.box([run, width + 0.004, 0.03], -0.015)
-        parts.append(_part(item, meshes.placed(panel, place), surface, roughness))
+        parts.append(_part(item, meshes.transformed(panel, place), surface, roughness))
     for y in (-width / 2 - 0.012, width / 2 + 0.012):
         parts.append(_part(item, meshes.box([0.8, 0.02, 0.5], 1.2), glass, 0.1, x=nose - 1.55, y=y))
         parts.append(_part(item, meshes.box([length - 0.2, 0.015, 0.12], 0.75), (0.85, 0.85, 0.85), y=y))
         wheel = meshes.lathe([0.0, 0.2, 0.33, 0.33, 0.2, 0.0], [0.0, 0.0, 0.02, 0.2, 0.22, 0.22], 28)
         lying = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0.33], [0, 0, 0, 1.0]])
         for x in (-0.31 * length, 0.31 * length):
-            parts.append(_part(item, meshes.placed(wheel, lying), black, x=x, y=y - 0.11 - math.copysign(0.06, y)))
+            parts.append(_part(item, meshes.transformed(wheel, lying), black, x=x, y=y - 0.11 - math.copysign(0.06, y)))
     for y in (-0.48, 0.48):
         parts.append(_part(item, meshes.box([0.02, 0.7, 0.55], 1.25), glass, 0.1, x=-nose - 0.03, y=y))
         parts.append(_part(item, meshes.box([0.03, 0.14, 0.35], 0.75), (0.6, 0.04, 0.03), x=-nose - 0.03, y=1.8 * y))
@@ -222,7 +222,9 @@ def _hedge(item: RoadObject, seed: int) -> list[Part]:
     parts = []
     for x in np.linspace(-item.length_m / 2, item.length_m / 2, count):
         size = [2.6, rng.uniform(0.8, 1.1), item.height_m * rng.uniform(0.88, 1.08)]
-        parts.append(_part(item, meshes.placed(meshes.box(size), motion(0, 0, 0, rng.uniform(-0.12, 0.12))), skin, x=x))
+        parts.append(
+            _part(item, meshes.transformed(meshes.box(size), motion(0, 0, 0, rng.uniform(-0.12, 0.12))), skin, x=x)
+        )
     return parts
 
 

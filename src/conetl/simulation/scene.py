@@ -138,7 +138,9 @@ def _ground(world: scenario.World) -> list[Part]:
     for y, outwards in ((road.right_m, -1.0), (road.left_m, 1.0)):
         kerb = meshes.box([x1 - x0, scenario.KERB_WIDTH_M, scenario.KERB_HEIGHT_M])
         kerb = kerb._replace(uv=kerb.uv * [(x1 - x0) / 1.0, 0.3])
-        ground.append(Part(meshes.placed(kerb, motion((x0 + x1) / 2, y + outwards * scenario.KERB_WIDTH_M / 2)), stone))
+        ground.append(
+            Part(meshes.transformed(kerb, motion((x0 + x1) / 2, y + outwards * scenario.KERB_WIDTH_M / 2)), stone)
+        )
     ground.append(Part(_flat(-900.0, 900.0, -900.0, 900.0, -0.05, 25.0), grass))  # up to the horizon
     edge, left = road.pavement_edge_m, road.left_m + scenario.KERB_WIDTH_M
     if road.pavement_width_m > 0:

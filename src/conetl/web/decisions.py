@@ -18,7 +18,7 @@ from conetl.db.serve_store import last_changes, read_feature_history, read_rows,
 from conetl.model.base import Record, Vec3
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.health import HeldDrive
-from conetl.pipeline.maps.decisions import accept_drive, decide_place, revert
+from conetl.pipeline.maps.decisions import accept_drive, decide_location, revert
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
@@ -107,7 +107,7 @@ class Writer:
         }  # fmt: skip
         with closing(connect(self.database_url)) as conn:
             if isinstance(wish, PlaceRequest):
-                done = decide_place(
+                done = decide_location(
                     conn, wish.kind, str(wish.feature_id), radius_m=wish.radius_m,
                     expected_version=wish.expected_version, **common,
                 )  # fmt: skip

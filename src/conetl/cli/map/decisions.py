@@ -164,10 +164,10 @@ def _decide_place(
     as_json: bool,
     category: str | None = None,
 ) -> None:
-    from conetl.pipeline.maps.decisions import decide_place
+    from conetl.pipeline.maps.decisions import decide_location
 
     with open_map(map_name) as (conn, info):
-        decided = decide_place(
+        decided = decide_location(
             conn, kind, feature, map_name=info.map_name, radius_m=radius, category=category, note=note,
             decided_by=who_decides(by),
         )  # fmt: skip

@@ -3,10 +3,10 @@
 One drive is one atomic changeset. The caller holds the locks of its neighbourhood from reading the features to the commit:
 
     with drive_transaction(conn, map_name):
-        near = lock_neighbourhood(conn, map_name, drive, key, lambda: place_drive(conn, drive, key, ...), ...)
+        near = lock_neighbourhood(conn, map_name, drive, key, lambda: add_drive(conn, drive, key, ...), ...)
         if isinstance(near, Neighbourhood):           # else it is already on the map
             ...                                       # compare in Python: in pipeline/replay.py
-            commit_changeset(conn, records, changeset, replay=..., map_name=map_name, placed=near.drive_uuid)
+            commit_changeset(conn, records, changeset, replay=..., map_name=map_name, drive_uuid=near.drive_uuid)
 
 Everything is committed at the end of the block, or nothing.
 """
@@ -50,7 +50,7 @@ _PATH_STEP_M = 3.0
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/drive")
 
 
-def place_drive(
+def add_drive(
     conn: Connection,
     drive: Drive,
     idempotency_key: str,
@@ -63,7 +63,7 @@ def place_drive(
     """Add a drive to the map unless it exists, so that its neighbourhood can be read; does not commit.
 
     It counts only once its changeset exists. reconcile (None: the defaults), influence_m and figures (of the detector; None: not
-    measured) are kept for later comparisons of the drive with the map. Raises MapMismatchError if the map is in another CRS.
+    measured) are stored for later comparisons of the drive with the map. Raises MapMismatchError if the map is in another CRS.
     """
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}")
     drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
@@ -101,21 +101,21 @@ def commit_changeset(
     replay: Replay = NOTHING,
     hold: Sequence[HealthCheck] = (),
     held_by_map: bool = False,
-    placed: UUID | None = None,
+    drive_uuid: UUID | None = None,
 ) -> CommittedChangeset:
     """Write a drive, everything made from it, and its changeset, under the locks that the caller holds.
 
     The map is created by its first changeset with the drive's SRID. replay: the new state of what the changeset changes, its own
-    deltas included; of the whole neighbourhood where others were compared again. hold: the checks for which the drive must not
-    count until a person accepts it; held_by_map: whether the comparison with the map made them. placed: the drive, where the
-    caller has placed it. It must have no changeset yet. Raises MapMismatchError if the drive is in another CRS, or the records do
-    not fit together; DatabaseError from the surrounding transaction.
+    deltas included; of the whole neighbourhood if others were compared again. hold: the checks for which the drive must not count
+    until a person accepts it; held_by_map: whether the comparison with the map made them. drive_uuid: the drive, if `add_drive`
+    has added it; it must have no changeset yet. Raises MapMismatchError if the drive is in another CRS, or the records do not fit
+    together; DatabaseError from the surrounding transaction.
     """
     drive = records.drive
-    placed = placed or place_drive(conn, drive, changeset.idempotency_key, map_name=map_name)
+    drive_uuid = drive_uuid or add_drive(conn, drive, changeset.idempotency_key, map_name=map_name)
     _require_consistent(records, changeset)
     info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}")
-    blocks = _encoded_records(placed, info.srid, records)
+    blocks = _encoded_records(drive_uuid, info.srid, records)
     # Encoding takes nearly as long as sending, during which this process would only wait: a thread encodes the next block.
     with ThreadPoolExecutor(1) as pool:
         upcoming = pool.submit(next, blocks, None)
@@ -125,7 +125,7 @@ def commit_changeset(
             db.copy_block(conn, block)
     take_turn(conn, map_name)  # what follows keeps other drives of the map waiting
     committed_at = system_time(conn, info)
-    insert_changeset(conn, info, placed, changeset, records, run, committed_at)
+    insert_changeset(conn, info, drive_uuid, changeset, records, run, committed_at)
     db.copy_columns(conn, "conetl.quarantine", map_rows.rejection_columns(changeset.changeset_id, records.rejections))
     drop_watched_recording(conn, drive, map_name=map_name)
     versions_written = apply_stages(conn, staged, replay, committed_at)
@@ -178,7 +178,7 @@ def committed_changeset(conn: Connection, changeset: Changeset, *, map_name: str
 
 
 def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
-    """Checks that foreign keys would make row by row, at a tenth of their cost. Raises MapMismatchError."""
+    """The checks of foreign keys, at a tenth of the cost of row-by-row checks. Raises MapMismatchError."""
     drive, detections, matches, positions, tracks, *_ = records
     frames = {pair.frame_index for pair in drive.frame_pairs}
     boxes = {(d.frame_index, d.side, d.detection_index) for d in detections}

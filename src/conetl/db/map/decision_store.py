@@ -23,11 +23,11 @@ def list_decisions(conn: Connection, *, map_name: str = "default") -> list[Store
 def read_decisions(conn: Connection, *, map_name: str = "default") -> Decisions:
     """The decisions as the comparison of drives takes them."""
     found = list_decisions(conn, map_name=map_name)
-    placed = [(decision.kind, decision.place) for decision in found if decision.place is not None]
+    located = [(decision.kind, decision.location) for decision in found if decision.location is not None]
     return Decisions(
-        suppressed=tuple(place for kind, place in placed if kind == "suppress"),
-        pinned=tuple(place for kind, place in placed if kind == "pin"),
-        classified=tuple(place for _, place in placed if isinstance(place, Classification)),
+        suppressed=tuple(location for kind, location in located if kind == "suppress"),
+        pinned=tuple(location for kind, location in located if kind == "pin"),
+        classified=tuple(location for _, location in located if isinstance(location, Classification)),
         accepted=frozenset(d.changeset_id for d in found if d.kind == "accept" and d.changeset_id is not None),
     )
 
@@ -47,7 +47,7 @@ def insert_decision(
     decided_at: datetime,
     note: str,
     decided_by: str | None = None,
-    place: Location | None = None,
+    location: Location | None = None,
     feature_id: UUID | None = None,
     changeset_id: UUID | None = None,
     withdraws: UUID | None = None,
@@ -57,7 +57,7 @@ def insert_decision(
     kind: suppress, pin, classify (with a `Classification`), revert, accept or withdraw.
     """
     decision_id = uuid4()
-    easting_m, northing_m = place.xy_m if place else (None, None)
+    easting_m, northing_m = location.xy_m if location else (None, None)
     query(
         conn,
         "decisions.insert_decision",
@@ -67,16 +67,16 @@ def insert_decision(
         kind=kind,
         easting_m=easting_m,
         northing_m=northing_m,
-        radius_m=place.radius_m if place else None,
-        category=getattr(place, "category", None),
-        found_as=getattr(place, "found_as", None),
+        radius_m=location.radius_m if location else None,
+        category=getattr(location, "category", None),
+        found_as=getattr(location, "found_as", None),
         feature_id=feature_id,
         changeset_id=changeset_id,
         withdraws=withdraws,
         note=clean_text(note),
         decided_by=clean_text(decided_by) if decided_by else None,
         decided_at=decided_at,
-        of_line=place is not None and place.of_line,
+        of_line=location is not None and location.of_line,
     )
     return decision_id
 
@@ -101,13 +101,13 @@ def write_holds(
         query(conn, "holds.begin_holds", **parameters | {"by_map": by_map, "checks": written})
 
 
-def _unread(map_name: str) -> str:
+def _unreadable(map_name: str) -> str:
     return f"The drives on hold on map {map_name} cannot be read"
 
 
 def held_drives(conn: Connection, *, map_name: str) -> list[HeldDrive]:
     """The drives of a map that are on hold, the longest-waiting first."""
-    rows = read(conn, _unread(map_name), "holds.held_drives", map_name=map_name)
+    rows = read(conn, _unreadable(map_name), "holds.held_drives", map_name=map_name)
     return [HeldDrive(**row) for row in rows]
 
 
@@ -130,10 +130,10 @@ def hold_changes(
     if not changed_ids:
         return ()
     if by is not None:
-        replaced = read(conn, _unread(map_name), "holds.earlier_deliveries", changeset_id=by)
+        replaced = read(conn, _unreadable(map_name), "holds.earlier_deliveries", changeset_id=by)
         changed_ids &= {*among, *(row["changeset_id"] for row in replaced)}
     states = dict.fromkeys(changed_ids & held.keys(), "on hold")
-    gone = read(conn, _unread(map_name), "holds.unheld_states", changeset_ids=list(changed_ids & was.keys()))
+    gone = read(conn, _unreadable(map_name), "holds.unheld_states", changeset_ids=list(changed_ids & was.keys()))
     states |= {row["changeset_id"]: row["state"] for row in gone}
     changed = [(was | held)[drive] for drive in states]
     return tuple(
@@ -150,7 +150,7 @@ def hold_events(
     conn: Connection, *, map_name: str, since: datetime | None = None, until: datetime | None = None
 ) -> list[HoldEvent]:
     """Events in [since, until) of drives that are or were on hold, in order."""
-    rows = read(conn, _unread(map_name), "holds.hold_events", map_name=map_name, since=since, until=until)
+    rows = read(conn, _unreadable(map_name), "holds.hold_events", map_name=map_name, since=since, until=until)
     return [HoldEvent(**row) for row in rows]
 
 

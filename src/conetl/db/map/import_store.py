@@ -81,7 +81,7 @@ def versions_of_ids(conn: Connection, info: MapInfo, feature_ids: Sequence[UUID]
     return found
 
 
-def place_import(
+def add_import(
     conn: Connection, imported: ImportedMap, idempotency_key: str, *, map_name: str, reconcile: ReconcileParams
 ) -> UUID:
     """Add an imported map as an event, so that its neighbourhood can be read; does not commit.
@@ -112,7 +112,7 @@ def commit_import(
     map_name: str,
     run: RunInfo,
 ) -> None:
-    """Write an import's statements and changeset, inside the caller's `map_transaction`. drive_uuid: of `place_import`."""
+    """Write an import's statements and changeset, inside the caller's `map_transaction`. drive_uuid: of `add_import`."""
     info = map_for(conn, map_name, imported.srid, imported.name)
     committed_at = system_time(conn, info)
     insert_changeset(conn, info, drive_uuid, changeset, None, run, committed_at)

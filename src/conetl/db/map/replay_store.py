@@ -72,10 +72,10 @@ def other_deliveries(
     return [row["changeset_no"] for row in rows]
 
 
-def drives_at(conn: Connection, map_name: str, place: Location) -> list[UUID]:
+def drives_at(conn: Connection, map_name: str, location: Location) -> list[UUID]:
     """The active drives that may judge features within the radius of a location (map CRS)."""
-    easting_m, northing_m = place.xy_m
-    around = {"easting_m": easting_m, "northing_m": northing_m, "radius_m": place.radius_m}
+    easting_m, northing_m = location.xy_m
+    around = {"easting_m": easting_m, "northing_m": northing_m, "radius_m": location.radius_m}
     return [row["drive_uuid"] for row in db.query(conn, "replay.drives_at", map_name=map_name, **around)]
 
 
@@ -194,7 +194,7 @@ def lock_neighbourhood(
     map_name: str,
     drive: Drive,
     idempotency_key: str,
-    place: Callable[[], UUID],
+    add: Callable[[], UUID],
     *,
     path_wkt: str | None,
     influence_m: float,
@@ -203,7 +203,7 @@ def lock_neighbourhood(
 ) -> Neighbourhood | CommittedChangeset:
     """Lock the neighbourhood of a drive and add the drive to the map, in an open transaction that has not written yet.
 
-    place: adds the drive (`place_drive`). path_wkt: its path (line, map CRS), around which it may change everything within
+    add: adds the drive (`add_drive`). path_wkt: its path (line, map CRS), around which it may change everything within
     influence_m; None: it changes nothing, because its recording is on hold. adjoining_ns: no other drive of the rig that was
     recorded within this time before or after it is merged meanwhile. reaches_far: whether drives that are still unknown may have
     to be compared again as well. If the drive is already on the map, the result is its changeset, and nothing is added.
@@ -228,7 +228,7 @@ def lock_neighbourhood(
         if whole or (info is not None and info.counts and len(regions) <= MAX_REGIONS):
             if (known := find_changeset(conn, idempotency_key, map_name=map_name)) is not None:
                 return known
-            drive_uuid = place()
+            drive_uuid = add()
             if path_wkt is None:
                 found = Neighbourhood(drive_uuid, [drive_uuid], [])
             else:

@@ -164,14 +164,14 @@ class StoredDecision(DecisionFacts):
     note: str
 
     @property
-    def place(self) -> Location | None:
+    def location(self) -> Location | None:
         """The location that it applies to, with the classes of a `classify`; None for a revert."""
         if self.easting_m is None or self.northing_m is None or self.radius_m is None:
             return None
-        place = Location(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m, of_line=self.of_line)
+        location = Location(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m, of_line=self.of_line)
         if self.found_as is None or self.category is None:
-            return place
-        return Classification(**dict(place), found_as=self.found_as, category=self.category)
+            return location
+        return Classification(**dict(location), found_as=self.found_as, category=self.category)
 
 
 @dataclass(frozen=True)

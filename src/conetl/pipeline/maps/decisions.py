@@ -75,7 +75,7 @@ class _OpenDecision(NamedTuple):
     held_before: list[HeldDrive]
 
 
-def decide_place(
+def decide_location(
     conn: Connection,
     kind: str,
     feature: str,
@@ -98,7 +98,7 @@ def decide_place(
     with _open_decision(conn, map_name, note, decided_by, lock_timeout_s) as at:
         state = _feature(conn, map_name, feature)
         known = store.list_decisions(conn, map_name=map_name)
-        here = {one.kind: one for one in known if one.place is not None and is_within(state, [one.place])}
+        here = {one.kind: one for one in known if one.location is not None and is_within(state, [one.location])}
         if kind in here:
             raise ConflictError(f"there is already a decision to {kind} this position: see `conetl map decisions`")
         if SUPPRESS in here:
@@ -111,11 +111,11 @@ def decide_place(
                 f"feature {state.feature_id} has changed: you decided on version {expected_version}, but it is now at "
                 f"version {state.version}. Review it again."
             )
-        place = Location(xy_m=state.xyz_m[:2], radius_m=radius_m, of_line=state.marking is not None)
+        location = Location(xy_m=state.xyz_m[:2], radius_m=radius_m, of_line=state.marking is not None)
         if kind == CLASSIFY:
-            place = _classification(state, category, place)
-        decision_id = at.insert(kind, place=place, feature_id=state.feature_id)
-        written, replayed = _judge_place(conn, at.info, kind, place, at.decided_at)
+            location = _classification(state, category, location)
+        decision_id = at.insert(kind, location=location, feature_id=state.feature_id)
+        written, replayed = _judge_location(conn, at.info, kind, location, at.decided_at)
         return _outcome(conn, at, decision_id, kind, written, replayed)
 
 
@@ -148,9 +148,9 @@ def revert(
         conflicts: tuple[RevertConflict, ...] = ()
         if target.drive_uuid is not None:
             decision_id, written, replayed, conflicts = _judge_drive(conn, at, target.drive_uuid, decide, changeset_id)
-        elif decision is not None and (place := decision.place) is not None:
+        elif decision is not None and (location := decision.location) is not None:
             decision_id = decide()
-            written, replayed = _judge_place(conn, at.info, decision.kind, place, at.decided_at)
+            written, replayed = _judge_location(conn, at.info, decision.kind, location, at.decided_at)
         else:
             raise InputError(f"decision {target.id} cannot be reverted")
         return _outcome(conn, at, decision_id, kind, written, replayed, conflicts, target.changeset_id)
@@ -195,7 +195,7 @@ def accept_drive(
         return _outcome(conn, at, decision_id, ACCEPT, written, replayed, changeset_id=known.changeset_id)
 
 
-def _classification(state: MapFeature, category: str | None, place: Location) -> Classification:
+def _classification(state: MapFeature, category: str | None, location: Location) -> Classification:
     """The correction of a feature's class. Raises InputError if it is not another known class of the same geometry."""
     geometry = FEATURE_CLASSES[state.category].geometry if state.category in FEATURE_CLASSES else "point"
     known = [name for name, one in FEATURE_CLASSES.items() if one.geometry == geometry and name != state.category]
@@ -205,7 +205,7 @@ def _classification(state: MapFeature, category: str | None, place: Location) ->
         raise InputError(
             f"feature {state.feature_id} is a {state.category}; expected another class: {', '.join(known)}"
         )
-    return Classification(xy_m=place.xy_m, radius_m=place.radius_m, found_as=state.category, category=category)
+    return Classification(xy_m=location.xy_m, radius_m=location.radius_m, found_as=state.category, category=category)
 
 
 @contextmanager
@@ -252,9 +252,11 @@ def _outcome(
     )
 
 
-def _judge_place(conn: Connection, info: MapInfo, kind: str, place: Location, decided_at: datetime) -> tuple[int, int]:
+def _judge_location(
+    conn: Connection, info: MapInfo, kind: str, location: Location, decided_at: datetime
+) -> tuple[int, int]:
     """Compute the consequences of a decision about a position: versions written, drives compared again."""
-    around = replays.drives_at(conn, info.map_name, place)
+    around = replays.drives_at(conn, info.map_name, location)
     # Suppression hides detections and changes nothing that drives are compared with; a pin and a class do.
     again = replays.affected_drives(conn, around) if kind in (PIN, CLASSIFY) else []
     aside = [ref.drive_uuid for ref in again]

@@ -75,7 +75,7 @@ def import_map(
         keys = _keys(imported, params)
         taken = [known for one in keys if (known := find_changeset(conn, one, map_name=map_name)) is not None]
         for known in taken:
-            if _states_the_same_places(conn, known.drive_uuid, imported):
+            if _has_same_positions(conn, known.drive_uuid, imported):
                 return ImportResult(known.changeset_id, False, dict.fromkeys(DeltaKind, 0), 0, own=len(own))
         info = map_for(conn, map_name, imported.srid, imported.name)
         key = keys[-1] if taken else keys[0]
@@ -93,8 +93,8 @@ def import_map(
         if not accept:
             _refuse_other_crs(conn, imported, info)
             _refuse_displaced(conn, imported, params, map_name)
-        far = int(store.far_from_all(conn, info, _places_m(imported.statements), FAR_M).sum())
-        drive_uuid = store.place_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
+        far = int(store.far_from_all(conn, info, _positions_m(imported.statements), FAR_M).sum())
+        drive_uuid = store.add_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
         evidence = DriveEvidence(
             key=(imported.stated_at_ns, imported.content_sha256, key),
             changeset_id=changeset.changeset_id,
@@ -158,7 +158,7 @@ def _standing_at(conn: Connection, map_name: str, statements: Sequence[ImportedF
     standing_m = np.array([feature.xyz_m for feature in read_current_features(conn, map_name=map_name)]).reshape(-1, 3)
     if not len(standing_m):
         return 0
-    distances_m, _ = cKDTree(standing_m).query(_places_m(statements), distance_upper_bound=_SAME_PLACE_M)
+    distances_m, _ = cKDTree(standing_m).query(_positions_m(statements), distance_upper_bound=_SAME_PLACE_M)
     return int(np.isfinite(distances_m).sum())
 
 
@@ -166,17 +166,17 @@ def _keys(imported: ImportedMap, params: ImportParams) -> tuple[str, str]:
     """The import's own key, and the key of an import of the same file with other positions (of another `--crs`)."""
     stated = str(imported.stated_at_ns)
     key = result_key("import", imported.content_sha256, params_sha256(params), str(imported.srid), stated)
-    places_mm = np.rint(_places_m(imported.statements) * 1000).astype(np.int64)
+    places_mm = np.rint(_positions_m(imported.statements) * 1000).astype(np.int64)
     return key, result_key(key, hashlib.sha256(places_mm.tobytes()).hexdigest())
 
 
-def _states_the_same_places(conn: Connection, drive_uuid: UUID, imported: ImportedMap) -> bool:
+def _has_same_positions(conn: Connection, drive_uuid: UUID, imported: ImportedMap) -> bool:
     """Whether an earlier import of a file put its cones where this one does, to a millimetre."""
-    before_m, now_m = _places_m(store.read_statements(conn, drive_uuid)), _places_m(imported.statements)
+    before_m, now_m = _positions_m(store.read_statements(conn, drive_uuid)), _positions_m(imported.statements)
     return before_m.shape == now_m.shape and bool((np.abs(before_m - now_m) < 1e-3).all())
 
 
-def _places_m(statements: Sequence[ImportedFeature]) -> Floats:
+def _positions_m(statements: Sequence[ImportedFeature]) -> Floats:
     """(n, 3) in the map's CRS."""
     return np.array([statement.feature.xyz_m for statement in statements], dtype=np.float64).reshape(-1, 3)
 
@@ -227,7 +227,7 @@ def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportPar
 
 def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) -> None:
     """Refuse coordinates that are far from everything in their stated CRS, but not in the map's or a neighbouring zone."""
-    if not (imported.as_written and store.far_from_all(conn, info, _places_m(imported.statements), FAR_M).all()):
+    if not (imported.as_written and store.far_from_all(conn, info, _positions_m(imported.statements), FAR_M).all()):
         return
     written = np.column_stack((imported.as_written, np.zeros(len(imported.as_written))))
     for srid in (info.srid, info.srid - 1, info.srid + 1):  # zones follow each other in EPSG's numbers
