@@ -31,11 +31,11 @@ from conetl.model.params import ReconcileParams
 
 #: Vertices (n, 3) in the drive's map frame -> when they were in view; see `visibility.markings_in_view`.
 ViewCheck = Callable[[Floats], MarkingView]
-#: A marking of another colour or width is as bad a match as one so much farther aside.
+#: Offset to which another colour or width is equivalent in matching, and the difference that makes another width.
 _UNLIKE_M, _OTHER_WIDTH_M = 0.1, 0.06
 #: Sigmas of the distance at which two markings may still be the same one.
 _GATE_SIGMAS = 4.0
-#: A stretch is observed, or gone, by at least so many of its vertices.
+#: Minimum number of vertices by which a stretch is observed, or gone.
 _LEAST_VERTICES = 2
 #: A drive that shows less than this share of the length that it misses may have been unable to see markings.
 _LEAST_SHOWN, _SPACING_M = 0.5, 2.5

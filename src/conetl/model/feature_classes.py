@@ -25,11 +25,11 @@ class FeatureClass:
     round_body: bool
     """Matched as a body of revolution; False: as a plane."""
     on_road: bool
-    """Whether the box ends at the road; of signs and boards it ends above it, so that another object may stand below."""
+    """Whether the box ends at the road. Boxes of signs and boards end above it, so another object may stand below."""
     in_rows: bool
-    """Whether rows of it close a lane: a channelizing device (MUTCD 2023, chapter 6K)."""
+    """Whether rows of it close a lane, as channelizing devices do (MUTCD 2023, chapter 6K)."""
     letter: str
-    """Beside the symbol on plans. Cones, of which there are most, have none; lines are drawn as lines."""
+    """Printed beside the symbol on plans. Cones, the most common class, have none; lines are drawn as lines."""
     rim_in_box: bool = False
     """Whether the box ends at the near rim of a round or square base, by half of its width before the middle of the foot; False
     where it ends at the object itself."""

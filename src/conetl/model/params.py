@@ -161,7 +161,7 @@ class ReconcileParams(Params):
     marking_view_from_m: Positive = 4.0
     """Lane markings are in view from this distance in front of the camera ..."""
     marking_view_to_m: Positive = 12.0
-    """... to this one, and so far to the left and right: inside of where they are searched for (`MarkingParams`)."""
+    """... to this one, and this far to the left and right: within the area that is searched for them (`MarkingParams`)."""
     marking_view_aside_m: Positive = 7.0
     marking_max_blur_m: Positive = 0.025
     """Nor beyond the depth at which the drive's images blur edges on the road by this sigma, a fifth of the width of paint."""
@@ -307,7 +307,7 @@ class WorkZoneParams(Params):
     max_path_offset_m: Positive = 12.0
     """Cones farther from a drive's path do not stand on the road that it followed."""
     max_beyond_path_m: Positive = 40.0
-    """Cones may stand so far before or behind a path: a camera sees ahead of the end of the drive."""
+    """Cones may stand this far before or behind a path: a camera sees ahead of the end of the drive."""
     axis_smoothing_m: Positive = 5.0
     path_axis_sigma_m: Positive = 0.5
     """Lateral sigma of a driven path as a road axis ..."""

@@ -31,23 +31,25 @@ from conetl.model.rig import SIDES, Side
 from conetl.perception.images import ImageFileError
 from conetl.perception.working_size import ImageReader
 
-#: Changes are means over so many bands of rows.
+#: Number of bands of rows over which changes are averaged.
 BANDS = 64
-#: A band is repeated below this share of its change in the intervals beside, and moves above that share, where that change is
-#: above this many grey levels. So much of an image must be repeated, and must move.
+#: A band is repeated if it changes by less than `_REPEATED` of its change in the intervals before and after, and moves above
+#: `_MOVING`, where that change is at least `_LEAST_CHANGE` grey levels. `_LEAST_SHARE` of an image must be repeated, and as much
+#: must move.
 _REPEATED, _MOVING, _LEAST_CHANGE, _LEAST_SHARE = 0.15, 0.5, 1.0, 0.05
-#: Of the bands between the first and the last repeated one.
+#: Repeated bands are contiguous: they make up at least this share of those from the first to the last.
 _MOST_OF_BANDS = 0.8
-#: A drive with a larger share of torn pairs is on hold: where so many are found, more are torn.
+#: A drive with a larger share of torn pairs is on hold, since others probably went undetected.
 _MAX_TORN_SHARE = 0.1
 #: Seams are searched at this share of the width, in this many strips; larger differences are clipped to this many grey levels.
 _THINNED, _STRIPS, _MOST_LEVELS = 4, 6, 20
-#: Rows to either side with which a seam is compared; of those the third or second largest counts.
+#: Rows on either side with which a seam is compared: with the third largest, or for mean seams the second largest.
 _ROWS_BESIDE, _MEAN_ROWS_BESIDE = 12, 24
-#: By how much the seam of one image exceeds that, and, in all images, the mean seam and that in all strips but one.
+#: Factors by which the seam of one image exceeds that row, the mean seam of all images, and the mean seam in all strips but one.
 _LEAST_SEAM, _LEAST_MEAN_SEAM, _LEAST_IN_STRIPS = 1.5, 2.0, 1.2
-#: Other images are read, at most so many, where the strongest seam of the first few exceeds all other rows by this; at least so
-#: many images are needed. Of the strongest rows some are edges: of the hood and of captions, for example.
+#: If the strongest seam of the first few images exceeds all other rows by the factor `_SUSPECTED`, up to `MOST_OTHERS` other
+#: images are read; the check needs `_LEAST_IMAGES`. Up to `_MOST_EDGES` of the strongest rows are tried, since some are edges,
+#: such as those of the hood or of captions.
 _SUSPECTED, MOST_OTHERS, _LEAST_IMAGES, _MOST_EDGES = 1.1, 20, 12, 4
 #: Not a seam: steps of one sign, and rows below that change less from image to image, or are less sharp, than those above.
 _ONE_SIGN, _STATIC, _BLURRED = 0.7, 0.3, 0.3

@@ -26,10 +26,10 @@ from conetl.model.rig import Rig
 
 #: Drives that begin at most this long after another ended may be parts of one recording; longer gaps cannot be bridged.
 WITHIN_NS = 5_000_000_000
-#: The frame pairs of half a second, at most so many and at least two, say how fast the vehicle was; it drives on in about the
-#: same direction.
+#: The vehicle's speed comes from the frame pairs of half a second, between two and `_PAIRS` of them. It keeps its direction:
+#: `_LEAST_COSINE` is the minimum cosine of the angle between both.
 _PAIRS, _NEAR_NS, _LEAST_COSINE = 10, 500_000_000, 0.8
-#: Jumps are at least so many metres and sigmas.
+#: Minimum size of a jump, in metres and in sigmas.
 _JUMP_M, _JUMP_SIGMAS = 0.3, 6.0
 
 

@@ -31,7 +31,7 @@ from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader, find_drives, read_header
 
-#: Work that crashed so often is not tried again on a schedule.
+#: After this many crashes, scheduled runs do not try again.
 MAX_ATTEMPTS = 3
 Action = Literal["ingest", "wait", "skip", "refuse"]
 

@@ -26,18 +26,18 @@ from conetl.pipeline.settings import Settings
 _SAME_CAMERA_M, _SAME_CAMERA_RAD = 2.0, 0.5
 #: Two recordings never have the same intervals between all their images; texts of time stamps may be rounded.
 _SAME_STAMP_NS = 2_000_000
-#: The adjusted poses of a drive are within its stated sigmas and this of its log. No vehicle repeats a drive so exactly, frame by
-#: frame, nor to `_MOST_LOG_M`; a few frames, or those of a vehicle that waits, do not show that.
+#: The adjusted poses of a drive are within this, plus their stated sigmas, of its log. No vehicle repeats a drive this exactly,
+#: frame by frame, nor to `_MOST_LOG_M`; too few frames, or frames of a waiting vehicle, prove nothing.
 _SAME_LOG_M, _SAME_LOG_RAD, _LEAST_PAIRS, _LEAST_PATH_M = 0.1, np.radians(0.1), 8, 5.0
 _MOST_LOG_M, _MOST_LOG_RAD = 0.5, np.radians(0.5)
-#: On shorter paths (in tolerances), two drives in one lane at about one speed, with a regular trigger, may be as near each other.
+#: On paths shorter than this many tolerances, two drives in one lane at similar speeds with a regular trigger may agree as well.
 _TOLERANCES = 45.0
-#: Of the shorter recording so many must be frames of the other one, and so many of the time that both have in common. A vehicle
-#: that moves less between two frames waits.
+#: Minimum shares of the shorter recording's frames, and of the frames in the time common to both, that must be in the other one.
+#: A vehicle that moves less than `_MOVING_M` between two frames is waiting.
 _LEAST_SHARE, _LEAST_COMMON_SHARE, _MOVING_M = 0.5, 0.9, 0.05
 
-#: Boxes of one object in an image and in a copy of it are so near each other, while another log is off by so many metres; so many
-#: images of a drive, evenly spread, are compared.
+#: Boxes of one object in an image and its copy agree within `_SAME_PX`, although another log may be off by `_MOVED_LOG_M`;
+#: `_PROBES` evenly spaced images of a drive are compared.
 _SAME_PX, _MOVED_LOG_M, _PROBES = 2.0, 5.0, 16
 _OTHERWISE = (
     "other settings, files or time stamps: the left camera was at the same positions at the same times, or in these frames (or "

@@ -52,7 +52,7 @@ class Settings(BaseSettings):
     drive_roots: str = ""
     """Folders below which workers read drives, separated by commas; empty: everywhere."""
     drop_quiet_minutes: float = Field(default=10.0, ge=0)
-    """A drive without the marker file counts as complete when nothing in it has changed for so long."""
+    """A drive without the marker file counts as complete once nothing in it has changed for this long."""
     prefect_database_url: SecretStr | None = None
     """Database of the Prefect server that `conetl up` starts; `prefect` beside the map's unless given."""
     drives_pool: str = "conetl"

@@ -38,10 +38,10 @@ from conetl.readers.recording import BEHIND, ArrivingDrive, ArrivingPair, open_a
 
 #: How long an incomplete pair holds up those behind it.
 PATIENCE_S = 2.0
-#: All folders are listed again so often, in case the system did not report a file; but at most for this share of the time.
+#: Interval for listing all folders again, in case the system missed a file; listing takes at most this share of the time.
 _LIST_EVERY_S, _LIST_SHARE = 1.0, 0.02
 _WAIT_S, _GATHER_MS = 0.1, 4
-#: Older pairs are left out while newer ones wait: the ingest is for those.
+#: Older pairs are skipped while newer ones wait: the ingest processes them.
 MAX_BEHIND_S = 0.5
 
 
