@@ -74,13 +74,13 @@ def test_the_truth_of_a_sample_drive_is_a_file_of_points() -> None:
 @pytest.mark.parametrize(
     ("header", "options", "message"),
     [
-        ("name,easting,northing,height_m,a,b,c", {"crs": "EPSG:32632"}, "states no sigmas of the survey"),
+        ("name,easting,northing,height_m,a,b,c", {"crs": "EPSG:32632"}, "does not state the sigmas of the survey"),
         (
             "name,easting,northing,high,sigma_e_m,sigma_n_m,sigma_u_m",
             {"crs": "EPSG:32632"},
             "row 1: a point needs",
         ),
-        (HEADER, {}, "states no coordinate reference system"),
+        (HEADER, {}, "does not state a coordinate reference system"),
         (
             "name,easting,northing,height_m,sigma_e_m,sigma_n_m,sigma_u_m",
             {"crs": "mine"},
