@@ -51,6 +51,30 @@ class MotionError:
 
 
 @dataclass(frozen=True)
+class CameraMotion:
+    """How the left camera moved during one drive, and within which limits positions from two frames are one cone."""
+
+    map_SE3_left: Mapping[int, Floats]
+    """(4, 4) left camera -> map, by frame index."""
+    params: TrackParams
+    error: MotionError | None = None
+    """Of the relative motion; without it the shares in `params` hold."""
+
+    def carry(self, mean: Floats, cov: Floats, start: int, end: int) -> tuple[Floats, Floats]:
+        """A point (3,) with covariance (3, 3) in the left camera's frame at `start`, transformed to that at `end`."""
+        end_SE3_start = np.linalg.inv(self.map_SE3_left[end]) @ self.map_SE3_left[start]
+        rotation, translation = end_SE3_start[:3, :3], end_SE3_start[:3, 3]
+        added = self.params.motion_sigma_m**2 * np.eye(3)
+        if self.error is not None:
+            added = self.error(start, end, mean) + added
+        else:
+            along = np.outer(translation, translation)  # (distance driven)^2 in its direction, nothing across it
+            across = float(translation @ translation) * np.eye(3) - along
+            added = added + self.params.motion_sigma_relative**2 * along + self.params.motion_sigma_aside**2 * across
+        return rotation @ mean + translation, rotation @ cov @ rotation.T + added
+
+
+@dataclass(frozen=True)
 class Chain:
     """Positions of one cone so far; `mean` (3,) and `cov` (3, 3) in the left camera's frame of the last of them."""
 
@@ -59,17 +83,10 @@ class Chain:
     cov: Floats
 
 
-def chain_positions(
-    positions: Sequence[Position],
-    map_SE3_left: Mapping[int, Floats],
-    params: TrackParams,
-    motion: MotionError | None = None,
-) -> list[tuple[Position, ...]]:
+def chain_positions(positions: Sequence[Position], camera: CameraMotion) -> list[tuple[Position, ...]]:
     """Group the positions of one drive by physical cone.
 
-    map_SE3_left: (4, 4) left camera -> map, by frame index. motion: error of the relative motion; without it the shares in
-    `params` hold. Every position is in exactly one group; groups are sorted by frame index, with at most one position per
-    frame.
+    Every position is in exactly one group; groups are sorted by frame index, with at most one position per frame.
     """
     by_frame: dict[int, list[Position]] = defaultdict(list)
     for position in positions:
@@ -77,47 +94,18 @@ def chain_positions(
     open_chains: list[Chain] = []
     closed: list[Chain] = []
     for frame_index in sorted(by_frame):
-        oldest = frame_index - params.max_gap_frames
+        oldest = frame_index - camera.params.max_gap_frames
         closed += [c for c in open_chains if c.members[-1].frame_index < oldest]
         open_chains = [c for c in open_chains if c.members[-1].frame_index >= oldest]
-        open_chains = extend_chains(open_chains, by_frame[frame_index], frame_index, map_SE3_left, params, motion)
-    return join_fragments([c.members for c in closed + open_chains], map_SE3_left, params, motion)
-
-
-def carry(
-    mean: Floats,
-    cov: Floats,
-    start: int,
-    end: int,
-    map_SE3_left: Mapping[int, Floats],
-    params: TrackParams,
-    motion: MotionError | None = None,
-) -> tuple[Floats, Floats]:
-    """A point (3,) with covariance (3, 3) in the left camera's frame at `start`, transformed to that at `end`."""
-    end_SE3_start = np.linalg.inv(map_SE3_left[end]) @ map_SE3_left[start]
-    rotation, translation = end_SE3_start[:3, :3], end_SE3_start[:3, 3]
-    if motion is not None:
-        error = motion(start, end, mean) + params.motion_sigma_m**2 * np.eye(3)
-    else:
-        along = np.outer(translation, translation)  # (distance driven)^2 in its direction, nothing across it
-        across = float(translation @ translation) * np.eye(3) - along
-        shares = params.motion_sigma_relative**2 * along, params.motion_sigma_aside**2 * across
-        error = params.motion_sigma_m**2 * np.eye(3) + shares[0] + shares[1]
-    return rotation @ mean + translation, rotation @ cov @ rotation.T + error
+        open_chains = extend_chains(open_chains, by_frame[frame_index], frame_index, camera)
+    return join_fragments([c.members for c in closed + open_chains], camera)
 
 
 def extend_chains(
-    chains: list[Chain],
-    found: Sequence[Position],
-    frame_index: int,
-    map_SE3_left: Mapping[int, Floats],
-    params: TrackParams,
-    motion: MotionError | None,
+    chains: list[Chain], found: Sequence[Position], frame_index: int, camera: CameraMotion
 ) -> list[Chain]:
     """The open chains after one more frame: each position extends the chain it fits, or starts a new one."""
-    carried = [
-        carry(c.mean, c.cov, c.members[-1].frame_index, frame_index, map_SE3_left, params, motion) for c in chains
-    ]
+    carried = [camera.carry(c.mean, c.cov, c.members[-1].frame_index, frame_index) for c in chains]
     costs = np.full((len(chains), len(found)), _FORBIDDEN)
     for i, (mean, cov) in enumerate(carried):
         for j, position in enumerate(found):
@@ -126,7 +114,8 @@ def extend_chains(
             innovation = np.array(position.camera_xyz_m) - mean
             spread = cov + cov_matrix(position.camera_cov_m2)
             distance2 = float(innovation @ np.linalg.solve(spread, innovation))
-            if distance2 <= params.gate_chi2 and np.linalg.norm(innovation) <= params.max_innovation_m:
+            near = np.linalg.norm(innovation) <= camera.params.max_innovation_m
+            if distance2 <= camera.params.gate_chi2 and near:
                 # The log-determinant prefers a precise chain to a vague one that fits as well.
                 costs[i, j] = distance2 + float(np.linalg.slogdet(spread)[1])
     extended = {int(i): int(j) for i, j in zip(*linear_sum_assignment(costs), strict=True) if costs[i, j] < _FORBIDDEN}
@@ -144,24 +133,19 @@ def _updated(chain: Chain, mean: Floats, cov: Floats, position: Position) -> Cha
     return Chain((*chain.members, position), new_mean, (new_cov + new_cov.T) / 2)
 
 
-def join_fragments(
-    groups: Sequence[tuple[Position, ...]],
-    map_SE3_left: Mapping[int, Floats],
-    params: TrackParams,
-    motion: MotionError | None = None,
-) -> list[tuple[Position, ...]]:
+def join_fragments(groups: Sequence[tuple[Position, ...]], camera: CameraMotion) -> list[tuple[Position, ...]]:
     """Join groups of one cone observed again after a longer gap (hidden by a post, or missed by the detector).
 
     Two groups with a common frame are two cones. Otherwise the nearest pair of positions in time is compared, one transformed
     into the frame of the other; the best fitting groups are joined first.
     """
     alive = dict(enumerate(sorted(groups, key=lambda g: g[0].frame_index)))
-    near = _near_groups(list(alive.values()), params, motion)
+    near = _near_groups(list(alive.values()), camera)
     waiting: list[tuple[float, int, int]] = []
     numbers = count(len(alive))
 
     def compare(i: int, j: int) -> None:
-        if (misfit := misfit_of(alive[i], alive[j], map_SE3_left, params, motion)) is not None:
+        if (misfit := misfit_of(alive[i], alive[j], camera)) is not None:
             heappush(waiting, (misfit, i, j))
 
     for i, others in near.items():
@@ -183,14 +167,12 @@ def join_fragments(
     return list(alive.values())
 
 
-def _near_groups(
-    groups: Sequence[tuple[Position, ...]], params: TrackParams, motion: MotionError | None
-) -> dict[int, set[int]]:
+def _near_groups(groups: Sequence[tuple[Position, ...]], camera: CameraMotion) -> dict[int, set[int]]:
     """For each group those that may be the same cone, within the largest error of the motion.
 
     Without this bound every group of a drive would be compared with every other.
     """
-    most_m = inf if motion is None else _most_reach_m(groups, params, motion)
+    most_m = inf if camera.error is None else _most_reach_m(groups, camera.params, camera.error)
     if most_m == inf or not groups:
         return {i: set(range(len(groups))) - {i} for i in range(len(groups))}
     group_xyz_m = [np.array([p.xyz_m for p in group]) for group in groups]
@@ -205,14 +187,14 @@ def _near_groups(
     return near
 
 
-def _most_reach_m(groups: Sequence[tuple[Position, ...]], params: TrackParams, motion: MotionError) -> float:
+def _most_reach_m(groups: Sequence[tuple[Position, ...]], params: TrackParams, error: MotionError) -> float:
     """Upper bound of the reach in `misfit_of`: a fixed point, because the range of a transformed point grows with it."""
     everything = [p for group in groups for p in group]
     range_m = max((float(np.linalg.norm(p.camera_xyz_m)) for p in everything), default=0.0)
     own_m2 = max((p.camera_cov_m2[0] + p.camera_cov_m2[3] + p.camera_cov_m2[5] for p in everything), default=0.0)
     most_m = 0.0
     for _ in range(_ROUNDS):
-        further = _reach_m(own_m2 + motion.most_m2(range_m + most_m) + 3 * params.motion_sigma_m**2, params)
+        further = _reach_m(own_m2 + error.most_m2(range_m + most_m) + 3 * params.motion_sigma_m**2, params)
         if further <= most_m + _SETTLED_M:
             return further + _SETTLED_M
         most_m = further
@@ -224,33 +206,20 @@ def _reach_m(trace_m2: float, params: TrackParams) -> float:
     return params.join_gate_m + 3 * float(np.sqrt(trace_m2 / 3))
 
 
-def misfit_of(
-    a: tuple[Position, ...],
-    b: tuple[Position, ...],
-    map_SE3_left: Mapping[int, Floats],
-    params: TrackParams,
-    motion: MotionError | None,
-) -> float | None:
+def misfit_of(a: tuple[Position, ...], b: tuple[Position, ...], camera: CameraMotion) -> float | None:
     """Squared Mahalanobis distance of two groups, or None if they cannot be one cone."""
     nearest = _nearest_in_time(a, b) if mutually_exclusive(a[0].category, b[0].category) else None
-    if nearest is None or (motion is None and not _within_reach(*nearest, map_SE3_left, params)):
+    if nearest is None or (camera.error is None and not _within_reach(*nearest, camera)):
         return None
     one, other = nearest
-    mean, cov = carry(
-        np.array(one.camera_xyz_m),
-        cov_matrix(one.camera_cov_m2),
-        one.frame_index,
-        other.frame_index,
-        map_SE3_left,
-        params,
-        motion,
-    )
+    own_cov = cov_matrix(one.camera_cov_m2)
+    mean, cov = camera.carry(np.array(one.camera_xyz_m), own_cov, one.frame_index, other.frame_index)
     difference = np.array(other.camera_xyz_m) - mean
     spread = cov + cov_matrix(other.camera_cov_m2)
     distance2 = float(difference @ np.linalg.solve(spread, difference))
     # The covariance alone would join far, vague points over any distance along the line of sight.
-    reach_m = _reach_m(float(np.trace(cov)), params)
-    return distance2 if distance2 <= params.gate_chi2 and np.linalg.norm(difference) <= reach_m else None
+    reach_m = _reach_m(float(np.trace(cov)), camera.params)
+    return distance2 if distance2 <= camera.params.gate_chi2 and np.linalg.norm(difference) <= reach_m else None
 
 
 def _nearest_in_time(a: tuple[Position, ...], b: tuple[Position, ...]) -> tuple[Position, Position] | None:
@@ -270,13 +239,14 @@ def _nearest_in_time(a: tuple[Position, ...], b: tuple[Position, ...]) -> tuple[
     return min(pairs, key=lambda pair: sum(p.camera_cov_m2[0] + p.camera_cov_m2[3] + p.camera_cov_m2[5] for p in pair))
 
 
-def _within_reach(one: Position, other: Position, map_SE3_left: Mapping[int, Floats], params: TrackParams) -> bool:
+def _within_reach(one: Position, other: Position, camera: CameraMotion) -> bool:
     """Whether two positions are near enough for `misfit_of`, without a motion error.
 
-    The trace of `carry`'s covariance, which rotations do not change, computed without matrices: most groups are far apart, and
-    all pairs are compared.
+    The trace of the carried covariance, which rotations do not change, computed without matrices: most groups are far apart,
+    and all pairs are compared.
     """
-    start, end = map_SE3_left[one.frame_index], map_SE3_left[other.frame_index]
+    params = camera.params
+    start, end = camera.map_SE3_left[one.frame_index], camera.map_SE3_left[other.frame_index]
     apart_m = dist(
         (start[:3, :3] @ one.camera_xyz_m + start[:3, 3]).tolist(),
         (end[:3, :3] @ other.camera_xyz_m + end[:3, 3]).tolist(),

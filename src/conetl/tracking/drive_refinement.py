@@ -21,7 +21,7 @@ from conetl.model.base import Vec3
 from conetl.model.drive import FramePair, Position, StereoMatch
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.rig import Rig
-from conetl.tracking.association import chain_positions
+from conetl.tracking.association import CameraMotion, chain_positions
 from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
 from conetl.tracking.error_propagation import motion_error
 from conetl.tracking.positions import locate_positions
@@ -174,7 +174,7 @@ def cone_groups(
     refined = [match for match in matches if match.refined]
     positions, _ = locate_positions(refined, trajectory.frame_pairs, rig, params.position)
     left = {pair.frame_index: map_SE3_left(pair.pose, rig) for pair in trajectory.frame_pairs}
-    groups = chain_positions(positions, left, params.track, motion_error(trajectory))
+    groups = chain_positions(positions, CameraMotion(left, params.track, motion_error(trajectory)))
     return [tuple(map(_down_weighted, group)) for group in groups if len(group) >= params.track.min_observations]
 
 

@@ -141,7 +141,7 @@ def _boxes(
     known = sorted(group, key=lambda p: p.frame_index)
     observed = np.array([p.frame_index for p in known])
     start = nearest_index(observed, frames)
-    # Like `association.carry`, for all frames at once.
+    # Like `CameraMotion.carry`, for all frames at once.
     starts = np.array([map_SE3_left[p.frame_index] for p in known])[start]
     frame_SE3_start = np.linalg.inv(poses) @ starts
     feet = np.array([p.camera_xyz_m for p in known])[start]

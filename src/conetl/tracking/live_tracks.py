@@ -20,7 +20,7 @@ from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Trac
 from conetl.model.params import IngestParams
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig
-from conetl.tracking.association import Chain, extend_chains, misfit_of
+from conetl.tracking.association import CameraMotion, Chain, extend_chains, misfit_of
 from conetl.tracking.tracks import BoxKey, boxes_in_use, drive_data, fuse_group
 
 #: Number of frames that are kept.
@@ -69,8 +69,9 @@ def add_frame(
     living = [c for c in tracks.open_chains if now - c.members[-1].frame_index <= gap]
     ended = [c.members for c in tracks.open_chains if now - c.members[-1].frame_index > gap]
     ended = [g for g in (*tracks.ended, *ended) if g[-1].frame_index in poses]
-    chains = extend_chains(living, frame.positions, now, poses, params.track, None)
-    chains = [_joined(chain, ended, poses, params) if len(chain.members) == 1 else chain for chain in chains]
+    camera = CameraMotion(poses, params.track)
+    chains = extend_chains(living, frame.positions, now, camera)
+    chains = [_joined(chain, ended, camera) if len(chain.members) == 1 else chain for chain in chains]
     chains = [_recent(chain, poses) for chain in chains]
     numbers = dict(tracks.numbers)
     matches = {(match.frame_index, match.match_index): match for f in frames.values() for match in f.matches}
@@ -100,14 +101,12 @@ def _recent(chain: Chain, poses: Mapping[int, Floats]) -> Chain:
     return chain if len(kept) == len(chain.members) else Chain(kept, chain.mean, chain.cov)
 
 
-def _joined(
-    chain: Chain, ended: list[tuple[Position, ...]], poses: Mapping[int, Floats], params: IngestParams
-) -> Chain:
+def _joined(chain: Chain, ended: list[tuple[Position, ...]], camera: CameraMotion) -> Chain:
     """A new chain appended to the ended group that it fits best, if any; that group is removed from `ended`."""
     misfits = []
     for i, group in enumerate(ended):
-        recent = tuple(p for p in group if p.frame_index in poses)
-        if (misfit := misfit_of(recent, chain.members, poses, params.track, None)) is not None:
+        recent = tuple(p for p in group if p.frame_index in camera.map_SE3_left)
+        if (misfit := misfit_of(recent, chain.members, camera)) is not None:
             misfits.append((misfit, i))
     if not misfits:
         return chain

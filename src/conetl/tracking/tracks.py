@@ -19,7 +19,7 @@ from conetl.model.feature_classes import FEATURE_CLASSES, noun_of
 from conetl.model.params import IngestParams, TrackParams
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig, Side
-from conetl.tracking.association import MotionError, chain_positions
+from conetl.tracking.association import CameraMotion, MotionError, chain_positions
 from conetl.tracking.error_propagation import (
     class_error_id,
     common_cov,
@@ -99,7 +99,7 @@ def fuse_tracks(
     data = drive_data(frame_pairs, rig, detections, matches, params, evidence, motion)
     tracks: list[Track] = []
     rejections: list[Rejection] = []
-    groups = chain_positions(positions, data.map_SE3_left, params.track, motion)
+    groups = chain_positions(positions, CameraMotion(data.map_SE3_left, params.track, motion))
     in_use = boxes_in_use(groups, data.matches, params.track)
     for group in sorted(groups, key=lambda g: (g[0].frame_index, g[0].match_index)):
         result = fuse_group(len(tracks), group, data, in_use)

@@ -10,7 +10,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.model.drive import Position
 from conetl.model.params import TrackParams
-from conetl.tracking.association import MotionError, _reach_m, _within_reach, carry, join_fragments, misfit_of
+from conetl.tracking.association import CameraMotion, MotionError, _reach_m, _within_reach, join_fragments, misfit_of
 
 PARAMS = TrackParams()
 STEP_M = 0.8
@@ -47,7 +47,7 @@ def joined_one_by_one(groups, poses, motion):
             (misfit, i, j)
             for i in range(len(groups))
             for j in range(i + 1, len(groups))
-            if (misfit := misfit_of(groups[i], groups[j], poses, PARAMS, motion)) is not None
+            if (misfit := misfit_of(groups[i], groups[j], CameraMotion(poses, PARAMS, motion))) is not None
         ]
         if not fits:
             return groups
@@ -71,13 +71,13 @@ def test_fragments_are_joined_as_by_comparing_all_with_all(seed, cones, m2_a_fra
             for piece in pieces
             if len(piece)
         ]
-    found = join_fragments(groups, poses, PARAMS, motion)
+    found = join_fragments(groups, CameraMotion(poses, PARAMS, motion))
     assert found == joined_one_by_one(groups, poses, motion)
 
 
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.5, 1.5))
 def test_the_reach_is_that_of_the_covariance(seed, share):
-    """Without matrices the same bound as with `carry`, for any rotation."""
+    """Without matrices the same bound as with `CameraMotion.carry`, for any rotation."""
     rng = np.random.default_rng(seed)
     poses = {k: se3.se3(se3.rotation_from_rpy(*rng.uniform(-3, 3, 3)), 5e6 + rng.uniform(-40, 40, 3)) for k in range(2)}
     cov = tuple(map(float, cov3(np.diag(rng.uniform(0.01, 0.5, 3)) + 0.005)))
@@ -85,28 +85,30 @@ def test_the_reach_is_that_of_the_covariance(seed, share):
         Position.model_construct(frame_index=k, camera_xyz_m=tuple(rng.uniform(-9, 9, 3)), camera_cov_m2=cov)
         for k in range(2)
     )
-    mean, carried = carry(np.array(one.camera_xyz_m), cov_matrix(cov), 0, 1, poses, PARAMS)
+    camera = CameraMotion(poses, PARAMS)
+    mean, carried = camera.carry(np.array(one.camera_xyz_m), cov_matrix(cov), 0, 1)
     reach_m = _reach_m(float(np.trace(carried)), PARAMS)
     away = rng.normal(size=3)
     place = mean + share * reach_m * away / np.linalg.norm(away)
     other = other.model_copy(update={"camera_xyz_m": tuple(place)})
     if abs(share - 1) * reach_m > 1e-5:
-        assert _within_reach(one, other, poses, PARAMS) == (share < 1)
+        assert _within_reach(one, other, camera) == (share < 1)
 
 
 def test_of_alternating_frames_the_most_precise_pair_is_compared():
     """Far away one object may be followed as two, whose frames alternate. The first of all neighbouring pairs has a vague
     position, 2.5 m away along the line of sight, beyond the reach of the precise one before it."""
-    poses, motion = path(6), drifting(1e-5)
+    poses = path(6)
+    camera = CameraMotion(poses, PARAMS, drifting(1e-5))
 
     def at(frame: int, depth_m: float, sigma_m: float = 0.05) -> Position:
         return position(frame, np.array([0.5, 1.0, depth_m]), sigma_m, poses)
 
     before, vague = tuple(at(k, 20.0) for k in (0, 2, 4)), at(1, 22.5, 0.9)
-    assert misfit_of(before[:1], (vague,), poses, PARAMS, motion) is None
+    assert misfit_of(before[:1], (vague,), camera) is None
     after, beyond = (tuple(at(k, depth) for k in (3, 5)) for depth in (20.1, 21.6))
-    assert [len(group) for group in join_fragments([before, (vague, *after)], poses, PARAMS, motion)] == [6]
-    assert len(join_fragments([before, (vague, *beyond)], poses, PARAMS, motion)) == 2
+    assert [len(group) for group in join_fragments([before, (vague, *after)], camera)] == [6]
+    assert len(join_fragments([before, (vague, *beyond)], camera)) == 2
 
 
 def test_groups_beyond_any_error_are_not_compared():
@@ -118,6 +120,8 @@ def test_groups_beyond_any_error_are_not_compared():
 
     groups = [(position(k, np.array([0.0, 1.0, 30.0 + STEP_M * k]), 0.01, poses),) for k in range(0, 400, 5)]
     motion = MotionError(cov_m2, most_m2=lambda _: 1e-4)
-    assert len(join_fragments(groups, poses, PARAMS, motion)) == len(groups)
+    assert len(join_fragments(groups, CameraMotion(poses, PARAMS, motion))) == len(groups)
     assert len(compared) < 2 * len(groups)
-    assert join_fragments([], poses, PARAMS, motion) == join_fragments([], poses, PARAMS, None) == []
+    assert (
+        join_fragments([], CameraMotion(poses, PARAMS, motion)) == join_fragments([], CameraMotion(poses, PARAMS)) == []
+    )
