@@ -93,6 +93,10 @@ class FramePair(Record):
     def captured_at(self) -> datetime:
         return utc_from_ns(self.captured_at_ns)
 
+    def with_pose(self, **values: object) -> FramePair:
+        """The same pair; fields of its pose have other values."""
+        return self.model_copy(update={"pose": self.pose.model_copy(update=values)})
+
 
 class ImageDetail(Record):
     """Fine structure that one image shows, in grey levels (`perception/image_detail.py`)."""

@@ -249,13 +249,7 @@ def at_images(frame_pairs: Sequence[FramePair], log: LoggedPoses, offset_s: floa
     rotations = log.rotations[k] @ Rotation.from_rotvec(share[:, None] * turn).as_matrix()
     places = log.positions[k] + share[:, None] * (log.positions[k + 1] - log.positions[k])
     return tuple(
-        pair.model_copy(
-            update={
-                "pose": pair.pose.model_copy(
-                    update={"map_R_body": se3.to_matrix3(rotation), "map_t_body_m": vec3(place)}
-                )
-            }
-        )
+        pair.with_pose(map_R_body=se3.to_matrix3(rotation), map_t_body_m=vec3(place))
         for pair, rotation, place in zip(frame_pairs, rotations, places, strict=True)
     )
 

@@ -120,7 +120,7 @@ def refine_with_control(
 
     found = adjusted(frame_pairs, plain)
     if found.control is not None and found.control.verdict is not Verdict.PASS:
-        loose = [_with_larger_sigmas(pair) for pair in frame_pairs]
+        loose = [pair.with_pose(sigma_enu_m=vec3(np.hypot(pair.pose.sigma_enu_m, _FREE_M))) for pair in frame_pairs]
         stated_m = np.median([pair.pose.sigma_enu_m for pair in frame_pairs], axis=0)
         freely = refine_with_cones(loose, rig, motions, matches, params)
         adjusted_m, logged_m = (
@@ -130,11 +130,6 @@ def refine_with_control(
         if free.control is not None and (free.control.value or 0) > (found.control.value or 0):
             return free
     return found
-
-
-def _with_larger_sigmas(pair: FramePair) -> FramePair:
-    sigma = vec3(np.hypot(pair.pose.sigma_enu_m, _FREE_M))
-    return pair.model_copy(update={"pose": pair.pose.model_copy(update={"sigma_enu_m": sigma})})
 
 
 def _tied(

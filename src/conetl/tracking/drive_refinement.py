@@ -17,7 +17,6 @@ from conetl.geometry.motion.pose_graph import POSE, STATE, LoggedPoses
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov3, cov_matrix, vec3
 from conetl.geometry.rig import map_SE3_left
-from conetl.model.base import Vec3
 from conetl.model.drive import FramePair, Position, StereoMatch
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.rig import Rig
@@ -67,9 +66,35 @@ def refine_with_cones(
     clock = _clock(frame_pairs, rig, motions, log, params.trajectory) if params.trajectory.refine else None
     if clock is not None and clock.is_applied(params.trajectory.clock_sigma_s):
         frame_pairs = at_images(frame_pairs, log, clock.offset_s)
-    refined = _refine_with_cones(frame_pairs, rig, motions, matches, params, control)
+    refined = refine_trajectory(frame_pairs, rig, motions, params.trajectory, control=control)
+    if cones := _landmarks(refined, frame_pairs, rig, matches, params, control):
+        together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control)
+        if together.outcome is RefinementOutcome.REFINED:
+            pairs = [
+                pair.with_pose(sigma_enu_m=alone.pose.sigma_enu_m, sigma_rpy_rad=alone.pose.sigma_rpy_rad)
+                for pair, alone in zip(together.frame_pairs, refined.frame_pairs, strict=True)
+            ]
+            detail = f"{together.detail}; point objects used as landmarks: {len(cones)}"
+            refined = replace(
+                together, frame_pairs=tuple(pairs), covariance=refined.covariance, scale=refined.scale, detail=detail
+            )
     refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
     return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory, control)
+
+
+def _landmarks(
+    alone: RefinedTrajectory, frame_pairs: Sequence[FramePair], rig: Rig, matches: Sequence[StereoMatch],
+    params: IngestParams, control: Sequence[ControlCone],
+) -> list[tuple[Position, ...]]:  # fmt: skip
+    """Cones that take part in the adjustment, beside those on control points. alone: the poses without them; frame_pairs: as
+    logged."""
+    if not params.trajectory.cone_landmarks or alone.outcome is not RefinementOutcome.REFINED:
+        return []
+    if np.median([max(pair.pose.sigma_enu_m[:2]) for pair in frame_pairs]) < params.trajectory.cone_landmarks_from_m:
+        return []
+    known = {(p.frame_index, p.match_index) for cone in control for p in cone.positions}
+    groups = cone_groups(alone, rig, matches, params)
+    return [group for group in groups if known.isdisjoint((p.frame_index, p.match_index) for p in group)]
 
 
 def _clock(
@@ -131,40 +156,10 @@ def _with_common_errors(
     )
     sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
     pairs = tuple(
-        _with_sigmas(pair, vec3(own[:3]), vec3(own[3:])) for pair, own in zip(refined.frame_pairs, sigma, strict=True)
+        pair.with_pose(sigma_enu_m=vec3(own[:3]), sigma_rpy_rad=vec3(own[3:]))
+        for pair, own in zip(refined.frame_pairs, sigma, strict=True)
     )
     return replace(refined, frame_pairs=pairs, covariance=cov, changes=doubtful or is_interpolated(refined.logged))
-
-
-def _refine_with_cones(
-    frame_pairs: Sequence[FramePair],
-    rig: Rig,
-    motions: Sequence[RelativeMotion],
-    matches: Sequence[StereoMatch],
-    params: IngestParams,
-    control: Sequence[ControlCone],
-) -> RefinedTrajectory:
-    alone = refine_trajectory(frame_pairs, rig, motions, params.trajectory, control=control)
-    if not params.trajectory.cone_landmarks or alone.outcome is not RefinementOutcome.REFINED:
-        return alone
-    if np.median([max(pair.pose.sigma_enu_m[:2]) for pair in frame_pairs]) < params.trajectory.cone_landmarks_from_m:
-        return alone
-    known = {(p.frame_index, p.match_index) for cone in control for p in cone.positions}
-    groups = cone_groups(alone, rig, matches, params)
-    cones = [group for group in groups if known.isdisjoint((p.frame_index, p.match_index) for p in group)]
-    if not cones:
-        return alone
-    together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control)
-    if together.outcome is not RefinementOutcome.REFINED:
-        return alone
-    pairs_of = zip(together.frame_pairs, alone.frame_pairs, strict=True)
-    return replace(
-        together,
-        frame_pairs=tuple(_with_sigmas(pair, own.pose.sigma_enu_m, own.pose.sigma_rpy_rad) for pair, own in pairs_of),
-        covariance=alone.covariance,
-        scale=alone.scale,
-        detail=f"{together.detail}; point objects used as landmarks: {len(cones)}",
-    )
 
 
 def cone_groups(
@@ -176,11 +171,6 @@ def cone_groups(
     left = {pair.frame_index: map_SE3_left(pair.pose, rig) for pair in trajectory.frame_pairs}
     groups = chain_positions(positions, CameraMotion(left, params.track, motion_error(trajectory)))
     return [tuple(map(_down_weighted, group)) for group in groups if len(group) >= params.track.min_observations]
-
-
-def _with_sigmas(pair: FramePair, sigma_enu_m: Vec3, sigma_rpy_rad: Vec3) -> FramePair:
-    sigmas = {"sigma_enu_m": sigma_enu_m, "sigma_rpy_rad": sigma_rpy_rad}
-    return pair.model_copy(update={"pose": pair.pose.model_copy(update=sigmas)})
 
 
 def _down_weighted(position: Position) -> Position:

@@ -78,8 +78,7 @@ def _tilted(pair: FramePair, map_R_left: Floats, body_R_left: Floats, tilt: Floa
     adjusted = Rotation.from_rotvec(tilt).as_matrix() @ map_R_left @ body_R_left.T
     roll = Rotation.from_matrix(logged.T @ adjusted).as_rotvec() @ axis
     turned = se3.to_matrix3(logged @ Rotation.from_rotvec(roll * axis).as_matrix())
-    more = {"map_R_body": turned, "sigma_rpy_rad": (sigma, *stated[1:].tolist())}
-    return pair.model_copy(update={"pose": pair.pose.model_copy(update=more)})
+    return pair.with_pose(map_R_body=turned, sigma_rpy_rad=(sigma, *stated[1:].tolist()))
 
 
 def edges_near(image: Image, camera: Camera, map_R_left: Floats, map_R_middle: Floats) -> Floats:

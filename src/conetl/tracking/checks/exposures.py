@@ -174,8 +174,7 @@ def _moves_by(
 ) -> bool:
     """Whether the images of two frame pairs show this many times the motion of their poses."""
     start, end = np.array(first.pose.map_t_body_m), np.array(second.pose.map_t_body_m)
-    guess = second.pose.model_copy(update={"map_t_body_m": vec3(start + factor * (end - start))})
-    both = (first, second.model_copy(update={"pose": guess}))
+    both = first, second.with_pose(map_t_body_m=vec3(start + factor * (end - start)))
     [motion] = motions_of(follow_drive(both, rig, read, params), both, rig, params)
     expected_m = float(np.linalg.norm(expected_motions(both, rig)[0][:3, 3]))
     return _is_about(_length_m(motion) / expected_m, 1.0)
