@@ -19,7 +19,7 @@ from conetl.model.rejections import Rejection
 from conetl.model.rig import CalibrationCovariance, Camera, Rig, Side
 from conetl.tracking.matching.matches import match_pair
 from conetl.tracking.positions import locate_positions
-from conetl.tracking.tracks import fuse_tracks
+from conetl.tracking.tracks import drive_data, fuse_tracks
 from tests import records
 
 Floats = NDArray[np.float64]
@@ -195,5 +195,5 @@ def fuse_logged(
     positions: Sequence[Position],
     **more: Any,
 ) -> tuple[list[Track], list[Rejection]]:
-    """Tracks by the poses of `logged`; `more` goes to `fuse_tracks` (params, evidence, motion)."""
-    return fuse_tracks(positions, matches, found, logged, rig, **{"params": IngestParams(), **more})
+    """Tracks by the poses of `logged`; `more` goes to `drive_data` (params, evidence, motion)."""
+    return fuse_tracks(positions, drive_data(logged, rig, found, matches, **{"params": IngestParams(), **more}))

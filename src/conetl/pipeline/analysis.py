@@ -35,7 +35,7 @@ from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
 from conetl.tracking.standing import without_moving
-from conetl.tracking.tracks import fuse_tracks
+from conetl.tracking.tracks import drive_data, fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory
 from conetl.tracking.variance_components import estimate_variance_factors, with_contradictions, with_variance_factors
 
@@ -240,7 +240,8 @@ def fuse(
     distance.
     """
     motion, evidence = motion_error(trajectory), evidence or UNMEASURED
-    return fuse_tracks(positions, matches, detections, drive.frame_pairs, drive.rig, params, evidence, motion)
+    data = drive_data(drive.frame_pairs, drive.rig, detections, matches, params, evidence, motion)
+    return fuse_tracks(positions, data)
 
 
 def estimate_variances(

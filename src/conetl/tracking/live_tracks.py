@@ -130,7 +130,7 @@ def _fused(
     used = [frames[n] for n in sorted({p.frame_index for p in group} | set(sorted(frames)[-_LAST_FRAMES:]))]
     detections = [d for f in used for d in f.detections]
     matches = [m for f in used for m in f.matches]
-    data = drive_data([f.pair for f in used], rig, detections, matches, params, evidence, None)
+    data = drive_data([f.pair for f in used], rig, detections, matches, params, evidence)
     track = fuse_group(number, group, data, others)
     if isinstance(track, Rejection):
         return track

@@ -17,6 +17,7 @@ from conetl.model.drive import FramePair, StereoMatch, Track
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import PoseCov
+from conetl.tracking.tracks import rejected_track
 from conetl.tracking.variance_components import ObservedCone, adjusted, observed_cone, usable_pairs
 
 #: Stationary objects in four rendered worlds and on a real street have chi-squares of up to 15 (146 tracks); observations
@@ -60,7 +61,9 @@ def without_moving(
         if chi2 <= _LEAST_CHI2 or speed_ms <= _LEAST_MS:
             kept.append(track.model_copy(update={"track_index": len(kept)}))
         else:
-            rejections.append(_moving(track, speed_ms, chi2))
+            found_chi2 = f"chi-square {chi2:.0f}, limit {_LEAST_CHI2:g}"
+            detail = f"moves at {speed_ms:.1f} m/s ({found_chi2}); only objects at rest are mapped"
+            rejections.append(rejected_track(RejectionReason.MOVING, track, detail))
     return kept, rejections
 
 
@@ -71,13 +74,3 @@ def _velocity(cone: ObservedCone, at_ns: Ints) -> tuple[Floats, Floats]:
     cone = cone._replace(design=np.concatenate([cone.design, by_velocity], axis=2))
     unknown, cov, _, _ = adjusted(cone, cone.stated_px2 + cone.fixed_px2)
     return _PRIOR_MS * unknown[-3:-1], _PRIOR_MS**2 * cov[-3:-1, -3:-1]
-
-
-def _moving(track: Track, speed_ms: float, chi2: float) -> Rejection:
-    return Rejection(
-        step="tracks",
-        reason=RejectionReason.MOVING,
-        record=f"track first seen in frame pair {track.members[0][0]}",
-        detail=f"moves at {speed_ms:.1f} m/s (chi-square {chi2:.0f}, limit {_LEAST_CHI2:g}); only objects at rest are mapped",
-        payload=track.model_dump(mode="json"),
-    )

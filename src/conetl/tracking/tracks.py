@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,21 +37,30 @@ BoxKey = tuple[int, Side, int]
 
 @dataclass(frozen=True)
 class DriveData:
-    """What tracks of a drive are computed from, beside its positions; see `drive_data`."""
+    """What tracks of a drive are computed from, beside its positions."""
 
     matches: Mapping[tuple[int, int], StereoMatch]
     """By (frame_index, match_index)."""
     detections: Mapping[int, Sequence[Detection]]
     """Of both images, by frame index."""
     frame_pairs: Mapping[int, FramePair]
+    """With the poses that the positions were computed with."""
     rig: Rig
-    map_SE3_left: Mapping[int, Floats]
-    """(4, 4) camera -> map, by frame index."""
-    map_SE3_right: Mapping[int, Floats]
     params: IngestParams
     evidence: DetectorEvidence
+    """Figures of the detector."""
     motion: MotionError | None
     """Error of the relative motion of a refined trajectory; without it the shares in `params.track` hold."""
+
+    @cached_property
+    def map_SE3_left(self) -> Mapping[int, Floats]:
+        """(4, 4) camera -> map, by frame index."""
+        return {index: map_SE3_left(pair.pose, self.rig) for index, pair in self.frame_pairs.items()}
+
+    @cached_property
+    def map_SE3_right(self) -> Mapping[int, Floats]:
+        """As `map_SE3_left`."""
+        return {index: map_SE3_right(pair.pose, self.rig) for index, pair in self.frame_pairs.items()}
 
 
 def drive_data(
@@ -59,55 +69,36 @@ def drive_data(
     detections: Iterable[Detection],
     matches: Iterable[StereoMatch],
     params: IngestParams,
-    evidence: DetectorEvidence,
-    motion: MotionError | None,
+    evidence: DetectorEvidence = UNMEASURED,
+    motion: MotionError | None = None,
 ) -> DriveData:
-    """The observations of a drive indexed by frame, with its camera poses."""
-    pairs = {pair.frame_index: pair for pair in frame_pairs}
+    """The observations of a drive indexed by frame. detections: of both images."""
     by_frame: dict[int, list[Detection]] = defaultdict(list)
     for detection in detections:
         by_frame[detection.frame_index].append(detection)
-    return DriveData(
-        {(m.frame_index, m.match_index): m for m in matches},
-        by_frame,
-        pairs,
-        rig,
-        {index: map_SE3_left(pair.pose, rig) for index, pair in pairs.items()},
-        {index: map_SE3_right(pair.pose, rig) for index, pair in pairs.items()},
-        params,
-        evidence,
-        motion,
-    )
+    match_of = {(m.frame_index, m.match_index): m for m in matches}
+    pairs = {pair.frame_index: pair for pair in frame_pairs}
+    return DriveData(match_of, by_frame, pairs, rig, params, evidence, motion)
 
 
-def fuse_tracks(
-    positions: Sequence[Position],
-    matches: Iterable[StereoMatch],
-    detections: Iterable[Detection],
-    frame_pairs: Iterable[FramePair],
-    rig: Rig,
-    params: IngestParams,
-    evidence: DetectorEvidence = UNMEASURED,
-    motion: MotionError | None = None,
-) -> tuple[list[Track], list[Rejection]]:
+def fuse_tracks(positions: Sequence[Position], data: DriveData) -> tuple[list[Track], list[Rejection]]:
     """Fuse the positions of one drive into tracks.
 
-    detections: of both images. frame_pairs: with the poses that the positions were computed with. evidence: figures of the
-    detector. motion: as in `DriveData`. A group that is too short, never near, off the road surface, of implausible height or
-    unlikely to be a cone is rejected with the reason.
+    A group that is too short, never near, off the road surface, of implausible height or unlikely to be a cone is rejected with
+    the reason.
     """
-    data = drive_data(frame_pairs, rig, detections, matches, params, evidence, motion)
     tracks: list[Track] = []
     rejections: list[Rejection] = []
-    groups = chain_positions(positions, CameraMotion(data.map_SE3_left, params.track, motion))
-    in_use = boxes_in_use(groups, data.matches, params.track)
+    limits = data.params.track
+    groups = chain_positions(positions, CameraMotion(data.map_SE3_left, limits, data.motion))
+    in_use = boxes_in_use(groups, data.matches, limits)
     for group in sorted(groups, key=lambda g: (g[0].frame_index, g[0].match_index)):
         result = fuse_group(len(tracks), group, data, in_use)
         if isinstance(result, Track):
             tracks.append(result)
         else:
             rejections.append(result)
-    return _check_ground(tracks, rejections, data.map_SE3_left, params.track)
+    return _check_ground(tracks, rejections, data.map_SE3_left, limits)
 
 
 def fuse_group(
@@ -269,16 +260,17 @@ def _check_ground(
         if not on_road or abs(drop - usual) <= limits.max_ground_distance_m:
             kept.append(track.model_copy(update={"track_index": len(kept)}))
         else:
-            rejections.append(
-                Rejection(
-                    step="tracks",
-                    reason=RejectionReason.NOT_ON_GROUND,
-                    record=f"track first seen in frame pair {track.members[0][0]}",
-                    detail=f"foot {drop:.2f} m below the drive path; expected {usual:.2f} m, as of the drive's cones",
-                    payload=track.model_dump(mode="json"),
-                )
-            )
+            detail = f"foot {drop:.2f} m below the drive path; expected {usual:.2f} m, as of the drive's cones"
+            rejections.append(rejected_track(RejectionReason.NOT_ON_GROUND, track, detail))
     return kept, rejections
+
+
+def rejected_track(reason: RejectionReason, track: Track, detail: str) -> Rejection:
+    """The rejection of a track that other tracks of the drive, or its own observations, show to be wrong."""
+    return Rejection(
+        step="tracks", reason=reason, record=f"track first seen in frame pair {track.members[0][0]}", detail=detail,
+        payload=track.model_dump(mode="json"),
+    )  # fmt: skip
 
 
 def _reject(reason: RejectionReason, group: tuple[Position, ...], detail: str) -> Rejection:
