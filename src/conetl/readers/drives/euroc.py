@@ -32,7 +32,7 @@ from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
 from conetl.readers.drives.poses import Samples, at, placed, to_pose
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.rigs.common import Node, pinhole_camera, stereo_rig
+from conetl.readers.rigs.common import Node
 from conetl.readers.trajectories import read_trajectory
 
 NAME, TITLE = "euroc", "EuRoC / ASL folder"
@@ -152,9 +152,9 @@ def _read_rig(root: Path, settings: DriveYaml, content: pairs.ContentHash) -> tu
         path = _stream_folder(root, name) / SENSOR_YAML
         sensor = Node(path, read_yaml(path))
         content.add(f"{name}/{SENSOR_YAML}", path.read_bytes())
-        cameras.append(pinhole_camera(sensor, "distortion_coefficients", _LENSES))
+        cameras.append(sensor.pinhole_camera("distortion_coefficients", _LENSES))
         poses.append(sensor.at("T_BS").motion())
-    rig = stereo_rig(sensor.at("T_BS"), "euroc", cameras[0], cameras[1], se3.compose(se3.invert(poses[1]), poses[0]))
+    rig = sensor.at("T_BS").stereo_rig("euroc", cameras[0], cameras[1], se3.compose(se3.invert(poses[1]), poses[0]))
     return rig_on_body(rig, poses[0], settings, path)
 
 

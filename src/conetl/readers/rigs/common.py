@@ -49,7 +49,7 @@ def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
 
 
 class Node(NamedTuple):
-    """A value of a calibration file with its key. Methods raise InputErrors that name both."""
+    """A value of a calibration file with its key, and what it is read as. Methods raise InputErrors that name both."""
 
     path: Path
     value: Any
@@ -136,6 +136,70 @@ class Node(NamedTuple):
             )
         return LENGTH_UNITS[self.value]
 
+    def camera(self, size: Size, lens: Lens, k: Floats | None = None) -> Camera:
+        """Camera of a matrix (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels: this value, unless k is given."""
+        k = self.numbers((3, 3)) if k is None else k
+        fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
+        if not (fx > 0 and fy > 0):
+            raise self.bad(f"must have positive focal lengths, found {fx:g} and {fy:g}")
+        if abs(k[0, 1]) > _SKEW_SHARE * fx:
+            raise self.bad(f"has a skew of {k[0, 1]:g}; conetl does not model skew, calibrate without it")
+        if not np.allclose([k[1, 0], *k[2]], [0.0, 0.0, 0.0, 1.0], atol=1e-9 * fx):
+            raise self.bad("must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+        width, height = size
+        with input_errors(f"{self.path}: '{self.key}' cannot be used"):
+            return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
+
+    def pinhole_camera(self, coefficients: str, lenses: Mapping[str | None, str | None]) -> Camera:
+        """Camera of a mapping in the style of Kalibr and EuRoC: camera_model, intrinsics, resolution, distortion_model.
+
+        coefficients: key of the lens' coefficients. lenses: "opencv", "fisheye" or None (no distortion) by distortion_model,
+        which is optional if None is among its known values.
+        """
+        model = self.at("camera_model")
+        if model.value != "pinhole":
+            raise model.bad(f"{shown(model.value)} is not supported, only pinhole")
+        bent = (self.get if None in lenses else self.at)("distortion_model")
+        if not isinstance(bent.value, str | None) or bent.value not in lenses:
+            known = ", ".join(name for name in lenses if name)
+            raise bent.bad(f"{shown(bent.value)} is not supported; known: {known}")
+        lens, kind = Lens(), lenses[bent.value]
+        if kind is not None:
+            lens = self.at(coefficients).lens(fisheye=kind == "fisheye")
+        intrinsics = self.at("intrinsics")
+        return intrinsics.camera(self.at("resolution").size(), lens, matrix_of(*intrinsics.numbers((4,))))
+
+    def lens(self, coefficients: Sequence[float] | Floats | None = None, *, fisheye: bool = False) -> Lens:
+        """The smallest lens model that holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tx, ty]]]].
+
+        coefficients: this value, unless others are given. fisheye: they are k1, k2, k3, k4 of the equidistant model.
+        """
+        if fisheye:
+            given = self if coefficients is None else self._replace(value=coefficients)
+            return Lens(model="fisheye", coefficients=tuple(given.numbers((4,)).tolist()))
+        values = (self.numbers() if coefficients is None else np.asarray(coefficients, dtype=np.float64)).tolist()
+        if len(values) not in (0, 4, 5, 8, 12, 14):
+            raise self.bad(f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
+        if any(values[8:]):
+            raise self.bad("holds thin-prism or tilt coefficients, which conetl does not model; calibrate without them")
+        values = (values + [0.0] * 8)[:8]
+        if any(values[5:]):
+            return Lens(model="rational", coefficients=tuple(values))
+        if any(values[2:5]):
+            return Lens(model="brown", coefficients=tuple(values[:5]))
+        return Lens(model="radial", coefficients=tuple(values[:2])) if any(values) else Lens()
+
+    def stereo_rig(self, tool: str, left: Camera, right: Camera, right_SE3_left: Floats) -> Rig:
+        """Rig of the usual stereo calibration `p_right = R p_left + t`, as (4, 4); the body is the left camera.
+
+        This value is the relative pose in the file. tool: the format's name, the rig's id starts with it.
+        """
+        with input_errors(f"{self.path}: '{self.key}' cannot be used"):
+            turn = se3.nearest_rotation(right_SE3_left[:3, :3])
+            left_SE3_right = se3.invert(se3.se3(turn, right_SE3_left[:3, 3]))
+            check_stereo_baseline(left_SE3_right)
+            return rig_of(tool, left, right, left_SE3_right)
+
 
 def choose_pair(path: Path, names: Sequence[str], pair: Sequence[str] | None) -> Pair:
     """The left and the right of a file's cameras: `pair`, else the only two in their order. Raises InputError."""
@@ -156,65 +220,9 @@ def choose_pair(path: Path, names: Sequence[str], pair: Sequence[str] | None) ->
     return left, right
 
 
-def camera_from_matrix(node: Node, k: Floats, size: Size, lens: Lens) -> Camera:
-    """Camera of a (3, 3) matrix [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels, which `node` has. Raises InputError."""
-    fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
-    if not (fx > 0 and fy > 0):
-        raise node.bad(f"must have positive focal lengths, found {fx:g} and {fy:g}")
-    if abs(k[0, 1]) > _SKEW_SHARE * fx:
-        raise node.bad(f"has a skew of {k[0, 1]:g}; conetl does not model skew, calibrate without it")
-    if not np.allclose([k[1, 0], *k[2]], [0.0, 0.0, 0.0, 1.0], atol=1e-9 * fx):
-        raise node.bad("must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-    width, height = size
-    with input_errors(f"{node.path}: '{node.key}' cannot be used"):
-        return Camera(width_px=width, height_px=height, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=lens)
-
-
-def pinhole_camera(node: Node, coefficients: str, lenses: Mapping[str | None, str | None]) -> Camera:
-    """Camera of a mapping in the style of Kalibr and EuRoC: camera_model, intrinsics, resolution, distortion_model.
-
-    coefficients: key of the lens' coefficients; lenses: "opencv", "fisheye" or None (no distortion) by known distortion_model,
-    which is optional if None is known. Raises InputError.
-    """
-    model = node.at("camera_model")
-    if model.value != "pinhole":
-        raise model.bad(f"{shown(model.value)} is not supported, only pinhole")
-    bent = (node.get if None in lenses else node.at)("distortion_model")
-    if not isinstance(bent.value, str | None) or bent.value not in lenses:
-        known = ", ".join(name for name in lenses if name)
-        raise bent.bad(f"{shown(bent.value)} is not supported; known: {known}")
-    lens, kind = Lens(), lenses[bent.value]
-    if kind is not None:
-        lens = opencv_lens(node.at(coefficients), fisheye=kind == "fisheye")
-    intrinsics = node.at("intrinsics")
-    return camera_from_matrix(intrinsics, matrix_of(*intrinsics.numbers((4,))), node.at("resolution").size(), lens)
-
-
 def matrix_of(fx: float, fy: float, cx: float, cy: float) -> Floats:
     """(3, 3) camera matrix."""
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-
-
-def opencv_lens(node: Node, coefficients: Sequence[float] | Floats | None = None, *, fisheye: bool = False) -> Lens:
-    """The smallest lens model that holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tx, ty]]]].
-
-    coefficients: those of `node` unless given. fisheye: they are k1, k2, k3, k4 of the equidistant model. Raises
-    InputError.
-    """
-    if fisheye:
-        given = node if coefficients is None else node._replace(value=coefficients)
-        return Lens(model="fisheye", coefficients=tuple(given.numbers((4,)).tolist()))
-    values = (node.numbers() if coefficients is None else np.asarray(coefficients, dtype=np.float64)).tolist()
-    if len(values) not in (0, 4, 5, 8, 12, 14):
-        raise node.bad(f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
-    if any(values[8:]):
-        raise node.bad("holds thin-prism or tilt coefficients, which conetl does not model; calibrate without them")
-    values = (values + [0.0] * 8)[:8]
-    if any(values[5:]):
-        return Lens(model="rational", coefficients=tuple(values))
-    if any(values[2:5]):
-        return Lens(model="brown", coefficients=tuple(values[:5]))
-    return Lens(model="radial", coefficients=tuple(values[:2])) if any(values) else Lens()
 
 
 def opencv_coefficients(lens: Lens) -> list[float]:
@@ -222,18 +230,6 @@ def opencv_coefficients(lens: Lens) -> list[float]:
     if lens.model == "fisheye":
         return list(lens.coefficients)
     return [*lens.coefficients, *[0.0] * (5 - len(lens.coefficients))]
-
-
-def stereo_rig(node: Node, tool: str, left: Camera, right: Camera, right_SE3_left: Floats) -> Rig:
-    """Rig of the usual stereo calibration `p_right = R p_left + t`, as (4, 4); the body is the left camera.
-
-    node: the relative pose in the file; tool: the format's name, the rig's id starts with it. Raises InputError.
-    """
-    with input_errors(f"{node.path}: '{node.key}' cannot be used"):
-        turn = se3.nearest_rotation(right_SE3_left[:3, :3])
-        left_SE3_right = se3.invert(se3.se3(turn, right_SE3_left[:3, 3]))
-        check_stereo_baseline(left_SE3_right)
-        return rig_of(tool, left, right, left_SE3_right)
 
 
 def rig_of(

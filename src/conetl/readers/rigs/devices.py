@@ -26,17 +26,7 @@ from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.rig import MIN_BASELINE_M, Camera, Lens, Rig
-from conetl.readers.rigs.common import (
-    LENGTH_UNITS,
-    Node,
-    Pair,
-    Size,
-    camera_from_matrix,
-    choose_pair,
-    matrix_of,
-    opencv_lens,
-    stereo_rig,
-)
+from conetl.readers.rigs.common import LENGTH_UNITS, Node, Pair, Size, choose_pair, matrix_of
 
 #: Size of one camera's image by the name of the resolution.
 RESOLUTIONS: dict[str, Size] = {
@@ -70,7 +60,7 @@ def read_zed_rig(path: Path, *, image_size: Size | None = None) -> Rig:
         angles = Node(path, turn, f"STEREO.RX_{name}, CV_{name}, RZ_{name}")
         raise angles.bad(f"must be small angles in radians, found {shown(turn)}")
     shift_m = LENGTH_UNITS["mm"] * np.array([-baseline, ty, tz])
-    return stereo_rig(key, "zed", left, right, se3.se3(Rotation.from_rotvec(turn).as_matrix(), shift_m))
+    return key.stereo_rig("zed", left, right, se3.se3(Rotation.from_rotvec(turn).as_matrix(), shift_m))
 
 
 def _sections(path: Path) -> Sections:
@@ -104,7 +94,7 @@ def _resolution(path: Path, sections: Sections, image_size: Size | None) -> str:
 def _zed_camera(path: Path, sections: Sections, side: str, name: str) -> Camera:
     camera = Node(path, sections[f"{side}_CAM_{name}"], f"{side}_CAM_{name}")
     k = matrix_of(*(camera.at(key).number() for key in ("fx", "fy", "cx", "cy")))
-    return camera_from_matrix(camera, k, RESOLUTIONS[name], _zed_lens(camera, sections, f"{side}_DISTO"))
+    return camera.camera(RESOLUTIONS[name], _zed_lens(camera, sections, f"{side}_DISTO"), k)
 
 
 def _zed_lens(camera: Node, sections: Sections, disto: str) -> Lens:
@@ -119,7 +109,7 @@ def _zed_lens(camera: Node, sections: Sections, disto: str) -> Lens:
     lens = Node(camera.path, dict.fromkeys(_POLYNOMIAL, "0") | given, found[0])
     if "k4" in given and "p1" not in given:
         raise lens.at("k4").bad("without p1 and p2 is a fisheye lens, whose meaning in ZED files conetl does not know")
-    return opencv_lens(lens._replace(key=f"{lens.key}.k1 to k6"), [lens.at(key).number() for key in _POLYNOMIAL])
+    return lens._replace(key=f"{lens.key}.k1 to k6").lens([lens.at(key).number() for key in _POLYNOMIAL])
 
 
 def read_oak_rig(path: Path, *, pair: Pair | None = None) -> Rig:
@@ -144,7 +134,7 @@ def read_oak_rig(path: Path, *, pair: Pair | None = None) -> Rig:
         raise extrinsics.bad(f"does not lead to {right}: the two cameras were not calibrated together")
     if (left, right) == stated:
         _check(rectification, right_SE3_left)
-    return stereo_rig(extrinsics, "oak", _oak_camera(cameras[left]), _oak_camera(cameras[right]), right_SE3_left)
+    return extrinsics.stereo_rig("oak", _oak_camera(cameras[left]), _oak_camera(cameras[right]), right_SE3_left)
 
 
 def _socket(value: Any) -> str:
@@ -180,9 +170,7 @@ def _oak_camera(camera: Node) -> Camera:
     bent = camera.at("distortionCoeff")
     if kind == 1 and bent.numbers().size == 14:  # the EEPROM has 14 places whatever the lens
         bent = bent._replace(value=bent.numbers()[:4])
-    matrix = camera.at("intrinsicMatrix")
-    lens = opencv_lens(bent, fisheye=kind == 1)
-    return camera_from_matrix(matrix, matrix.numbers((3, 3)), size, lens)
+    return camera.at("intrinsicMatrix").camera(size, bent.lens(fisheye=kind == 1))
 
 
 def _pose(camera: Node) -> tuple[str, Floats] | None:

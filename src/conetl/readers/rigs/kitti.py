@@ -20,7 +20,7 @@ from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Lens, Rig
-from conetl.readers.rigs.common import Node, Size, camera_from_matrix, rectified_rig
+from conetl.readers.rigs.common import Node, Size, rectified_rig
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"
 VELO_TO_CAM = "calib_velo_to_cam.txt"
@@ -103,7 +103,7 @@ def _rectified_camera(path: Path, cameras: dict[str, Floats], number: int) -> tu
     """A rectified camera and its pose (4, 4) in the rectified frame of camera 0."""
     key, size = f"P_rect_{number:02d}", f"S_rect_{number:02d}"
     p = cameras[key].reshape(3, 4)
-    camera = camera_from_matrix(Node(path, p, key), p[:, :3], Node(path, cameras[size], size).size(), Lens())
+    camera = Node(path, p, key).camera(Node(path, cameras[size], size).size(), Lens(), p[:, :3])
     return camera, se3.se3(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
 
 
@@ -111,8 +111,7 @@ def _raw_camera(path: Path, cameras: dict[str, Floats], number: int) -> tuple[Ca
     """A camera that took the images and its pose (4, 4) in camera 0."""
     s, k, d, r, t = (f"{key}_{number:02d}" for key in "SKDRT")
     lens = Lens(model="brown", coefficients=tuple(cameras[d].tolist())) if cameras[d].any() else Lens()
-    matrix, size = Node(path, cameras[k], k), Node(path, cameras[s], s).size()
-    camera = camera_from_matrix(matrix, matrix.numbers((3, 3)), size, lens)
+    camera = Node(path, cameras[k], k).camera(Node(path, cameras[s], s).size(), lens)
     return camera, se3.invert(se3.se3(Node(path, cameras[r], r).rotation(), cameras[t]))
 
 

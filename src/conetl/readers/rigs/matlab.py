@@ -26,7 +26,7 @@ from conetl.geometry.camera import matrix_k
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Rig
-from conetl.readers.rigs.common import Node, Size, camera_from_matrix, opencv_coefficients, opencv_lens, stereo_rig
+from conetl.readers.rigs.common import Node, Size, opencv_coefficients
 
 #: Added to a camera matrix: MATLAB's first pixel is (1, 1), ours (0, 0).
 _ORIGIN = np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 0, 0]])
@@ -47,7 +47,7 @@ def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     left, right = (_camera(found.at(f"CameraParameters{number}"), image_size) for number in (1, 2))
     unit_m = Node(path, (length_unit or _unit(found.value)).lower(), "WorldUnits").metres()
     key, right_R_left, t = _relative(found)
-    return stereo_rig(key, "matlab", left, right, se3.se3(right_R_left, t * unit_m))
+    return key.stereo_rig("matlab", left, right, se3.se3(right_R_left, t * unit_m))
 
 
 def _relative(found: Node) -> tuple[Node, Floats, Floats]:
@@ -75,7 +75,7 @@ def _camera(camera: Node, image_size: Size | None) -> Camera:
         raise key.bad(f"must be 2 or 3 numbers, found {radial.size}")
     if _given(camera.get("TangentialDistortion")):
         tangential = camera.at("TangentialDistortion").numbers((2,))
-    lens = opencv_lens(key, [*radial[:2], *tangential, radial[2] if radial.size == 3 else 0.0])
+    lens = key.lens([*radial[:2], *tangential, radial[2] if radial.size == 3 else 0.0])
     if image_size is None:
         size = camera.get("ImageSize")
         if not _given(size):
@@ -84,7 +84,7 @@ def _camera(camera: Node, image_size: Size | None) -> Camera:
             )
         rows, columns = size.size()
         image_size = columns, rows
-    return camera_from_matrix(matrix, k - _ORIGIN, image_size, lens)
+    return matrix.camera(image_size, lens, k - _ORIGIN)
 
 
 def _given(node: Node) -> bool:

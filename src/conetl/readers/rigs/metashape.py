@@ -17,7 +17,7 @@ from conetl.files.documents import shown
 from conetl.geometry import pose as se3
 from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Lens, Rig
-from conetl.readers.rigs.common import Node, Pair, camera_from_matrix, choose_pair, opencv_lens, read_xml, stereo_rig
+from conetl.readers.rigs.common import Node, Pair, choose_pair, read_xml
 
 _FISHEYES = ("fisheye", "equidistant_fisheye")
 _NUMBERS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
@@ -59,8 +59,7 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
             "(master_id) of the other, nor do they have the same one"
         )
     left_camera, right_camera = (_camera(path, sensors[numbers_of[name]], name) for name in (left, right))
-    node = Node(path, None, f"{right}.location")
-    return stereo_rig(node, "metashape", left_camera, right_camera, right_SE3_left)
+    return Node(path, None, f"{right}.location").stereo_rig("metashape", left_camera, right_camera, right_SE3_left)
 
 
 def _unit_m(path: Path, chunk: Element, length_unit: str | None) -> float:
@@ -107,7 +106,7 @@ def _camera(path: Path, sensor: Element, name: str) -> Camera:
     k = np.array([
         [v["f"] + v["b1"], v["b2"], size[0] / 2 + v["cx"] - 0.5], [0.0, v["f"], size[1] / 2 + v["cy"] - 0.5], [0.0, 0.0, 1.0],
     ])  # fmt: skip
-    return camera_from_matrix(node, k, size, _lens(node, v, fisheye=kind in _FISHEYES))
+    return node.camera(size, _lens(node, v, fisheye=kind in _FISHEYES), k)
 
 
 def _lens(node: Node, v: dict[str, float], *, fisheye: bool) -> Lens:
@@ -116,5 +115,5 @@ def _lens(node: Node, v: dict[str, float], *, fisheye: bool) -> Lens:
             text = f"is {v[key]:g}, which conetl's lenses do not have; calibrate with {key} fixed to 0"
             raise node.get(key).bad(text)
     if fisheye:
-        return opencv_lens(node.get("k1"), [v["k1"], v["k2"], v["k3"], v["k4"]], fisheye=True)
-    return opencv_lens(node.get("k1"), [v["k1"], v["k2"], v["p2"], v["p1"], v["k3"]])
+        return node.get("k1").lens([v["k1"], v["k2"], v["k3"], v["k4"]], fisheye=True)
+    return node.get("k1").lens([v["k1"], v["k2"], v["p2"], v["p1"], v["k3"]])

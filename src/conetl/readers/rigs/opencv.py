@@ -25,15 +25,7 @@ from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
 from conetl.model.errors import InputError
 from conetl.model.rig import SIDES, Camera, Rig, Side
-from conetl.readers.rigs.common import (
-    Node,
-    Size,
-    camera_from_matrix,
-    opencv_coefficients,
-    opencv_lens,
-    read_xml,
-    stereo_rig,
-)
+from conetl.readers.rigs.common import Node, Size, opencv_coefficients, read_xml
 
 _YAML_HEADER = re.compile(r"^\s*%YAML[^\n]*\n")
 _MATRIX_TAG = re.compile(r"!!opencv-(nd-)?matrix")
@@ -133,7 +125,7 @@ def read_opencv_rig(path: Path, *, image_size: Size | None = None, length_unit: 
     stated = next((str(content[name]) for name in _UNIT_NAMES if name in content), "m")
     unit_m = Node(whole.path, length_unit or stated, "length_unit").metres()
     pose = se3.se3(turn._replace(value=r).numbers((3, 3)), shift.numbers((3,)) * unit_m)
-    return stereo_rig(Node(whole.path, None, f"{turn.key}, {shift.key}"), "opencv", left, right, pose)
+    return Node(whole.path, None, f"{turn.key}, {shift.key}").stereo_rig("opencv", left, right, pose)
 
 
 def _files(path: Path) -> dict[str, Path]:
@@ -163,8 +155,8 @@ def _camera(file: Node, side: Side, image_size: Size | None) -> Camera:
         _named(file, f"{side} {what}", (*_NAMES[f"{side}.{key}"], *(f"{side}.{name}" for name in _NAMES[key])))
         for what, key in (("matrix", "K"), ("distortion", "D"))
     )
-    lens = opencv_lens(d, fisheye=_is_fisheye(file, side))
-    return camera_from_matrix(k, k.numbers((3, 3)), image_size or _size(file, side), lens)
+    lens = d.lens(fisheye=_is_fisheye(file, side))
+    return k.camera(image_size or _size(file, side), lens)
 
 
 def _first(file: Node, names: Iterable[str]) -> Node | None:

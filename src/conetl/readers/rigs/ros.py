@@ -27,17 +27,7 @@ from conetl.geometry.rectification import common_rotation, rectify
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.rig import SIDES, Camera, Rig
-from conetl.readers.rigs.common import (
-    Node,
-    Pair,
-    camera_from_matrix,
-    choose_pair,
-    opencv_coefficients,
-    opencv_lens,
-    pinhole_camera,
-    stereo_rig,
-    write_yaml,
-)
+from conetl.readers.rigs.common import Node, Pair, choose_pair, opencv_coefficients, write_yaml
 
 EXTRINSICS = "extrinsics.yaml"
 _MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
@@ -75,7 +65,7 @@ def read_ros_rig(path: Path, *, pair: Pair | None = None) -> Rig:
     if extrinsics.is_file():
         relative = Node(extrinsics, read_yaml(extrinsics)).at("left_SE3_right")
         pose = se3.se3(relative.at("R").numbers((3, 3)), relative.at("t_m").numbers((3,)))
-        return stereo_rig(relative, "ros", _camera(left_info)[0], _camera(right_info)[0], se3.invert(pose))
+        return relative.stereo_rig("ros", _camera(left_info)[0], _camera(right_info)[0], se3.invert(pose))
     return rig_of_camera_infos(left_info, right_info)
 
 
@@ -97,7 +87,7 @@ def rig_of_camera_infos(left_info: Node, right_info: Node) -> Rig:
         raise projection.bad(f"must have a positive focal length, found {right_p[0, 0]:g}")
     centre = np.array([-right_p[0, 3] / right_p[0, 0], 0.0, 0.0])  # of the right camera, in the common rectified frame
     # x_rect = left_R x_left and x_rect = right_R x_right + centre
-    return stereo_rig(projection, "ros", left, right, se3.se3(right_R.T @ left_R, -right_R.T @ centre))
+    return projection.stereo_rig("ros", left, right, se3.se3(right_R.T @ left_R, -right_R.T @ centre))
 
 
 def _camera(info: Node) -> tuple[Camera, Floats, Floats]:
@@ -108,12 +98,12 @@ def _camera(info: Node) -> tuple[Camera, Floats, Floats]:
     model = info.at("distortion_model")
     if model.value not in _MODELS:
         raise model.bad(f"{shown(model.value)} is not supported; known: {', '.join(_MODELS)}")
-    lens = opencv_lens(info.at("distortion_coefficients"), fisheye=model.value == "equidistant")
+    lens = info.at("distortion_coefficients").lens(fisheye=model.value == "equidistant")
     matrix = info.at("camera_matrix")
     k = matrix.numbers((3, 3))
     turn = info.at("rectification_matrix").rotation()
     projection = info.at("projection_matrix").numbers((3, 4))
-    return camera_from_matrix(matrix, k, size, lens), turn, projection
+    return matrix.camera(size, lens, k), turn, projection
 
 
 def write_ros_rig(rig: Rig, folder: Path) -> None:
@@ -160,7 +150,7 @@ def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
     left, right = choose_pair(path, names, pair)
     chain = Node(path, content)
     left_camera, right_camera = (
-        pinhole_camera(chain.get(name), "distortion_coeffs", _KALIBR_LENSES) for name in (left, right)
+        chain.get(name).pinhole_camera("distortion_coeffs", _KALIBR_LENSES) for name in (left, right)
     )
     first, last = sorted((int(left[3:]), int(right[3:])))
     pose = np.eye(4)
@@ -168,7 +158,7 @@ def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
         pose = se3.compose(chain.get(f"cam{number}").at("T_cn_cnm1").motion(), pose)
     right_SE3_left = pose if left == f"cam{first}" else se3.invert(pose)
     key = chain.get(f"cam{last}").at("T_cn_cnm1")
-    return stereo_rig(key, "kalibr", left_camera, right_camera, right_SE3_left)
+    return key.stereo_rig("kalibr", left_camera, right_camera, right_SE3_left)
 
 
 def write_kalibr_rig(rig: Rig, path: Path) -> None:
