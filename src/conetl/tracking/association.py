@@ -46,9 +46,6 @@ class MotionError:
     """N points (N, 3) in the map, the frames of each, derivatives (F, 3, 3) of each by those of its frames -> (3N, 3N): how they
     err by changes of the poses' errors since the middle of the drive; None where cones err by more."""
 
-    def __call__(self, start: int, end: int, point_m: Floats) -> Floats:
-        return self.cov_m2(start, end, point_m)
-
 
 @dataclass(frozen=True)
 class CameraMotion:
@@ -66,7 +63,7 @@ class CameraMotion:
         rotation, translation = end_SE3_start[:3, :3], end_SE3_start[:3, 3]
         added = self.params.motion_sigma_m**2 * np.eye(3)
         if self.error is not None:
-            added = self.error(start, end, mean) + added
+            added = self.error.cov_m2(start, end, mean) + added
         else:
             along = np.outer(translation, translation)  # (distance driven)^2 in its direction, nothing across it
             across = float(translation @ translation) * np.eye(3) - along

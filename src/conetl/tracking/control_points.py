@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from conetl.geometry.consistency import leave_one_out_nees
+from conetl.geometry.consistency import leave_one_out_nees, point_nees
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.model.arrays import Bools, Floats
@@ -255,11 +255,8 @@ def _chi2(cones: _Cones, survey: Floats, off: Floats, near: Bools, chosen: dict[
     """(N, G) of each point on each cone near it, given those that are chosen; infinite for others."""
     mean, cov = _expected(cones, survey, off, chosen)
     points, at = np.nonzero(near)
-    residual = off[points, at] - mean[at]
     found = np.full(near.shape, np.inf)
-    found[points, at] = np.einsum(
-        "pi,pi->p", residual, np.linalg.solve(cov[at] + survey[points], residual[..., None])[..., 0]
-    )
+    found[points, at] = point_nees(off[points, at] - mean[at], cov[at] + survey[points])
     return found
 
 

@@ -200,7 +200,7 @@ def track_shares(members: Sequence[Position], poses: Sequence[Pose], rig: Rig, m
     cov = cov_matrices([p.camera_cov_m2 for p in members])
     if motion is not None:
         closest = min(members, key=lambda p: p.range_m).frame_index
-        added = [np.trace(motion(p.frame_index, closest, np.array(p.camera_xyz_m))) / 3 for p in members]
+        added = [np.trace(motion.cov_m2(p.frame_index, closest, np.array(p.camera_xyz_m))) / 3 for p in members]
         cov = cov + np.array(added)[:, None, None] * np.eye(3)
     information = np.linalg.inv(turn @ cov @ np.swapaxes(turn, 1, 2))
     return np.asarray(np.linalg.inv(information.sum(axis=0)) @ information)

@@ -211,7 +211,7 @@ def _category_of(group: Sequence[Position]) -> str:
 def _motion_sigmas(group: tuple[Position, ...], nearest: Position, left: Floats, data: DriveData) -> Floats:
     """Sigma (F,) m of the cone's position from each frame of a group, relative to the frame nearest to the cone."""
     if data.motion is not None:
-        added = [data.motion(p.frame_index, nearest.frame_index, np.array(p.camera_xyz_m)) for p in group]
+        added = [data.motion.cov_m2(p.frame_index, nearest.frame_index, np.array(p.camera_xyz_m)) for p in group]
         return np.asarray(np.sqrt(np.trace(np.stack(added), axis1=1, axis2=2) / 3))
     driven_m = np.linalg.norm(left[:, :3, 3] - data.map_SE3_left[nearest.frame_index][:3, 3], axis=1)
     # The relative error of two poses grows with the distance between them, up to the error of GNSS.

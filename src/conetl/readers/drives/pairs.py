@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import math
-from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+import numpy as np
+
 from conetl.files.storage import fetch, remember
 from conetl.geometry.rectification import stored_camera
+from conetl.geometry.small_arrays import nearest_index
 from conetl.model.drive import Drive, FramePair, Pose
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
@@ -237,19 +239,17 @@ def pair_by_stamp(left: Sequence[Image], right: Sequence[Image], tolerance_ns: i
     """
     left, right = _by_true_clocks(left), _by_true_clocks(right)
     number = {image.stamp: i for i, image in reversed(list(enumerate(right))) if isinstance(image.stamp, int)}
-    right_times = sorted(t for t in number if isinstance(t, int))
-    left_times = sorted({p.stamp for p in left if isinstance(p.stamp, int)})
-    partners: list[int | None] = []
-    used: set[int] = set()
-    for image in left:
-        partner = None
-        if isinstance(image.stamp, int) and right_times:
-            time = right_times[_nearest_index(right_times, image.stamp)]
-            mutual = left_times[_nearest_index(left_times, time)] == image.stamp
-            if mutual and abs(time - image.stamp) <= tolerance_ns and number[time] not in used:
-                partner = number[time]
-                used.add(partner)
-        partners.append(partner)
+    left_ns, right_ns = (
+        np.array(sorted({p.stamp for p in side if isinstance(p.stamp, int)})) for side in (left, right)
+    )
+    partner_of: dict[int | str, int] = {}
+    if len(left_ns) and len(right_ns):
+        at = nearest_index(right_ns, left_ns)
+        mutual = nearest_index(left_ns, right_ns)[at] == np.arange(len(left_ns))
+        near = mutual & (np.abs(right_ns[at] - left_ns) <= tolerance_ns)
+        partner_of = {t: number[u] for t, u in zip(left_ns[near].tolist(), right_ns[at[near]].tolist(), strict=True)}
+    partners = [partner_of.pop(image.stamp, None) for image in left]  # of several left images of one time the first
+    used = {partner for partner in partners if partner is not None}
     last = -1
     for i, image in enumerate(left):
         if isinstance(image.stamp, str) and last + 1 < len(right) and last + 1 not in used:
@@ -259,17 +259,10 @@ def pair_by_stamp(left: Sequence[Image], right: Sequence[Image], tolerance_ns: i
     couples: list[Couple] = [(p, None if i is None else right[i]) for p, i in zip(left, partners, strict=True)]
     # A right image that is alone comes before the first later one.
     latest = list(accumulate((-1 if (t := time_of(c)) is None else t for c in couples), max))
-    alone = [time for time in right_times if number[time] not in used]
+    alone = [time for time in right_ns.tolist() if number[time] not in used]
     couples += [(None, right[number[time]]) for time in alone]
     order = sorted(range(len(couples)), key=(latest + alone).__getitem__)
     return [couples[i] for i in order]
-
-
-def _nearest_index(times_ns: list[int], time_ns: int) -> int:
-    """Index of the nearest time; of two equally near ones the earlier. The list must not be empty."""
-    after = bisect_right(times_ns, time_ns)
-    around = [i for i in (after - 1, after) if 0 <= i < len(times_ns)]
-    return min(around, key=lambda i: abs(times_ns[i] - time_ns))
 
 
 def _by_true_clocks(images: Sequence[Image]) -> list[Image]:
