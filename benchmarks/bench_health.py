@@ -45,7 +45,7 @@ def false_alarms(drives: int, seed: int) -> list[Row]:
         _, of_calibration = draw_calibration(np.random.default_rng(_CALIBRATIONS + number))
         reason = hold_reason([*checks, *of_calibration])
         held += reason is not None
-        corrected += refined.clock is not None and refined.clock.is_significant
+        corrected += refined.clock is not None and refined.clock.is_applied(0.0)
         verdicts.update(check.verdict for check in of_calibration)
         if reason is not None:
             print(f"held: seed {number}, {drive.kind}: {reason}")

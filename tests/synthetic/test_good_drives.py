@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import chi2
 
 from conetl.geometry import pose as se3
+from conetl.geometry.pose import to_pose
 from conetl.model.health import hold_reason
-from conetl.readers.drives.poses import to_pose
 from conetl.tracking.trajectory import RefinementOutcome
 from tests.synthetic.good_drives import checked, clock_of, draw_drive, failed
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
 from conetl.model.base import Matrix3, Matrix4
 from conetl.model.drive import Pose
@@ -143,3 +144,12 @@ def _nested(matrix: ArrayLike, size: int) -> tuple[tuple[float, ...], ...]:
 def map_SE3_body(pose: Pose) -> Floats:
     """(4, 4) array of a pose record."""
     return se3(np.array(pose.map_R_body), np.array(pose.map_t_body_m))
+
+
+def to_pose(map_SE3_body: Floats, sigma: ArrayLike) -> Pose:
+    """The record of a pose (4, 4) and its six sigmas: east, north, up (m), roll, pitch, yaw (rad)."""
+    sigmas = np.asarray(sigma)
+    return Pose(
+        map_R_body=to_matrix3(map_SE3_body[:3, :3]), map_t_body_m=vec3(map_SE3_body[:3, 3]), sigma_enu_m=vec3(sigmas[:3]),
+        sigma_rpy_rad=vec3(sigmas[3:]),
+    )  # fmt: skip

@@ -58,17 +58,13 @@ class ClockOffset(NamedTuple):
     offset_s: float
     sigma_s: float
 
-    @property
-    def is_significant(self) -> bool:
-        """Whether the poses must be corrected by it."""
-        least_s = max(LEAST_S, _SIGNIFICANT * self.sigma_s)
-        return self.sigma_s <= MAX_SIGMA_S and least_s < abs(self.offset_s) < _TRIED_S[-1] - 0.02
-
     def is_applied(self, assumed_s: float) -> bool:
-        """Whether the poses must be corrected by it, given the sigma of the clocks without it: that of clocks that were not
-        synchronised is large, and any better estimate counts."""
-        better = assumed_s > LEAST_S and 2 * self.sigma_s <= assumed_s and abs(self.offset_s) < _TRIED_S[-1] - 0.02
-        return self.is_significant or (better and self.sigma_s <= MAX_SIGMA_S)
+        """Whether the poses must be corrected by it: where it is significant, or much better known than the sigma of the clocks
+        without it, which is large where they were not synchronised."""
+        significant = abs(self.offset_s) > max(LEAST_S, _SIGNIFICANT * self.sigma_s)
+        better = assumed_s > LEAST_S and 2 * self.sigma_s <= assumed_s
+        shown = self.sigma_s <= MAX_SIGMA_S and abs(self.offset_s) < _TRIED_S[-1] - 0.02
+        return shown and (significant or better)
 
     def remaining_s(self, assumed_s: float) -> float:
         """Sigma of the remaining offset: of the correction, else as assumed, and wider if the drive contradicts that."""

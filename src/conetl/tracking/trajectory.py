@@ -27,9 +27,9 @@ from conetl.geometry.motion.pose_graph import (
     motion_residuals,
 )
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.packing import cov_matrix, vec3
+from conetl.geometry.packing import cov_matrix
 from conetl.model.arrays import Bools, Floats, Ints
-from conetl.model.drive import FramePair, Pose, Position
+from conetl.model.drive import FramePair, Position
 from conetl.model.health import HealthCheck
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
@@ -149,21 +149,14 @@ def refine_trajectory(
         return as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail)
     cov = chain_solver.covariance(normal)
     sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
-    poses = [
-        Pose(
-            map_R_body=se3.to_matrix3(rotations[k]),
-            map_t_body_m=vec3(places[k]),
-            sigma_enu_m=vec3(sigma[k, :3]),
-            sigma_rpy_rad=vec3(sigma[k, 3:]),
-        )
-        for k in range(len(frame_pairs))
-    ]
+    map_SE3_body = se3.se3(rotations, places)
+    poses = map(se3.to_pose, map_SE3_body, sigma)
     pairs = tuple(pair.model_copy(update={"pose": pose}) for pair, pose in zip(frame_pairs, poses, strict=True))
     detail = (
         f"{len(good)} of {len(frame_pairs) - 1} intervals measured, {int((~good).sum())} rejected; "
         f"poses moved by up to {np.linalg.norm(shift, axis=1).max():.2f} m and {np.degrees(np.abs(turn).max()):.2f} degrees"
     )
-    map_SE3_left = se3.compose(se3.se3(rotations, places), log.body_SE3_left)
+    map_SE3_left = se3.compose(map_SE3_body, log.body_SE3_left)
     return RefinedTrajectory(
         pairs, RefinementOutcome.REFINED, detail, map_SE3_left, log.body_SE3_left, cov,
         (scale, float(cov.shared[0, 0]) ** 0.5),

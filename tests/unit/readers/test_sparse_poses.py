@@ -12,7 +12,7 @@ from conetl.geometry.geodesy import to_geodetic
 from conetl.model.errors import InputError
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.pairs import PairError
-from conetl.readers.drives.poses import Samples, at, to_pose
+from conetl.readers.drives.poses import Samples, at
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.trajectories.recorded import RecordedTrajectory
 from tests.folders import KITTI, needs_kitti
@@ -36,7 +36,7 @@ def track(step_s: float, seconds: float = 20.0, *, bad: dict[int, str] | None = 
 @given(step_s=st.sampled_from([0.01, 0.1, 0.25]), instant_s=st.floats(0.0, 19.5))
 def test_a_dense_trajectory_is_interpolated_as_ever(step_s: float, instant_s: float) -> None:
     dense, time_ns = track(step_s), START_NS + round(instant_s * 1e9)
-    assert pose_reader(dense, [time_ns])(time_ns) == to_pose(*at(dense, time_ns, SECOND // 2))
+    assert pose_reader(dense, [time_ns])(time_ns) == se3.to_pose(*at(dense, time_ns, SECOND // 2))
 
 
 @pytest.mark.parametrize("from_course", [True, False])

@@ -30,7 +30,7 @@ from conetl.model.rig import Camera, Rig, Side
 from conetl.readers.drives import pairs
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
-from conetl.readers.drives.poses import Samples, at, placed, to_pose
+from conetl.readers.drives.poses import Samples, at, placed
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import Node
 from conetl.readers.trajectories import read_trajectory
@@ -68,7 +68,7 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
         return pairs.check_images(files[0], files[1], rig, content, root)
 
     return pairs.drive_of_couples(
-        couples, names, source, rig, srid, images_of, lambda time_ns: to_pose(*at(track, time_ns, settings.max_pose_gap_ns))
+        couples, names, source, rig, srid, images_of, lambda time_ns: se3.to_pose(*at(track, time_ns, settings.max_pose_gap_ns))
     )  # fmt: skip
 
 

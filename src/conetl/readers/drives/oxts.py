@@ -13,7 +13,7 @@ from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.drive import Pose
 from conetl.readers.drives.drive_yaml import Sigmas
-from conetl.readers.drives.poses import stated_sigmas, to_pose, wild_fixes
+from conetl.readers.drives.poses import stated_sigmas, wild_fixes
 from conetl.readers.trajectories.oxts import OxtsRecord
 
 MAX_GAP_NS = 500_000_000
@@ -81,7 +81,7 @@ def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int]) -> dict[int
     poses = se3.interpolate_each([*track.map_SE3_body[rows]], [*track.map_SE3_body[[*ends]]], weights)
     sigma = track.sigma[rows]
     sigma[:, :3] = np.hypot(sigma[:, :3], np.array(apart_m)[:, None])
-    return {number: to_pose(pose, own) for number, pose, own in zip(exposures_ns, poses, sigma, strict=True)}
+    return {number: se3.to_pose(pose, own) for number, pose, own in zip(exposures_ns, poses, sigma, strict=True)}
 
 
 def _neighbour(track: OxtsTrajectory, row: int, late_ns: int) -> tuple[int, float, float]:

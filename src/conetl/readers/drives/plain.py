@@ -40,7 +40,7 @@ from conetl.readers.drives.pairs import (
     drive_of_pairs,
     images_ahead,
 )
-from conetl.readers.drives.poses import checked_srid, stated_sigmas, to_pose, wild_fixes
+from conetl.readers.drives.poses import checked_srid, stated_sigmas, wild_fixes
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import rectified_rig
 from conetl.readers.trajectories.times import misplaced, stamp_or_problem
@@ -224,7 +224,7 @@ def pose_of_row(row: Row, srid: int, settings: Sigmas) -> Pose:
     rotation = se3.rotation_from_rpy(roll, pitch, yaw + convergence)
     angles = np.radians([row.sigma_roll_deg, row.sigma_pitch_deg, row.sigma_yaw_deg])
     recorded = np.array([[row.sigma_e_m, row.sigma_n_m, row.sigma_u_m, *angles]])
-    return to_pose(se3.se3(rotation, position), stated_sigmas(recorded, settings)[0])
+    return se3.to_pose(se3.se3(rotation, position), stated_sigmas(recorded, settings)[0])
 
 
 def time_of_row(row: Row, zone: str) -> int | str:

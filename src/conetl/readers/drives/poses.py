@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from conetl.files.documents import input_errors
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import enu_to_grid, local_to_map
-from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
-from conetl.model.drive import MAX_SPEED_M_S, Pose
+from conetl.model.drive import MAX_SPEED_M_S
 from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
@@ -128,15 +126,6 @@ def around(track: Samples, time_ns: int, max_gap_ns: int, *, across_bad: bool = 
             "(max_pose_gap_s in drive.yaml)",
         )
     return end - 1, end
-
-
-def to_pose(map_SE3_body: Floats, sigma: ArrayLike) -> Pose:
-    """The record of a pose (4, 4) and its six sigmas."""
-    sigmas = np.asarray(sigma)
-    return Pose(
-        map_R_body=se3.to_matrix3(map_SE3_body[:3, :3]), map_t_body_m=vec3(map_SE3_body[:3, 3]), sigma_enu_m=vec3(sigmas[:3]),
-        sigma_rpy_rad=vec3(sigmas[3:]),
-    )  # fmt: skip
 
 
 def stated_sigmas(recorded: Floats, settings: Sigmas) -> Floats:

@@ -258,7 +258,7 @@ def _trajectory(
     if topics.imu is None:
         srid, placed = poses.georeferenced(source, raw.name, raw.map_SE3_body)
         track = poses.without_wild_fixes(raw._replace(map_SE3_body=se3.compose(placed, sensor_SE3_body)))
-        return srid, lambda time_ns: poses.to_pose(*poses.at(track, time_ns, gap_ns))
+        return srid, lambda time_ns: se3.to_pose(*poses.at(track, time_ns, gap_ns))
     antenna_m = _antenna(topics, found, source.settings, path)
     attitude = found.samples[topics.imu]
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
@@ -273,7 +273,7 @@ def _trajectory(
         lat_deg, lon_deg, _ = geodesy.to_geodetic(srid, fixed[:3, 3])
         map_R_sensor = enu_to_grid(srid, lat_deg, lon_deg, turn[:3, :3])
         body = se3.se3(map_R_sensor @ sensor_R_body, fixed[:3, 3] - map_R_sensor @ antenna_m)
-        return poses.to_pose(body, fix_sigma + turn_sigma)
+        return se3.to_pose(body, fix_sigma + turn_sigma)
 
     return srid, pose_at
 

@@ -27,7 +27,7 @@ from conetl.model.drive import Interpolated, Pose
 from conetl.model.errors import InputError
 from conetl.model.params import TrajectoryParams
 from conetl.readers.drives.drive_yaml import MAX_POSE_GAP_S
-from conetl.readers.drives.poses import Samples, around, at, to_pose
+from conetl.readers.drives.poses import Samples, around, at
 from conetl.readers.trajectories.recorded import RecordedTrajectory
 
 #: Records farther apart than this (median, s) are sparse: straight lines between them would cut bends by more than centimetres.
@@ -54,7 +54,7 @@ def pose_reader(
     usual_s = min(_GAP_FACTOR * step_s, _LONGEST_GAP_S) if sparse else MAX_POSE_GAP_S
     gap_s = max_gap_s or max(usual_s, MAX_POSE_GAP_S)
     if not sparse and not from_course:
-        return lambda time_ns: to_pose(*at(track, time_ns, round(gap_s * 1e9)))
+        return lambda time_ns: se3.to_pose(*at(track, time_ns, round(gap_s * 1e9)))
     gap_ns = round(min(gap_s, LONGEST_GAP_S) * 1e9)
     spline = _spline(track.name, track.times_ns, track.map_SE3_body[:, :3, 3], track.sigma[:, :3])
     inside = sorted({t for t in exposures_ns if track.times_ns[0] <= t <= track.times_ns[-1]})
@@ -77,7 +77,7 @@ def pose_reader(
             turned = _TURNS_RAD_S2 * apart_s**2 / 2 * weight * (1 - weight)
             sigma_rpy = np.hypot(sigma[3:], turned)
         sigma_enu = np.hypot(sigma[:3], moved.sigma_m[k])
-        pose = to_pose(se3.se3(rotation, moved.positions_m[k]), np.concatenate([sigma_enu, sigma_rpy]))
+        pose = se3.to_pose(se3.se3(rotation, moved.positions_m[k]), np.concatenate([sigma_enu, sigma_rpy]))
         part = Interpolated(sigma_enu_m=vec3(moved.sigma_m[k]), sigma_rpy_rad=vec3(turned), apart_s=apart_s)
         return pose.model_copy(update={"interpolated": part})
 

@@ -357,13 +357,10 @@ def _require_decimals(table: MapTable, statements: Sequence[ImportedFeature]) ->
 
 def _require_different_positions(path: Path, xyz_m: Floats) -> None:
     """Raise InputError where two rows are within a millimetre: one cone written twice."""
-    first: dict[tuple[int, int], int] = {}
-    for index, (x, y) in enumerate(np.round(xyz_m[:, :2] * 1000).astype(np.int64).tolist()):
-        if (x, y) in first:
-            raise InputError(
-                f"{path}, row {index + 1}: the same position as row {first[x, y] + 1}; nothing was written"
-            )
-        first[x, y] = index
+    _, first, group = np.unique(np.round(xyz_m[:, :2] * 1000), axis=0, return_index=True, return_inverse=True)
+    first = first[group.ravel()]
+    for row in np.flatnonzero(first != np.arange(len(first)))[:1]:
+        raise InputError(f"{path}, row {row + 1}: the same position as row {first[row] + 1}; nothing was written")
 
 
 def _text(values: Floats) -> str:
