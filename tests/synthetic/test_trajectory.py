@@ -108,8 +108,8 @@ def test_a_gap_in_the_measurements_is_bridged() -> None:
     error, whole_error = motion_error(result), motion_error(whole)
     assert error is not None and whole_error is not None
     point = np.array([0.0, 1.0, 10.0])
-    assert np.trace(error(18, 32, point)) > 2 * np.trace(whole_error(18, 32, point))
-    assert np.trace(error(2, 16, point)) < 1.5 * np.trace(whole_error(2, 16, point))
+    assert np.trace(error.cov_m2(18, 32, point)) > 2 * np.trace(whole_error.cov_m2(18, 32, point))
+    assert np.trace(error.cov_m2(2, 16, point)) < 1.5 * np.trace(whole_error.cov_m2(2, 16, point))
 
 
 def test_no_motion_errs_more_than_it_is_said_to_at_most() -> None:
@@ -124,7 +124,8 @@ def test_no_motion_errs_more_than_it_is_said_to_at_most() -> None:
             at_end = np.linalg.inv(left[end]) @ left[start] @ np.append(point, 1.0)
             seen_m = max(np.linalg.norm(point), np.linalg.norm(at_end[:3]))
             most.append(
-                np.trace(error(log[start].frame_index, log[end].frame_index, point)) / error.most_m2(float(seen_m))
+                np.trace(error.cov_m2(log[start].frame_index, log[end].frame_index, point))
+                / error.most_m2(float(seen_m))
             )
     assert max(most) <= 1
 

@@ -11,7 +11,7 @@ import numpy as np
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, expected_motions, motions_between, motions_of
+from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, expected_motions, motions_of, shifts_between
 from conetl.model.arrays import Image
 from conetl.model.drive import Drive, FramePair
 from conetl.model.health import HealthCheck
@@ -202,7 +202,7 @@ def check_poses(
     if motions and len(pairs) > 1:
         read = grey_reader(drive.rig)
         checks += [check(pairs, drive.rig, motions, read, params) for check in (check_lost_frames, check_recording)]
-        lost = [motion is None or motion.second_SE3_first is None for motion in motions_between(pairs, motions)]
+        lost = np.isnan(shifts_between(pairs, motions)[:, 0]).tolist()
         checks += check_lost_parts(drive.model_copy(update={"frame_pairs": tuple(pairs)}), lost)
     return checks if trajectory.control is None else [*checks, trajectory.control]
 

@@ -20,14 +20,13 @@ from conetl.geometry.calibration.covariance import calibration_cov
 from conetl.geometry.camera import add_pose_covariance
 from conetl.geometry.intersection import IntersectionStatus, intersect
 from conetl.geometry.packing import cov3, vec3
+from conetl.model.arrays import Floats
 from conetl.model.base import Cov3, NonNegative, Positive, Probability, Record, Vec3
 from conetl.model.drive import FramePair, Position, StereoMatch
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import PositionParams
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
-
-Array = NDArray[np.float64]
 
 _POINTS = ("foot", "centre", "tip")
 _REASONS = {
@@ -76,15 +75,15 @@ class _Located(NamedTuple):
 
     status: NDArray[np.int8]
     """(3, M)"""
-    xyz: Array
+    xyz: Floats
     """(3, M, 3) m"""
-    foot_cov: Array
+    foot_cov: Floats
     """(M, 3, 3) m^2"""
-    outline_m: Array
+    outline_m: Floats
     """(M,) m, the part of it common to all observations of a cone: sigma down, and times `outline_aside` to the right"""
-    residual_rms: Array
+    residual_rms: Floats
     """(M,) px, over the eight image coordinates of foot and tip"""
-    ray_angle: Array
+    ray_angle: Floats
     """(M,) rad, at the foot"""
     iterations: NDArray[np.int64]
     """(M,) maximum of the three points"""
@@ -164,9 +163,9 @@ def _records(
     record_type: type[R],
     matches: Sequence[StereoMatch],
     located: _Located,
-    xyz: Array,
-    cov: Array,
-    ground: Array,
+    xyz: Floats,
+    cov: Floats,
+    ground: Floats,
     params: PositionParams,
     own_fields: Callable[[int], dict[str, Any]],
     posed: NDArray[np.bool_],

@@ -62,6 +62,10 @@ class RelativeMotion(Record):
             raise ValueError(f"expected {wanted} numbers of covariance, found {len(self.cov)}")
         return self
 
+    def shift_m(self) -> Floats:
+        """(3,) translation; NaN where there is no measurement."""
+        return np.full(3, np.nan) if self.second_SE3_first is None else np.array(self.second_SE3_first)[:3, 3]
+
     def cov_matrix(self) -> Floats:
         """(6, 6) covariance; raises ValueError where there is no measurement."""
         upper = np.zeros((6, 6))

@@ -107,6 +107,12 @@ def motions_between(frame_pairs: Sequence[FramePair], motions: Iterable[Relative
     return [by_frames.get((one.frame_index, other.frame_index)) for one, other in pairwise(frame_pairs)]
 
 
+def shifts_between(frame_pairs: Sequence[FramePair], motions: Iterable[RelativeMotion]) -> Floats:
+    """(N, 3) m: translations of the same intervals; NaN where none was measured."""
+    found = motions_between(frame_pairs, motions)
+    return np.array([np.full(3, np.nan) if motion is None else motion.shift_m() for motion in found]).reshape(-1, 3)
+
+
 def motions_of(
     tracks: Iterable[StereoTracks],
     frame_pairs: Sequence[FramePair],

@@ -16,6 +16,7 @@ from conetl.db.connection import Connection
 from conetl.files.documents import input_errors
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry import pose as se3
+from conetl.geometry.packing import vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.drive import Drive, FramePair
 from conetl.model.errors import InputError
@@ -147,9 +148,7 @@ def _with_pose(pair: FramePair, map_SE3_body: Any | None) -> FramePair:
     """The pair with another pose (4, 4), or as it is."""
     if map_SE3_body is None:
         return pair
-    x, y, z = map_SE3_body[:3, 3].tolist()
-    pose = pair.pose.model_copy(update={"map_R_body": se3.to_matrix3(map_SE3_body[:3, :3]), "map_t_body_m": (x, y, z)})
-    return pair.model_copy(update={"pose": pose})
+    return pair.with_pose(map_R_body=se3.to_matrix3(map_SE3_body[:3, :3]), map_t_body_m=vec3(map_SE3_body[:3, 3]))
 
 
 def _drive_clouds(

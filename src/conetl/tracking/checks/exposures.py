@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion.stereo_motion import RelativeMotion, StereoCameras, triangulate
-from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
+from conetl.geometry.motion.stereo_tracks import expected_motions, motions_of, shifts_between
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import left_SE3_right
 from conetl.geometry.small_arrays import median
@@ -145,8 +145,7 @@ def check_lost_frames(
     lengths_m = np.linalg.norm(np.diff([pair.pose.map_t_body_m for pair in pairs], axis=0), axis=1)
     speeds = lengths_m / np.maximum(np.diff(at_s), 1e-6)
     even = np.abs(speeds[1:-1] - (speeds[:-2] + speeds[2:]) / 2) < _UNEVEN_SHARE * speeds[1:-1]
-    measured = motions_between(pairs, motions)
-    ratios = np.array([np.nan if motion is None else _length_m(motion) for motion in measured])
+    ratios = np.linalg.norm(shifts_between(pairs, motions), axis=1)
     ratios /= [max(float(np.linalg.norm(expected[:3, 3])), 1e-6) for expected in expected_motions(pairs, rig)]
     usual = np.abs(ratios - 1) < 2 * _UNEVEN_SHARE
     alone = even & usual[:-2] & ~usual[1:-1] & usual[2:] & (lengths_m[1:-1] > _LEAST_STEP_M)
@@ -177,14 +176,7 @@ def _moves_by(
     both = first, second.with_pose(map_t_body_m=vec3(start + factor * (end - start)))
     [motion] = motions_of(follow_drive(both, rig, read, params), both, rig, params)
     expected_m = float(np.linalg.norm(expected_motions(both, rig)[0][:3, 3]))
-    return _is_about(_length_m(motion) / expected_m, 1.0)
-
-
-def _length_m(motion: RelativeMotion) -> float:
-    """NaN of a motion that was not measured."""
-    return (
-        np.nan if motion.second_SE3_first is None else float(np.linalg.norm(np.array(motion.second_SE3_first)[:3, 3]))
-    )
+    return _is_about(float(np.linalg.norm(motion.shift_m())) / expected_m, 1.0)
 
 
 def _is_about(ratio: float, factor: float) -> bool:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import expected_motions, motions_between, motions_of
+from conetl.geometry.motion.stereo_tracks import expected_motions, motions_of, shifts_between
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
 from conetl.model.health import HealthCheck, hold_if
@@ -43,7 +43,7 @@ def check_recording(
     measured, although those beside it can. read: grey images of a frame pair.
     """
     expected = np.array(expected_motions(pairs, rig))
-    off_m = np.array([_off_m(*both) for both in zip(motions_between(pairs, motions), expected, strict=True)])
+    off_m = shifts_between(pairs, motions) - expected[:, :3, 3]
     sizes_m = np.linalg.norm(off_m, axis=1)
     seconds = np.diff([pair.captured_at_ns for pair in pairs]) * 1e-9
     turns = Rotation.from_matrix(expected[:, :3, :3]).as_rotvec()
@@ -79,7 +79,7 @@ def _goes_elsewhere(
     def off_of(first: int, second: int) -> Floats:
         both = pairs[k + first], pairs[k + second]
         [motion] = motions_of(follow_drive(both, rig, evened, params), both, rig, params)
-        return _off_m(motion, expected_motions(both, rig)[0])
+        return np.asarray(motion.shift_m() - expected_motions(both, rig)[0][:3, 3])
 
     across = np.array([off_of(*ends) for ends in _ACROSS])
     if np.isnan(off_m).any():
@@ -87,10 +87,3 @@ def _goes_elsewhere(
         return bool(np.isnan(across).all() and (np.linalg.norm(beside, axis=1) < _ELSEWHERE_M).all())
     known = across[~np.isnan(across[:, 0])]
     return len(known) > 1 and bool((np.linalg.norm(known - off_m, axis=1) < np.linalg.norm(off_m) / 2).all())
-
-
-def _off_m(motion: RelativeMotion | None, expected: Floats) -> Floats:
-    """(3,) how far a motion leads beyond the expected one (4, 4); NaN where it was not measured."""
-    if motion is None or motion.second_SE3_first is None:
-        return np.full(3, np.nan)
-    return np.asarray(np.array(motion.second_SE3_first)[:3, 3] - expected[:3, 3])

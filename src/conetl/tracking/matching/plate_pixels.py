@@ -11,15 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from conetl.model.arrays import Floats, Image
 from conetl.model.drive import Detection
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.rig import Camera
 from conetl.tracking.matching.apparent_boxes import nearer_boxes
 from conetl.tracking.matching.cone_pixels import Beyond, BodyPixels, smooth, some_rows
 
-Floats = NDArray[np.float64]
 #: Half axes of the ellipse inside of a plate, as shares of the box: that of a diamond touches it at 0.35.
 _ELLIPSE = 0.36
 #: The used rows of the box of other flat objects, from the top, where their boards are; `FeatureClass.board` is half its width.
@@ -55,7 +54,7 @@ def find_plate(detection: Detection, others: Sequence[Detection] = ()) -> Plate:
     )
 
 
-def plate_pixels(left: NDArray[np.uint8], plate: Plate, camera: Camera, up: Floats) -> BodyPixels | None:
+def plate_pixels(left: Image, plate: Plate, camera: Camera, up: Floats) -> BodyPixels | None:
     """The pixels of a plate, with the plane over them; None if there are too few. up: unit vector (3,) in the camera's frame."""
     v = np.arange(max(int(np.ceil(plate.top)), 0), min(int(plate.bottom), left.shape[0] - 1) + 1)
     u = np.arange(max(int(np.ceil(plate.left)), 0), min(int(plate.right), left.shape[1] - 1) + 1)
