@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from conetl.files.documents import first_message
 from conetl.geometry import camera as cam
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
@@ -196,9 +197,7 @@ def _records(
                 records.append(record)
                 continue
             except ValidationError as error:
-                first = error.errors()[0]
-                sentence = f"{'.'.join(str(part) for part in first['loc'])}: {first['msg']}"
-                refused = _reject(match, RejectionReason.POSITION_INVALID, sentence)
+                refused = _reject(match, RejectionReason.POSITION_INVALID, first_message(error))
         rejections.append(refused)
     return records, rejections
 

@@ -99,11 +99,8 @@ def _camera(info: Node) -> tuple[Camera, Floats, Floats]:
     if model.value not in _MODELS:
         raise model.bad(f"{shown(model.value)} is not supported; known: {', '.join(_MODELS)}")
     lens = info.at("distortion_coefficients").lens(fisheye=model.value == "equidistant")
-    matrix = info.at("camera_matrix")
-    k = matrix.numbers((3, 3))
-    turn = info.at("rectification_matrix").rotation()
-    projection = info.at("projection_matrix").numbers((3, 4))
-    return matrix.camera(size, lens, k), turn, projection
+    camera = info.at("camera_matrix").camera(size, lens)
+    return camera, info.at("rectification_matrix").rotation(), info.at("projection_matrix").numbers((3, 4))
 
 
 def write_ros_rig(rig: Rig, folder: Path) -> None:

@@ -135,11 +135,11 @@ def check_lost_frames(
     read: ImageReader,
     params: TrajectoryParams,
 ) -> HealthCheck:
-    """Whether the images move twice or half as far as an even log between two frame pairs: both cameras lost a frame, or repeated
-    one, and all later images have other poses than their numbers or time stamps state.
+    """Whether both cameras lost or repeated a frame: between two frame pairs the images move twice or half as far as a smooth log,
+    and all later images have other poses than their numbers or time stamps state.
 
-    At speed such an interval is measured only from a guess of that length, so that those that were not are followed again.
-    read: grey images of a frame pair.
+    At speed odometry finds such a motion only if it starts from a guess of that length, so intervals that it did not measure are
+    followed again. read: grey images of a frame pair.
     """
     at_s = np.array([pair.captured_at_ns - pairs[0].captured_at_ns for pair in pairs]) * 1e-9
     lengths_m = np.linalg.norm(np.diff([pair.pose.map_t_body_m for pair in pairs], axis=0), axis=1)

@@ -37,10 +37,10 @@ def check_recording(
     read: ImageReader,
     params: TrajectoryParams,
 ) -> HealthCheck:
-    """Whether the images leave an even log between two frame pairs: images of another recording follow.
+    """Whether images of another recording begin somewhere: there the images depart from the log, although the log is smooth.
 
-    Motions before and after agree with the log; the one between contradicts it, as do all that cross it, or none of them can be
-    measured, although those beside it can. read: grey images of a frame pair.
+    The motions before and after agree with the log. The one between them contradicts it, and so do all motions across it; or none
+    of these can be measured, although those beside it can. read: grey images of a frame pair.
     """
     expected = np.array(expected_motions(pairs, rig))
     off_m = shifts_between(pairs, motions) - expected[:, :3, 3]
