@@ -135,8 +135,8 @@ def check_lost_frames(
     read: ImageReader,
     params: TrajectoryParams,
 ) -> HealthCheck:
-    """Whether both cameras lost or repeated a frame: between two frame pairs the images move twice or half as far as a smooth log,
-    and all later images have other poses than their numbers or time stamps state.
+    """Whether both cameras lost or repeated a frame: between two frame pairs the images move twice or half as far as a smooth
+    log, and all later images have other poses than their numbers or time stamps state.
 
     At speed odometry finds such a motion only if it starts from a guess of that length, so intervals that it did not measure are
     followed again. read: grey images of a frame pair.

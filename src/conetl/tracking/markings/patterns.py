@@ -137,80 +137,69 @@ def _usual(share: Floats) -> float:
     return float(np.percentile(share[share > 0.05], 75)) if (share > 0.05).any() else 0.0
 
 
-class _Run(NamedTuple):
-    """Paint from start to end."""
-
-    start_m: float
-    end_m: float
-
-    @property
-    def length_m(self) -> float:
-        return self.end_m - self.start_m
+def _lengths_m(runs: Floats) -> Floats:
+    """(R,) of runs of paint (R, 2), from start to end, by rising station."""
+    return np.asarray(runs[:, 1] - runs[:, 0])
 
 
-def _runs(at: Floats, share: Floats, known: Bools, least: float) -> list[_Run]:
-    """Runs of paint, their ends where the share of hits crosses `least`; where nothing was observed a run continues.
+def _gaps_m(runs: Floats) -> Floats:
+    """(R - 1,) between runs (R, 2)."""
+    return np.asarray(runs[1:, 0] - runs[:-1, 1])
+
+
+def _parts(runs: Floats, together: Bools) -> list[Floats]:
+    """Parts of runs (R, 2) in their order; together (R - 1,): whether a run is in the same part as the next."""
+    return [part for part in np.split(runs, np.flatnonzero(~together) + 1) if len(part)]
+
+
+def _joined(runs: Floats, together: Bools) -> Floats:
+    """Every part as one run."""
+    return np.array([(part[0, 0], part[-1, 1]) for part in _parts(runs, together)]).reshape(-1, 2)
+
+
+def _runs(at: Floats, share: Floats, known: Bools, least: float) -> Floats:
+    """Runs of paint (R, 2), their ends where the share of hits crosses `least`; where nothing was observed a run continues.
 
     at, share, known (C,): station of each cell, its share of hits, and whether it was observed.
     """
     above = (share >= least).astype(np.int8)
     begins, ends = np.flatnonzero(np.diff(above) == 1), np.flatnonzero(np.diff(above) == -1)
-    bounds = [
-        [
-            float(np.interp(least, share[[i, i + 1]], at[[i, i + 1]])),
-            float(np.interp(-least, -share[[j, j + 1]], at[[j, j + 1]])),
-        ]
-        for i, j in zip(begins, ends, strict=True)
-    ]
-    joined: list[list[float]] = []
-    for start, end in bounds:
-        unseen = bool(joined) and not known[(at > joined[-1][1]) & (at < start)].all()
-        if joined and (start - joined[-1][1] < _LEAST_GAP_M or unseen):
-            joined[-1][1] = end
-        else:
-            joined.append([start, end])
-    return [run for run in (_Run(*one) for one in joined) if run.length_m >= _LEAST_RUN_M]
+    starts_m = [np.interp(least, share[[i, i + 1]], at[[i, i + 1]]) for i in begins]
+    ends_m = [np.interp(-least, -share[[j, j + 1]], at[[j, j + 1]]) for j in ends]
+    runs = np.column_stack([starts_m, ends_m])
+    unseen = [not known[(at > end) & (at < start)].all() for end, start in zip(ends_m[:-1], starts_m[1:], strict=True)]
+    runs = _joined(runs, np.array(unseen, dtype=bool) | (_gaps_m(runs) < _LEAST_GAP_M))
+    return runs[_lengths_m(runs) >= _LEAST_RUN_M]
 
 
-def _groups(runs: list[_Run], searched: Searched) -> list[list[_Run]]:
+def _groups(runs: Floats, searched: Searched) -> list[Floats]:
     """Runs that belong together: parts of a solid line with each other, dashes with dashes."""
-    groups: list[list[_Run]] = []
-    for run in runs:
-        short = run.length_m <= _LONGEST_DASH_M
-        if groups and short and all(one.length_m <= _LONGEST_DASH_M for one in groups[-1]):
-            groups[-1].append(run)
-        else:
-            groups.append([run])
-    whole: list[list[_Run]] = []
-    for group in groups:
+    short = _lengths_m(runs) <= _LONGEST_DASH_M
+    whole: list[Floats] = []
+    for group in _parts(runs, short[:-1] & short[1:]):
         # One or two short runs beside a solid line are what is left between worn or hidden parts of it, more may be dashes.
         parts = (whole[-1], group) if whole else ()
         solid = [_dashes(part, searched) is None for part in parts]
-        near = bool(whole) and _widest_gap_m(whole[-1] + group) <= _LONGEST_HOLE_M
+        together = np.concatenate([*parts[:1], group])
+        near = bool(whole) and _widest_gap_m(together) <= _LONGEST_HOLE_M
         if near and any(solid) and all(one or len(part) <= 2 for one, part in zip(solid, parts, strict=True)):
-            whole[-1] = whole[-1] + group
+            whole[-1] = together
         else:
             whole.append(group)
     return whole
 
 
-def _widest_gap_m(runs: list[_Run]) -> float:
-    return max((b.start_m - a.end_m for a, b in pairwise(runs)), default=0.0)
+def _widest_gap_m(runs: Floats) -> float:
+    return float(_gaps_m(runs).max(initial=0.0))
 
 
-def _dashes(runs: list[_Run], searched: Searched) -> tuple[float, float] | None:
+def _dashes(runs: Floats, searched: Searched) -> tuple[float, float] | None:
     """Lengths of dashes and gaps (m) of a dashed line; None of a solid one, which may be worn."""
-    if len(runs) == 1 or any(run.length_m > _LONGEST_DASH_M for run in runs):
+    if len(runs) == 1 or (_lengths_m(runs) > _LONGEST_DASH_M).any():
         return None
-    joined, least_m = runs[:1], _HOLE_SHARE * _widest_gap_m(runs)
-    for run in runs[1:]:
-        if run.start_m - joined[-1].end_m < least_m:
-            joined[-1] = joined[-1]._replace(end_m=run.end_m)
-        else:
-            joined.append(run)
-    gaps = np.array([b.start_m - a.end_m for a, b in pairwise(joined)])
-    dashes = np.array([run.length_m for run in joined])
-    worn = dashes.sum() > _WORN * (joined[-1].end_m - joined[0].start_m)
+    joined = _joined(runs, _gaps_m(runs) < _HOLE_SHARE * _widest_gap_m(runs))
+    gaps, dashes = _gaps_m(joined), _lengths_m(joined)
+    worn = dashes.sum() > _WORN * (joined[-1, 1] - joined[0, 0])
     dash, gap = float(np.median(dashes)), float(np.median(gaps))
     irregular = len(joined) > 2 and robust_std(gaps) / gap > _REGULAR
     if worn or irregular or gap > _LONGEST_GAP * dash:
@@ -224,15 +213,14 @@ def _dashes(runs: list[_Run], searched: Searched) -> tuple[float, float] | None:
     return dash, gap
 
 
-def _overlaid(dashes: list[_Run], searched: Searched) -> tuple[float, float] | None:
+def _overlaid(dashes: Floats, searched: Searched) -> tuple[float, float] | None:
     """Lengths of dashes and gaps (m), all periods superimposed; None if no part of the period is bare in all of them.
 
     So the end of a dash that is worn or hidden is known from the others. The period is the one with which paint, where its share
     of hits is at least `_PAINTED`, explains hits and misses best; where several do, as with two dashes, the one nearest to the
     median distance of dashes.
     """
-    ends = np.array([(run.start_m, run.end_m) for run in dashes])
-    rough, (start, end) = float(np.median(np.diff(ends, axis=0))), (ends[0, 0], ends[-1, 1])
+    rough, (start, end) = float(np.median(np.diff(dashes, axis=0))), (dashes[0, 0], dashes[-1, 1])
     inside = (searched.station_m >= start) & (searched.station_m <= end)
     own = Searched(*(column[inside] for column in searched))
 
@@ -255,14 +243,14 @@ def _overlaid(dashes: list[_Run], searched: Searched) -> tuple[float, float] | N
     return (period - gap, gap) if gap >= _LEAST_GAP_M else None
 
 
-def _piece(runs: list[_Run], searched: Searched) -> PatternPiece | None:
+def _piece(runs: Floats, searched: Searched) -> PatternPiece | None:
     """The piece that runs make; None where they are too far apart for a solid line and too irregular for a dashed one."""
-    painted = sum(run.length_m for run in runs)
+    painted = float(sum(_lengths_m(runs)))
     inside = np.zeros(len(searched.station_m), dtype=bool)
-    for run in runs:
-        inside |= (searched.station_m >= run.start_m) & (searched.station_m <= run.end_m)
+    for start, end in runs:
+        inside |= (searched.station_m >= start) & (searched.station_m <= end)
     share = float(searched.hit[inside].mean()) if inside.any() else 0.0
-    ends, dashes = (runs[0].start_m, runs[-1].end_m), _dashes(runs, searched)
+    ends, dashes = (float(runs[0, 0]), float(runs[-1, 1])), _dashes(runs, searched)
     if dashes is not None:
         return PatternPiece(*ends, "dashed", painted, share, *dashes)
     if _widest_gap_m(runs) > _LONGEST_HOLE_M:
