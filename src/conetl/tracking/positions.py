@@ -21,7 +21,7 @@ from conetl.geometry.calibration.covariance import calibration_cov
 from conetl.geometry.camera import add_pose_covariance
 from conetl.geometry.intersection import IntersectionStatus, intersect
 from conetl.geometry.packing import cov3, vec3
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Bools, Floats
 from conetl.model.base import Cov3, NonNegative, Positive, Probability, Record, Vec3
 from conetl.model.drive import FramePair, Position, StereoMatch
 from conetl.model.feature_classes import FEATURE_CLASSES
@@ -118,17 +118,20 @@ def locate_positions(
     cov = add_pose_covariance(turned, xyz[0], body[:, :3, :3], body[:, :3, 3], sigma_enu, sigma_rpy)
     ground = np.hypot(*(xyz[0] - left[:, :3, 3]).T[:2])
 
-    def own_fields(i: int) -> dict[str, Any]:
-        return {
-            "category": matches[i].left.category,
-            "cone_height_m": float(xyz[2, i, 2] - xyz[0, i, 2]),
-            "camera_xyz_m": vec3(located.xyz[0, i]),
-            "camera_cov_m2": cov3(located.foot_cov[i]),
-            "sigma_outline_m": float(located.outline_m[i]),
-            "range_m": float(ground[i]),
-        }
+    def position(i: int) -> Position:
+        return Position(
+            **_shared_fields(matches[i], located, i),
+            xyz_m=vec3(xyz[0, i]),
+            cov_m2=cov3(cov[i]),
+            centre_xyz_m=vec3(xyz[1, i]),
+            cone_height_m=float(xyz[2, i, 2] - xyz[0, i, 2]),
+            camera_xyz_m=vec3(located.xyz[0, i]),
+            camera_cov_m2=cov3(located.foot_cov[i]),
+            sigma_outline_m=float(located.outline_m[i]),
+            range_m=float(ground[i]),
+        )
 
-    return _records(Position, matches, located, xyz, cov, ground, params, own_fields, posed)
+    return _records(position, matches, located, ground, params, posed)
 
 
 def locate_in_camera(
@@ -145,56 +148,46 @@ def locate_in_camera(
     ground = np.linalg.norm(level, axis=1)
     turn = rigs.stored_R_camera(rig, "left")
 
-    def own_fields(i: int) -> dict[str, Any]:
-        along = level[i] / ground[i]
-        return {
-            "category": matches[i].left.category,
-            "cone_height_m": float(height[2, i] - height[0, i]),
-            "ground_distance_m": float(ground[i]),
-            "ground_distance_sigma_m": float(np.sqrt(along @ foot_cov[i] @ along)),
-            "foot_height_m": float(height[0, i]),
-            "centre_height_m": float(height[1, i]),
-        }
+    xyz, cov = located.xyz @ turn.T, turn @ foot_cov @ turn.T
 
-    xyz, cov, posed = located.xyz @ turn.T, turn @ foot_cov @ turn.T, np.ones(len(matches), dtype=bool)
-    return _records(CameraPosition, matches, located, xyz, cov, ground, params, own_fields, posed)
+    def position(i: int) -> CameraPosition:
+        along = level[i] / ground[i]
+        return CameraPosition(
+            **_shared_fields(matches[i], located, i),
+            xyz_m=vec3(xyz[0, i]),
+            cov_m2=cov3(cov[i]),
+            centre_xyz_m=vec3(xyz[1, i]),
+            cone_height_m=float(height[2, i] - height[0, i]),
+            ground_distance_m=float(ground[i]),
+            ground_distance_sigma_m=float(np.sqrt(along @ foot_cov[i] @ along)),
+            foot_height_m=float(height[0, i]),
+            centre_height_m=float(height[1, i]),
+        )
+
+    return _records(position, matches, located, ground, params, np.ones(len(matches), dtype=bool))
+
+
+def _shared_fields(match: StereoMatch, located: _Located, i: int) -> dict[str, Any]:
+    """The fields that do not depend on the frame of the record."""
+    return {
+        "frame_index": match.frame_index, "match_index": match.match_index, "category": match.left.category,
+        "ray_angle_rad": float(located.ray_angle[i]), "residual_rms_px": float(located.residual_rms[i]),
+        "iterations": int(located.iterations[i]), "score": min(match.left.score, match.right.score),
+    }  # fmt: skip
 
 
 def _records(
-    record_type: type[R],
-    matches: Sequence[StereoMatch],
-    located: _Located,
-    xyz: Floats,
-    cov: Floats,
-    ground: Floats,
-    params: PositionParams,
-    own_fields: Callable[[int], dict[str, Any]],
-    posed: NDArray[np.bool_],
-) -> tuple[list[R], list[Rejection]]:
-    """Records of the good matches and rejections of the others.
-
-    xyz (3, M, 3), cov (M, 3, 3), ground (M,): points, covariance of the foot and horizontal distance in the frame of the record;
-    own_fields: fields that only this record type has.
-    """
+    record_of: Callable[[int], R], matches: Sequence[StereoMatch], located: _Located, ground: Floats, params: PositionParams,
+    posed: Bools,
+) -> tuple[list[R], list[Rejection]]:  # fmt: skip
+    """Records of the good matches and rejections of the others. ground (M,): horizontal distances; posed (M,)."""
     records: list[R] = []
     rejections: list[Rejection] = []
     for i, match in enumerate(matches):
         refused = _refuse(match, located, i, float(ground[i]), params) if posed[i] else _no_pose(match)
         if refused is None:
             try:
-                record = record_type(
-                    frame_index=match.frame_index,
-                    match_index=match.match_index,
-                    xyz_m=vec3(xyz[0, i]),
-                    cov_m2=cov3(cov[i]),
-                    centre_xyz_m=vec3(xyz[1, i]),
-                    ray_angle_rad=float(located.ray_angle[i]),
-                    residual_rms_px=float(located.residual_rms[i]),
-                    iterations=int(located.iterations[i]),
-                    score=min(match.left.score, match.right.score),
-                    **own_fields(i),
-                )
-                records.append(record)
+                records.append(record_of(i))
                 continue
             except ValidationError as error:
                 refused = _reject(match, RejectionReason.POSITION_INVALID, first_message(error))
