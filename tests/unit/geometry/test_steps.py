@@ -6,20 +6,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.geometry.motion.steps import step_misfit
+from conetl.geometry.motion.steps import unexplained_step_m
 
 Floats = NDArray[np.float64]
 TIMES_S = np.array([0.0, 0.1, 0.2, 0.3, 0.4, 1.5, 1.6, 1.7, 1.8, 1.9])
 GAP = 4
+ERRORS_M = np.array([0.1, 0.15])
 
 
 def unexplained_m(positions_m: Floats) -> float:
     steps_m = np.diff(positions_m, axis=0)
     speeds = steps_m / np.diff(TIMES_S)[:, None]
     speeds[GAP] = np.nan
-    misfit = step_misfit(steps_m, speeds, TIMES_S, GAP)
-    assert misfit is not None
-    return misfit.unexplained_m((0.1, 0.15))
+    return unexplained_step_m(steps_m, speeds, TIMES_S, GAP, ERRORS_M)
 
 
 @pytest.mark.parametrize("gap_s", [3.0, 4.5])
@@ -36,8 +35,7 @@ def test_a_stop_within_a_long_gap_is_no_jump(gap_s: float, before_s: float) -> N
     steps_m = np.diff(np.column_stack([along, 0 * along, 0 * along]), axis=0)
     speeds = steps_m / np.diff(times_s)[:, None]
     speeds[5] = np.nan
-    misfit = step_misfit(steps_m, speeds, times_s, 5)
-    assert misfit is not None and misfit.unexplained_m((0.3, 0.3)) == 0.0
+    assert unexplained_step_m(steps_m, speeds, times_s, 5, np.array([0.3, 0.3])) == 0.0
 
 
 @pytest.mark.parametrize("radius_m", [12.0, 50.0])
@@ -60,6 +58,8 @@ def test_a_jump_across_a_gap_is_not_explained(jump_m: tuple[float, float, float]
 
 
 def test_one_neighbour_says_nothing() -> None:
-    speeds = np.full((9, 3), np.nan)
+    steps_m, speeds = np.full((9, 3), 100.0), np.full((9, 3), np.nan)
     speeds[3] = 1.0
-    assert step_misfit(np.ones((9, 3)), speeds, TIMES_S, GAP) is None
+    assert unexplained_step_m(steps_m, speeds, TIMES_S, GAP, ERRORS_M) == 0.0
+    speeds[5] = 1.0
+    assert unexplained_step_m(steps_m, speeds, TIMES_S, GAP, ERRORS_M) > 100.0

@@ -9,7 +9,7 @@ from datetime import datetime
 import numpy as np
 
 from conetl.geometry import geodesy
-from conetl.geometry.motion.steps import step_misfit
+from conetl.geometry.motion.steps import unexplained_step_m
 from conetl.geometry.rectification import stored_camera
 from conetl.model.arrays import Bools, Floats
 from conetl.model.base import Record
@@ -203,10 +203,8 @@ def _jumps_across_gaps(
     speeds[in_time] = np.nan
     found = []
     for k in np.flatnonzero(in_time).tolist():
-        misfit = step_misfit(steps_m, speeds, times_s, k)
         near = sigmas[k : k + 2]
-        horizontal_m, vertical_m = np.maximum(JUMP_M, JUMP_SIGMAS * np.array([near[:, :2].max(), near[:, 2].max()]))
-        off_m = 0.0 if misfit is None else misfit.unexplained_m((float(horizontal_m), float(vertical_m)))
-        if off_m:
+        errors_m = np.maximum(JUMP_M, JUMP_SIGMAS * np.array([near[:, :2].max(), near[:, 2].max()]))
+        if off_m := unexplained_step_m(steps_m, speeds, times_s, k, errors_m):
             found.append(Jump(frame=pairs[k + 1].frame_index, off_m=off_m))
     return found

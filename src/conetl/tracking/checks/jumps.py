@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
-from conetl.geometry.motion.steps import step_misfit
+from conetl.geometry.motion.steps import unexplained_step_m
 from conetl.geometry.motion.stereo_tracks import expected_motions
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Bools, Floats
@@ -47,9 +47,7 @@ def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMo
     worst_m, worst = 0.0, 0
     for k in np.flatnonzero(np.isnan(speeds[:, 0])).tolist():
         errors_m = np.maximum(_LEAST_M, _JUMP_SIGMAS * sigma_m[k : k + 2].max(axis=0))
-        misfit = step_misfit(steps_m, speeds, times_s, k)
-        off_m = 0.0 if misfit is None else misfit.unexplained_m((errors_m[0], errors_m[1]))
-        if off_m > worst_m:
+        if (off_m := unexplained_step_m(steps_m, speeds, times_s, k, errors_m)) > worst_m:
             worst_m, worst = off_m, k
     detail = "The poses do not jump."
     if worst_m:
