@@ -159,7 +159,7 @@ def test_the_file_is_named_in_drive_yaml(tmp_path: Path, sample: tuple[Drive, np
     (copy / "points.csv").write_text((copy / "points.csv").read_text().replace("K0", "K9"))
     assert read_drive(copy)[0].content_sha256 != found.content_sha256
     (copy / "drive.yaml").write_text("control_points: points.csv\n")
-    with pytest.raises(DriveFolderError, match=r"points\.csv: states no coordinate reference system"):
+    with pytest.raises(DriveFolderError, match=r"points\.csv: does not state a coordinate reference system"):
         read_drive(copy)
     (copy / "drive.yaml").write_text("control_points: other.csv\n")
     with pytest.raises(DriveFolderError, match="the control points are missing"):
