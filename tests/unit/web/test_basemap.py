@@ -71,7 +71,7 @@ def test_damaged_files_are_refused(tmp_path: Path):
     for name, data, said in (
         ("short", good[:100], "truncated"), ("text", b"{}", "not a PMTiles file"), ("vector", vector, "no raster tiles"),
         ("root", good[:130] + b"\0" * 20 + good[150:], "damaged"), ("header", good[:99] + b"\xff" + good[100:], "damaged"),
-        ("packed", good[:97] + b"\1" + good[98:], "expected directories with gzip"),
+        ("packed", good[:97] + b"\1" + good[98:], "expected gzip for directories"),
     ):  # fmt: skip
         path = tmp_path / name
         path.write_bytes(data)
