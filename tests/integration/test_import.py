@@ -31,6 +31,7 @@ from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.base_layers.line_files import read_vector_file
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.maps.tables import MAX_TEXT_BYTES
+from conetl.readers.surveyed_points import read_surveyed_points
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, failed_audits, merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
 
@@ -210,7 +211,7 @@ def test_an_import_has_its_place_in_time_whatever_comes_first(another_database, 
     """Two drives and an import between them, which comes first, second or last: one map."""
     cones = [*DAYS[0][:5], *DAYS[2][-1:]]
     names = ["feature_id", "sigma_e_m", "sigma_n_m", "sigma_u_m"]
-    values = [[f"00000000-0000-4000-8000-00000000000{number}", 0.1, 0.1, 0.1] for number in range(len(cones))]
+    values = [[f"00000000-0000-4000-8000-00000000000{number}", 0.3, 0.3, 0.1] for number in range(len(cones))]
     path = cones_csv(tmp_path / "between.csv", cones, names, values)
     stated_at = datetime.fromtimestamp((START_NS + DAY_NS // 2) / 1e9, UTC)
     events = {
@@ -330,10 +331,55 @@ def test_rounded_degrees_are_refused_where_the_stated_sigmas_do_not_cover_it(tmp
     ]
     path, params = geojson(tmp_path / "a.geojson", rows), ImportParams(sigma_m=sigma_m)
     if refused:
-        message = r"5 decimals, which are 1\.1 m, but its stated sigmas are 0\.02 m.*--sigma-m 0\.34"
+        message = r"rounded to 1\.1 m, but the stated sigmas are 0\.02 m.* cover the rounding \(0\.34 m\); nothing was written"
         complaint(path, message, params=params)
     else:
         assert len(read(path, params=params).statements) == 5
+
+
+@pytest.mark.parametrize(
+    ("writing", "sigma_m", "message"),
+    [
+        (lambda x: f"{x:.0f}", 0.02, "rounded to 1 m, but the stated sigmas are 0.02 m"),
+        (lambda x: f"{x:.1f}", 0.02, "rounded to 0.1 m"),
+        (lambda x: f"{float(np.float32(x)):.4f}", 0.02, "rounded to 0.5 m"),  # as three.js and PLY files hold them
+        (lambda x: str(np.float32(x)), 0.02, "rounded to 0.5 m"),
+        (lambda x: f"{x:.3f}", 0.02**2, r"0\.0004 m \(median\).* a variance"),
+        (lambda x: f"{x:.2f}", 0.02, None),
+        (lambda x: f"{x:.0f}", 0.3, None),
+    ],
+)  # fmt: skip
+def test_files_that_know_less_than_their_sigmas_state_are_refused(tmp_path, writing, sigma_m, message):
+    """Maps, control points and check points."""
+    random = np.random.default_rng(1)
+    places = random.uniform((458300, 5427850), (458360, 5427910), (9, 2))
+    rows = [f"{writing(x)},{writing(y)},{115 + number / 7}" for number, (x, y) in enumerate(places)]
+    path = tmp_path / "places.csv"
+    path.write_text("\n".join(["easting,northing,ellipsoidal_height_m", *rows]))
+    readers = (
+        lambda: read(path, params=ImportParams(sigma_m=sigma_m), **IN_UTM),
+        lambda: read_surveyed_points(path, 32632, crs="EPSG:32632", sigma_m=sigma_m),
+    )
+    for reader in readers:
+        if message is None:
+            reader()
+        else:
+            with pytest.raises(InputError, match=message):
+                reader()
+
+
+def test_rounded_heights_are_refused(tmp_path):
+    path = tmp_path / "hill.csv"
+    rows = [f"{458300 + 5.01234 * k},5427850.12,{round(115 + k**1.5)}" for k in range(6)]
+    path.write_text("\n".join(["easting,northing,ellipsoidal_height_m", *rows]))
+    complaint(path, "rounded to 1 m, but the stated sigmas are 0.1 m", params=ImportParams(sigma_m=0.1), **IN_UTM)
+    assert len(read(path, params=ImportParams(sigma_m=0.3), **IN_UTM).statements) == 6
+
+
+def test_a_few_planned_places_may_be_round_numbers(tmp_path):
+    path = tmp_path / "plan.csv"
+    path.write_text("\n".join(["easting,northing,height_m", *(f"{458300 + 5 * k},5427850,115" for k in range(9))]))
+    assert len(read_surveyed_points(path, 32632, crs="EPSG:32632", sigma_m=0.02)) == 9
 
 
 def test_the_same_file_by_its_right_crs_is_another_import(conn, tmp_path):
@@ -474,7 +520,9 @@ BAD = {
     ],
 )
 def test_places_at_the_antimeridian_are_taken(tmp_path, srid, places):
-    path = geojson(tmp_path / "far.geojson", [([lon, lat + 1e-8, 20.0], SEEN) for lon, lat in places])  # not rounded
+    path = geojson(
+        tmp_path / "far.geojson", [([lon + 1e-8, lat + 1e-8, 20.0], SEEN) for lon, lat in places]
+    )  # not rounded
     found = read(path, map_srid=srid)
     back = Transformer.from_crs(srid, "OGC:CRS84", always_xy=True)
     for place, statement in zip(places, found.statements, strict=True):

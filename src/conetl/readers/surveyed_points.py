@@ -14,7 +14,7 @@ from conetl.model.arrays import Floats
 from conetl.model.drive import SurveyedPoint
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
-from conetl.readers.maps.tables import MapTable, read_table
+from conetl.readers.maps.tables import MapTable, read_table, require_exact
 from conetl.readers.trajectories.earth import in_wgs84
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -40,7 +40,8 @@ def read_surveyed_points(
     _require_finite(path, xyz, f"a point needs east, north and a height ({', '.join(_HEIGHTS)})")
     settings = TrajectoryFile(crs=source, heights=heights)
     with input_errors(f"{path}: crs"):
-        geographic = parse_crs(source).is_geographic
+        own_crs = parse_crs(source)
+        geographic = own_crs.is_geographic
     own = xyz[:, [1, 0, 2]] if geographic else xyz
     count = len(own)
     records = Records(np.zeros(count, np.int64), own, None, np.full((count, 6), np.nan), {})
@@ -50,6 +51,7 @@ def read_surveyed_points(
         xyz = geodesy.to_map(srid, lat, lon, height)
     _require_finite(path, xyz, f"the point is outside the area of {shown(source)} or of EPSG:{srid}")
     sigmas = _sigmas(table, sigma_m, path)
+    require_exact(table, own_crs, sigmas)
     names = next((table.columns[name] for name in _NAMES if name in table.columns), None) or range(1, count + 1)
     return [
         SurveyedPoint(name=printable(str(name))[:60], xyz_m=vec3(p), sigma_m=vec3(s))

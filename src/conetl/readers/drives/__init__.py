@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from statistics import median
+
+import numpy as np
 
 from conetl.files.names import require_utf8
 from conetl.files.storage import as_path, forget_listing, is_remote, storage_errors
@@ -19,12 +20,11 @@ from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
 from conetl.readers.drives.formats import DriveFormat, image_files
 from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
+from conetl.readers.maps.tables import implausible_sigma
 from conetl.readers.surveyed_points import read_surveyed_points
 
 __all__ = ["FORMATS", "drive_format", "find_format", "read_drive"]
 
-#: The best logs of a moving vehicle are good to 5 mm; 0.02 m, squared, is less than this.
-_LEAST_SIGMA_M = 1e-3
 #: The first format that matches reads the drive.
 FORMATS: tuple[DriveFormat, ...] = (plain, euroc, ros_bag, video, kitti)
 
@@ -85,12 +85,11 @@ def _of_the_drive() -> Iterator[None]:
 
 def _require_plausible_sigmas(drive: Drive) -> None:
     """Raise InputError where the positions of a vehicle are said to be better than any survey is."""
-    stated_m = median(max(pair.pose.sigma_enu_m[:2]) for pair in drive.frame_pairs)
-    if stated_m < _LEAST_SIGMA_M:
+    sigmas_m = np.array([pair.pose.sigma_enu_m[:2] for pair in drive.frame_pairs])
+    if problem := implausible_sigma(sigmas_m):
         raise InputError(
-            f"{drive.source_path}: the sigma of the positions is {stated_m:.2g} m (median), but no GNSS/INS is accurate "
-            f"to {_LEAST_SIGMA_M:g} m: is it a variance (m²), or in another unit? State the sigma in drive.yaml, for example "
-            f"'sigmas: {{horizontal_m: {stated_m**0.5 or 0.02:.2g}}}'"
+            f"{drive.source_path}: {problem} State the sigma in drive.yaml, for example "
+            f"'sigmas: {{horizontal_m: {np.median(sigmas_m.max(axis=1)) ** 0.5 or 0.02:.2g}}}'"
         )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import unicodedata
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -24,7 +24,7 @@ from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.readers.base_layers.georeferencing import in_area, parse_crs
-from conetl.readers.maps.tables import MapTable, read_table
+from conetl.readers.maps.tables import MapTable, read_table, require_exact
 from conetl.readers.trajectories.times import clock_problem
 
 _NAMESPACE = UUID("5f0f6f0a-1c1b-4a53-9d0e-3c7a4a5be9a1")
@@ -35,8 +35,6 @@ _HISTORY_COLUMNS = ("system_from", "change", "old_easting_m")
 _WGS84 = CRS("OGC:CRS84")
 #: 2000-01-01: signs and markings of a register may be older than any drive.
 _EARLIEST_NS = 946_684_800_000_000_000
-#: Degrees with so many decimals are exact to a centimetre; fewer rows may have fewer by chance.
-_ENOUGH_DECIMALS, _LEAST_ROUNDED, _METRES_PER_DEGREE = 7, 3, 111_195.0
 
 
 def _checked_category(text: str) -> str:
@@ -117,8 +115,7 @@ def read_map_file(
         raise InputError(f"{path}: the time of the survey (--surveyed-at), {stated_at}, {problem}; nothing was written")
     ids = rows.ids(sha256)
     statements = [rows.statement(i, ids[i], xyz_m[i], stated_ns) for i in range(len(table))]
-    if file_crs.is_geographic:
-        _require_decimals(table, statements)
+    require_exact(table, file_crs, np.sqrt([[one.feature.cov_m2[k] for k in (0, 3, 5)] for one in statements]))
     name = f"{path.name}:{table.layer}" if len(table.layers) > 1 else path.name
     written = tuple(map(tuple, table.xyz[:, :2].tolist())) if file_crs.is_projected else ()
     return ImportedMap(
@@ -337,22 +334,6 @@ def _positions(table: MapTable, crs: CRS, srid: int, params: ImportParams) -> Fl
 def _to_wgs84(crs: CRS, xyz: Floats) -> Floats:
     lon, lat = Transformer.from_crs(crs, _WGS84, always_xy=True).transform(xyz[:, 0], xyz[:, 1])
     return np.stack([np.asarray(lon), np.asarray(lat)], axis=1)
-
-
-def _require_decimals(table: MapTable, statements: Sequence[ImportedFeature]) -> None:
-    """Raise InputError where longitudes and latitudes are rounded to more than their stated sigmas; a few may end in zeros."""
-    degrees = table.xyz[:, :2]
-    decimals = next((k for k in range(_ENOUGH_DECIMALS) if np.abs(degrees - degrees.round(k)).max() < 1e-11), None)
-    if decimals is None or len(statements) < _LEAST_ROUNDED:
-        return
-    step_m = 10.0**-decimals * _METRES_PER_DEGREE
-    sigma_m = math.sqrt(max(max(one.feature.cov_m2[0], one.feature.cov_m2[3]) for one in statements))
-    if step_m / math.sqrt(12) > sigma_m:
-        raise InputError(
-            f"{table.path}: its longitudes and latitudes have {decimals} decimals, which are {step_m:.2g} m, but its stated "
-            f"sigmas are {sigma_m:.2g} m: export more decimals, or state sigmas that cover the rounding (--sigma-m "
-            f"{math.ceil(30 * step_m) / 100:g}); nothing was written"
-        )
 
 
 def _require_different_positions(path: Path, xyz_m: Floats) -> None:
