@@ -55,6 +55,16 @@ def without(drive: Drive, first: int, last: int) -> Drive:
     return with_pairs(drive, drive.frame_pairs[:first] + drive.frame_pairs[last:])
 
 
+@prepared
+def paused(drive: Drive, first: int, seconds: float) -> Drive:
+    """The vehicle waits so long before frame pair number `first` of those that are left."""
+    later = (
+        pair.model_copy(update={"captured_at_ns": pair.captured_at_ns + round(seconds * 1e9)})
+        for pair in drive.frame_pairs[first:]
+    )
+    return with_pairs(drive, (*drive.frame_pairs[:first], *later))
+
+
 def raised(metres: float, first: int = 0) -> Mutant:
     return displaced(lambda k, _: (0.0, 0.0, metres * (k >= first)))
 

@@ -36,6 +36,7 @@ from tests.mutants.recordings import (
     lenses,
     lever_arm,
     noise,
+    paused,
     raised,
     repeated,
     reversed_poses,
@@ -337,6 +338,10 @@ def _against_map() -> list[WrongRecording]:
 
     return [
         *(known(f"whole drive {m:g} m aside", aside(m)) for m in (0.3, 1.0, 3.0, 10.0, 57.0, 86.0, 100.0)),
+        known(
+            "second half 0.8 m aside after a minute without images",
+            in_turn(jump(0.8, 16), without(16, 25), paused(16, 60.0)), "0.8 m from those of the map.* Only . of its cones",
+        ),
         *(known(f"heights {m:+g} m", raised(m), "height") for m in (-48.0, 2.0, 48.0)),
         *(known(f"whole drive turned {a:g} degrees", turned_about_start(a)) for a in (1.0, 3.0)),
         *(

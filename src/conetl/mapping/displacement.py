@@ -7,7 +7,7 @@ Objects are compared at their positions, and by their arrangement, which can mat
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import hypot
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ from conetl.mapping.association import assign, classes_of, common_offset, near_p
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import Track
 from conetl.model.health import AGREEMENT, HealthCheck, hold
-from conetl.model.map_records import DeltaKind, MapFeature
+from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.params import ReconcileParams
 
 #: Positions (N, 3) and classes (N,) of tracks or features.
@@ -156,6 +156,38 @@ def check_arrangement(
         return None
     found = len(_same_positions(_located(tracks), _located(features), np.zeros(3), params))
     return _match_arrangement(tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
+
+
+def check_part(deltas: Sequence[Delta], params: ReconcileParams) -> HealthCheck | None:
+    """A hold if the cones that a drive moves, or misses and adds elsewhere, have one common displacement.
+
+    GNSS may get another fix while the vehicle waits, and no images show the jump. People do not move cones by equal distances.
+    """
+    moved = [(d.old, d.new) for d in deltas if d.kind is DeltaKind.MOVED and d.old and d.new]
+    moved.sort(key=lambda pair: (pair[0].xyz_m, pair[1].xyz_m))
+    check, count = None, 0
+    if len(moved) >= LEAST_PAIRS:
+        old, new = zip(*moved, strict=True)
+        apart_m = (xyz_of(new) - xyz_of(old)) * (1.0, 1.0, 0.0)
+        near = np.linalg.norm(apart_m[:, None] - apart_m, axis=2) <= 2 * _SAME_ZONE_M
+        alike = near[near.sum(axis=1).argmax()]
+        if np.hypot(*apart_m[alike, :2].std(axis=0)) <= _SAME_ZONE_M:
+            count = int(alike.sum())
+            cov_m2 = 2 * cov_matrices([one.cov_m2 for one in (*old, *new)]).mean(axis=0)
+            check = _common_displacement(apart_m[alike], cov_m2)
+    if check is None:
+        came = _by_position(d.new for d in deltas if d.kind in (DeltaKind.ADDED, DeltaKind.MOVED))
+        gone = _by_position(d.old for d in deltas if d.kind in (DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED))
+        count = len(came)
+        check = _match_arrangement(came, gone, 0, params, _LEAST_AGREEING) if came and gone else None
+    if check is None:
+        return None
+    few = f"{check.detail} Only {count} of its cones do: did its position jump where no images were taken?"
+    return check.model_copy(update={"detail": few})
+
+
+def _by_position(features: Iterable[MapFeature | None]) -> list[MapFeature]:
+    return sorted((feature for feature in features if feature), key=lambda feature: feature.xyz_m)
 
 
 def check_classes(

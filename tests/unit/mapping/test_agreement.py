@@ -127,6 +127,31 @@ def test_a_row_that_goes_on_is_none() -> None:
         assert finding(row[20 - overlap :], row[:20], in_view=False) is None
 
 
+#: As people set cones up.
+UNEVEN = ZONE + np.random.default_rng(11).normal(0, 0.3, (9, 3)) * (1, 1, 0)
+
+
+@pytest.mark.parametrize("shift", [(0.3, 0.6), (1.2, -1.5), (3.0, 4.0), (-3.0, 12.0)])
+@pytest.mark.parametrize("first", [5, 6])
+def test_a_part_of_a_drive_that_lies_aside_is_found(shift: tuple[float, float], first: int) -> None:
+    """GNSS found another fix while the vehicle waited; three cones are known to be the same only near where they were."""
+    places = np.vstack([UNEVEN[:first], UNEVEN[first:] + np.array((*shift, 0.0))])
+    if first == 6 and np.hypot(*shift) > PARAMS.moved_max_m:
+        assert finding(places, UNEVEN) is None
+        return
+    for seed in range(3):
+        detail = finding(places, UNEVEN, seed=seed) or ""
+        assert f"{np.hypot(*shift):.1f} m from those of the map" in detail
+        assert f"Only {9 - first} of its cones" in detail
+
+
+def test_cones_that_people_moved_in_one_direction_are_none() -> None:
+    for seed in range(20):
+        places = UNEVEN.copy()
+        places[5:] += np.array((0.3, 0.8, 0.0)) + np.random.default_rng(seed).normal(0, 0.2, (4, 3)) * (1, 1, 0)
+        assert finding(places, UNEVEN, seed=seed) is None
+
+
 def test_an_offset_that_the_sigmas_cover_is_none() -> None:
     rng = np.random.default_rng(5)
     for _ in range(12):
