@@ -182,7 +182,7 @@ def check_part(deltas: Sequence[Delta], params: ReconcileParams) -> HealthCheck 
         check = _match_arrangement(came, gone, 0, params, _LEAST_AGREEING) if came and gone else None
     if check is None:
         return None
-    few = f"{check.detail} Only {count} of its cones do: did its position jump where no images were taken?"
+    few = f"{check.detail} Only {count} of its cones are: did its position jump where no images were taken?"
     return check.model_copy(update={"detail": few})
 
 
