@@ -328,7 +328,7 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
     shift_poses(lower, height_m=-0.6)
     desk.ingest(lower)
     [remark] = desk.ingest(small_drive).remarks
-    assert remark.startswith("On hold now: drive lower (changeset 1). Its cones lie 0.60 m lower")
+    assert remark.startswith("On hold now: drive lower (changeset 1). Its cones are 0.60 m lower")
 
     jumping = cut_drive(SAMPLES[2], tmp_path / "jumping", frames=range(4, 20))
     shift_poses(jumping, lat_deg=4e-5, first=8)
