@@ -18,7 +18,7 @@ setup:          ## install the locked dependencies into .venv, and PostGIS from 
 	@scripts/setup.sh
 	@[ "$(MAKECMDGOALS)" != setup ] || echo 'Ready. Next: `export PATH=$$PWD/.venv/bin:$$PATH`, then `conetl init path/to/folder` for your recording, or `make demo` for the sample drives.'
 
-demo: setup     ## ingest three sample drives and compare the map with the truth
+demo: setup     ## ingest three sample drives and compare the map with the ground truth
 	@$(BIN)/conetl demo
 
 up: setup       ## start PostGIS, Prefect, workers, schedules and the web view

@@ -37,6 +37,12 @@ RETIRED = {
     r"the map is as it was": "the map is unchanged",
     r"story begins": "Start with",
     r"\bmended\b": "fixed",
+    r"too little to tell": "not enough for this check",
+    r"gained nothing": "made no difference",
+    r"(?:surveyed|known) truth": "ground truth",
+    r"aside of\b": "beside",
+    r"brought onto": "committed to, put on",
+    r"at a stated \{": "with a stated sigma of",
 }
 #: Files whose text is not ours, or that must name what is retired.
 EXEMPT = (

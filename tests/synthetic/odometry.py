@@ -1,4 +1,4 @@
-"""A drive with known truth for trajectory refinement: true poses, a log with slowly varying errors, measured motions."""
+"""A drive with ground truth for trajectory refinement: true poses, a log with slowly varying errors, measured motions."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ SIGMA_M, SIGMA_Z_M, CORRELATION_M = 0.02, 0.03, 15.0
 
 @dataclass(frozen=True)
 class Paint:
-    """A lane marking of a straight road: metres along the road and aside of it (to the left)."""
+    """A lane marking of a straight road: metres along the road and beside it (to the left)."""
 
     aside_m: float
     span_m: tuple[float, float] = (-1e9, 1e9)

@@ -1,4 +1,4 @@
-"""Refined trajectories against a known truth: honest covariance, no harm, and what wrong measurements may not do."""
+"""Refined trajectories against ground truth: honest covariance, no harm, and what wrong measurements may not do."""
 
 from __future__ import annotations
 

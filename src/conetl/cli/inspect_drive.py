@@ -105,7 +105,7 @@ def _facts(kind: str, summary: DriveSummary, seconds: float, workers: int) -> li
         "map": f"EPSG:{summary.map_srid}, east {extent.east_m[0]:.0f} to {extent.east_m[1]:.0f}, "
         f"north {extent.north_m[0]:.0f} to {extent.north_m[1]:.0f}, height {low:.1f} to {high:.1f}",
         "lon, lat": f"{west:.6f}, {south:.6f} to {east:.6f}, {north:.6f}",
-        "ingest time": f"about {minutes(seconds)} with {workers} workers and nothing else running",
+        "ingest time": f"about {minutes(seconds)} with {ui.counted(workers, 'worker')} on an idle machine",
     }
     return list(values.items())
 

@@ -90,7 +90,7 @@ class ModelCard(Record):
         accepted = (*self.class_names, *besides)
         if unknown := sorted(set(categories) - set(accepted)):
             raise InputError(
-                f"the model {self.name} knows no category {', '.join(unknown)}: choose from {', '.join(accepted)}"
+                f"the model {self.name} has no category {', '.join(unknown)}: choose from {', '.join(accepted)}"
             )
 
     def require_metadata(self, metadata: Mapping[str, str]) -> None:

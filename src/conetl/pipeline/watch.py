@@ -145,7 +145,7 @@ def watch_drive(
     """
     if not folder.is_dir():
         what = "this is a file, not a drive folder" if folder.exists() else "there is no such folder"
-        raise InputError(f"{folder}: {what}; make the folder before the recording begins")
+        raise InputError(f"{folder}: {what}; create the folder before the recording begins")
     report = WatchReport(map_name=settings.map_name)
     with ExitStack() as stack:
         conn = stack.enter_context(open_maps(settings))

@@ -202,7 +202,7 @@ def test_the_end_of_a_curve_bends_as_the_curve_before_it() -> None:
 
 
 def test_a_line_that_crosses_the_path_has_the_stated_errors_ahead_and_aside() -> None:
-    """Errors of disparities move points along their rays: those aside of the camera across the line, those ahead along it."""
+    """Errors of disparities move points along their rays: those beside the camera across the line, those ahead along it."""
     ahead, aside = [], []
     for seed in range(6):
         track = fused({-2.5: everywhere}, swing_m=5.0, seed=seed, depth_px=1.0)[0]

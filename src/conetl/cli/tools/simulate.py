@@ -1,4 +1,4 @@
-"""`conetl simulate`: a rendered drive with known truth."""
+"""`conetl simulate`: a rendered drive with ground truth."""
 
 from __future__ import annotations
 

@@ -237,9 +237,9 @@ def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) ->
             continue
         if not store.far_from_all(conn, info, places_m, FAR_M).all():
             raise InputError(
-                f"{imported.source_path}: its coordinates lie more than {FAR_M / 1000:g} km from everything on the map "
-                f"{info.map_name}; in EPSG:{srid} they would lie near: state that (--crs EPSG:{srid}), or import them as they "
-                "are (--accept); nothing was written"
+                f"{imported.source_path}: its coordinates are more than {FAR_M / 1000:g} km from everything on the map "
+                f"{info.map_name}; in EPSG:{srid} they would be close to it: state that CRS (--crs EPSG:{srid}), or import them "
+                "as they are (--accept); nothing was written"
             )
 
 
@@ -250,7 +250,10 @@ def _refuse_displaced(conn: Connection, imported: ImportedMap, params: ImportPar
     found = check_import(stated, standing, params.reconcile)
     if found is None or found.value is None:
         return
-    where, sigma = f"{imported.source_path}: its cones lie {abs(found.value):.1f} m", f"at a stated {found.sigma:.2f} m"
+    where, sigma = (
+        f"{imported.source_path}: its cones are {abs(found.value):.1f} m",
+        f"with a stated sigma of {found.sigma:.2f} m",
+    )
     wrong = "or revert the changeset (conetl map revert) whose"
     accept = "are wrong; --accept imports them as they are; nothing was written"
     if found.name.endswith("heights"):
@@ -259,6 +262,6 @@ def _refuse_displaced(conn: Connection, imported: ImportedMap, params: ImportPar
             f"{sigma}: give the height system of the file (--crs EPSG:25832+7837), {wrong} heights {accept}"
         )
     raise InputError(
-        f"{where} from those of the map {map_name}, which are arranged alike, {sigma}: give the CRS and datum of the file "
+        f"{where} from those of the map {map_name}, which have the same arrangement, {sigma}: give the CRS and datum of the file "
         f"(--crs), {wrong} positions {accept}"
     )
