@@ -34,7 +34,7 @@ RETIRED = {
     r"\berrs? alike": "have the same errors",
     r"something needs a person": "needs attention",
     r"on the safe side": "conservative",
-    r"the map is as it was": "the map is unchanged",
+    r"is as it was\b": "is unchanged",
     r"story begins": "Start with",
     r"\bmended\b": "fixed",
     r"too little to tell": "not enough for this check",

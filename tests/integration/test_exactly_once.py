@@ -202,7 +202,7 @@ def killed_merge(url, survey, statement, way):
     try:
         merge(conn, survey)
     except DatabaseError as error:
-        assert "is as it was before" in str(error) or "cannot be read" in str(error)
+        assert "is unchanged" in str(error) or "cannot be read" in str(error)
         return True
     else:
         return False

@@ -177,7 +177,7 @@ def database_errors(what: str) -> Iterator[None]:
         psycopg2.errors.UndefinedColumn,
     ) as error:
         raise DatabaseError(
-            f"{what}: {_first_line(error)}. The database lacks conetl's present schema: run `conetl db migrate`."
+            f"{what}: {_first_line(error)}. The database schema is not up to date: run `conetl db migrate`."
         ) from error
     except psycopg2.errors.LockNotAvailable as error:
         holder = next((one.blockers for one in list(_sessions.values()) if one.blockers), "another session")

@@ -39,7 +39,7 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
             if not wanted.keys() - applied.keys() and (not _missing_roles(conn) or not _may_create_roles(conn)):
                 return []
     done: list[str] = []
-    with db.transaction(conn, "The database could not be migrated, and is as it was before"):
+    with db.transaction(conn, "The database could not be migrated, and is unchanged"):
         db.execute(conn, "select pg_advisory_xact_lock(%(key)s)", {"key": MIGRATION_LOCK})
         db.query(conn, "schema.schema_migration")
         applied = _applied(conn)

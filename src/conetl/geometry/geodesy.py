@@ -104,7 +104,7 @@ def check_scale(srid: int, lat_deg: float, lon_deg: float) -> None:
     raise ValueError(
         f"EPSG:{srid} {fault} at latitude {lat_deg:.4f}, longitude {lon_deg:.4f}: "
         f"choose a map CRS made for surveying in this area, for example EPSG:{utm_srid(lat_deg, lon_deg)}, or "
-        "see whether latitude and longitude are swapped"
+        "check whether latitude and longitude are swapped"
     )
 
 

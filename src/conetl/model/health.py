@@ -106,7 +106,7 @@ class HoldChange(Record):
             case "on hold":
                 return f"On hold now: {drive}. {self.reason} See `conetl drive held`."
             case "released":
-                return f"Released: {drive} counts from now on."
+                return f"Released: {drive} is now in effect."
             case "reverted":
                 return f"No longer on hold: {drive} was reverted."
             case "replaced":
@@ -139,7 +139,7 @@ class HoldEvent(Record):
 def hold_remedy(drive: str | int) -> str:
     """How to release a drive (its id, or changeset number) that is on hold."""
     accept = f"conetl drive accept {quote(str(drive))} --note REASON"
-    return f"Deliver the drive again with that corrected, or accept it as it is: {accept}"
+    return f"Correct this and ingest the drive again, or accept it unchanged: {accept}"
 
 
 def hold_checks(checks: Sequence[HealthCheck]) -> tuple[HealthCheck, ...]:

@@ -159,7 +159,7 @@ def as_conetl_error(error: Exception) -> Exception:
         return storage_error(error)
     if isinstance(error, httpx.HTTPError):
         return ServiceError(
-            f"Prefect does not answer ({type(error).__name__}: {error}): see whether its server runs (`conetl status`, "
+            f"Prefect does not answer ({type(error).__name__}: {error}): check whether its server runs (`conetl status`, "
             "PREFECT_API_URL), and run the same command again."
         )
     return error

@@ -46,7 +46,7 @@ def drive_transaction(
     conn: Connection, map_name: str = "default", *, lock_timeout_s: float = db.LOCK_TIMEOUT_S
 ) -> Iterator[None]:
     """As `map_transaction`, but without the lock: a drive takes its own locks (`lock_neighbourhood`)."""
-    with db.transaction(conn, f"The map {map_name} could not be changed, and is as it was before"):
+    with db.transaction(conn, f"The map {map_name} could not be changed, and is unchanged"):
         db.query(conn, "commit.set_lock_timeout", timeout=f"{lock_timeout_s * 1000:.0f}ms")
         yield
 
@@ -159,7 +159,7 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str) -> MapInfo:
     if info is not None and info.srid != srid and not info.counts:
         new_name = f"{map_name[:20]}-held-{info.srid}-{info.map_id}"
         db.query(conn, "map.set_aside", map_id=info.map_id, new_name=new_name)
-        _log.warning("No drive of map %s counts: it is called %s from now on", map_name, new_name)
+        _log.warning("No drive of map %s is in effect: it was renamed to %s", map_name, new_name)
         info = None
     if info is None:
         info = insert_map(conn, map_name, srid)
@@ -167,7 +167,7 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str) -> MapInfo:
         raise MapMismatchError(
             f"{what} is in EPSG:{srid}, the map {map_name} in EPSG:{info.srid if info else '?'}: set "
             "the drive's map CRS in its drive.yaml to the map's, or ingest it into a separate map. If it was recorded on the "
-            "same roads, see whether its latitude and longitude are swapped, or in radians."
+            "same roads, check whether its latitude and longitude are swapped, or in radians."
         )
     return info
 
