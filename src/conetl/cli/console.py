@@ -159,7 +159,7 @@ def print_all_checks(checks: Sequence[HealthCheck]) -> None:
     """Every health check that was made: those that passed in a table, the others with what to do."""
     columns: Columns = {
         "check": "name",
-        "measured": lambda check: check.figures or "not shown by the recording",
+        "measured": lambda check: check.figures or "cannot be measured in this recording",
         "verdict": "verdict",
     }
     print_records("Health checks", columns, checks, numbers_from=len(columns))

@@ -350,7 +350,7 @@ def _answer(question: Question) -> str:
         with at_a_question():
             if text := str(typer.prompt(question.text, default=default, show_default=shown)).strip():
                 return text
-        say("This value is needed. To look it up first, press Ctrl-C: nothing has been written.")
+        say("This value is required. To look it up first, press Ctrl-C; nothing has been written.")
 
 
 def _add_timing(settings: dict[str, Any], timing: Timing) -> None:

@@ -89,7 +89,7 @@ def test_videos_that_cannot_be_used(tmp_path: Path) -> None:
         find_videos(tmp_path, "left-right")
     rng = np.random.default_rng(0)
     write_video(tmp_path / "moving.mp4", [rng.integers(0, 255, (64, 96, 3), dtype=np.uint8) for _ in range(40)])
-    with pytest.raises(InputError, match="never stand still"):
+    with pytest.raises(InputError, match="never stands still"):
         pairs_in_videos(open_videos([tmp_path / "left.mp4", tmp_path / "moving.mp4"], None), 0.0)
 
 

@@ -596,7 +596,7 @@ def test_init_says_how_to_go_on_without_an_answer(folder: Path, tmp_path: Path) 
     assert made.returncode == 0, made
     asked = "Time of the first left frame, in UTC or with a UTC offset, like 2026-03-02 11:00:00.250+01:00; to the second if"
     _, first, second, third = made.stdout.split(asked)
-    assert "This value is needed. To look it up first, press Ctrl-C: nothing has been written." in first
+    assert "This value is required. To look it up first, press Ctrl-C; nothing has been written." in first
     assert ": expected a time stamp like 2011-09-26 13:04:32.345, found 'noon'\n" in second, second
     assert "Next: conetl ingest" in third
 

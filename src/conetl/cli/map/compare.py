@@ -64,7 +64,7 @@ def diff(
         ui.print_json(changes)
         return
     lines = [change for change in changes if change.is_line]
-    ui.say(_counts(points) or ("No differences." if not lines else "No differences of cones."))
+    ui.say(_counts(points) or ("No differences." if not lines else "No cones differ."))
     if lines:
         ui.say(f"Stretches of lane markings: {_counts(lines)}")
     columns = ui.class_if_mixed(_COLUMNS, {change.state_after.category for change in changes})

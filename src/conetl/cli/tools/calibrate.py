@@ -207,7 +207,7 @@ def _print(content: dict[str, Any]) -> None:
     for refused in content["rejections"]:
         say(f"not used: {refused['record']}: {refused['detail']}")
     if content["rejected_corners"]:
-        say(f"not used: {len(content['rejected_corners'])} single corners (listed in report.json)")
+        say(f"not used: {len(content['rejected_corners'])} individual corners (listed in report.json)")
     for written in content["written"]:
         say(f"-> {written}")
 

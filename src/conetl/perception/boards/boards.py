@@ -233,11 +233,11 @@ def _why_no_chessboard(image: Grey, board: Board) -> NotFound:
     grid = corners.reshape(rows, cols, 2).astype(np.float64)
     sizes = f"a grid of {cols} x {rows} inner corners instead of {board.cols} x {board.rows}"
     if sorted((cols, rows)) > sorted((board.cols, board.rows)) and rows * cols > board.rows * board.cols:
-        return NotFound(RejectionReason.BOARD_NOT_FOUND, f"{sizes}: is the size of the board right?")
+        return NotFound(RejectionReason.BOARD_NOT_FOUND, f"{sizes}: check the size of the board")
     step = float(np.median(np.hypot(*np.diff(grid, axis=1).reshape(-1, 2).T)))
     low, high = grid.reshape(-1, 2).min(axis=0), grid.reshape(-1, 2).max(axis=0)
     near_edge = low.min() < 2 * step or (np.array(image.shape[::-1]) - high).min() < 2 * step
-    where = "the board reaches out of the image" if near_edge else "a part is covered, glaring or in the shade"
+    where = "the board is partly outside the image" if near_edge else "a part is covered, overexposed or in shadow"
     return NotFound(RejectionReason.BOARD_CUT, f"{sizes}: {where}")
 
 

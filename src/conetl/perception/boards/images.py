@@ -90,7 +90,7 @@ def pairs_even_odd(folder: Path) -> list[ImagePair]:
         number = int(numbers[-1])
         key = str(number // 2 * 2).zfill(len(numbers[-1]))
         if key in found[number % 2]:
-            raise InputError(f"{path}: the number {number} also is that of {found[number % 2][key].name}")
+            raise InputError(f"{path}: {number} is also the number of {found[number % 2][key].name}")
         found[number % 2][key] = path
     return _joined(folder, *found)
 
@@ -165,8 +165,8 @@ def _images(folder: Path) -> list[Path]:
 def _joined(folder: Path, left: dict[str, Path], right: dict[str, Path]) -> list[ImagePair]:
     if not set(left) & set(right):
         raise InputError(
-            f"{folder}: found {len(left)} left and {len(right)} right images, but no pair: the names of two images that "
-            "belong together must agree"
+            f"{folder}: found {len(left)} left and {len(right)} right images, but no pair: the names of the two images "
+            "of a pair must match"
         )
     return [ImagePair(name, left.get(name), right.get(name)) for name in sorted(set(left) | set(right))]
 
@@ -207,8 +207,8 @@ def _one_camera(
         poses = {v.pair_index: _pose(points_m, v, matrix, coefficients) for v in views}
     except cv2.error as error:
         raise InputError(
-            f"OpenCV finds no calibration of the {side} camera: {str(error).strip()}. Are the images all alike? Tilt the "
-            "board, and bring it near and far"
+            f"OpenCV finds no calibration of the {side} camera: {str(error).strip()}. Are all images similar? Tilt the "
+            "board, and vary its distance"
         ) from error
     k1, k2 = (float(c) for c in coefficients.ravel()[:2])
     camera = Camera(

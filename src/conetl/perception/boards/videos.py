@@ -72,8 +72,8 @@ def open_videos(paths: Sequence[Path], layout: Layout | None) -> Videos:
         length_s = index.times_s()[-1] - index.times_s()[0]
         if not _WINDOW * _STEP_S <= length_s <= _MAX_S:
             raise InputError(
-                f"{index.path}: {length_s:.1f} s long, expected {_WINDOW * _STEP_S:g} s to {_MAX_S / 60:g} minutes; cut out "
-                "where the board is shown"
+                f"{index.path}: {length_s:.1f} s long, expected {_WINDOW * _STEP_S:g} s to {_MAX_S / 60:g} minutes; cut "
+                "it to the part that shows the board"
             )
     return Videos(indexes[0], indexes[-1], layout)
 
@@ -103,7 +103,7 @@ def pairs_in_videos(
     picked = _still_and_distinct(smalls[0], motion)
     if not picked:
         raise InputError(
-            f"{videos.left.path}: the images never stand still for {_STEP_S:g} s; hold the board still for a second in each "
+            f"{videos.left.path}: the board never stands still for {_STEP_S:g} s; hold the board still for a second in each "
             "position"
         )
     pairs = []
@@ -172,8 +172,8 @@ def _offset_s(videos: Videos, left: Floats, right: Floats) -> float:
     peak = correlation_peak(found)
     if peak is None:
         raise InputError(
-            f"{videos.right.path}: by how much it is shifted against {videos.left.path.name} cannot be seen in the images; give "
-            "--offset-s: what to add to its times (0 if both began together)"
+            f"{videos.right.path}: its time offset from {videos.left.path.name} cannot be estimated from the images; give "
+            "--offset-s, the seconds to add to its times (0 if both began together)"
         )
     return peak * _STEP_S
 
