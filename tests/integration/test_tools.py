@@ -155,7 +155,7 @@ def test_two_drives_are_judged_together(drive: Path, home: Path, tmp_path: Path)
             assert together["value"] == pytest.approx(sum(one["value"] for one in single if one))
     for file in ("piece/index.html", "second/plan.png"):
         assert (tmp_path / "out" / file).is_file()
-    assert "2 drives against truth" in (tmp_path / "out" / "index.html").read_text()
+    assert "2 drives compared with ground truth" in (tmp_path / "out" / "index.html").read_text()
 
 
 def test_lane_markings_are_evaluated_alone(drive: Path, home: Path, tmp_path: Path) -> None:

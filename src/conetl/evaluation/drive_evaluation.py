@@ -107,9 +107,12 @@ class DriveEvaluation:
         ]  # fmt: skip
         return [
             Section(
-                "Cones against truth", "Metres; range from the nearest point of the drive path.", TABLE_3_COLUMNS, cones
+                "Cones compared with ground truth",
+                "Metres; range from the nearest point of the drive path.",
+                TABLE_3_COLUMNS,
+                cones,
             ),
-            Section("Errors", "Metres. Bias is the mean error, estimate minus truth.", _STATISTICS, errors),
+            Section("Errors", "Metres. Bias is the mean error (estimate minus ground truth).", _STATISTICS, errors),
             Section(
                 "Errors over range",
                 "Single positions, one per frame pair; root mean square errors beside the stated sigmas.",
@@ -198,8 +201,8 @@ def evaluate_drive(
     lines, others = compare_with_truth(cones, tracks, path_m, within_m=within_m)
     if cones and not lines:
         raise InputError(
-            f"none of the {len(cones)} cones of the truth is within {within_m:g} m of the path of {drive.drive_id}; does it "
-            "belong to another drive?"
+            f"none of the {len(cones)} surveyed cones is within {within_m:g} m of the path of {drive.drive_id}; do they belong "
+            "to another drive?"
         )
     of_tracks = track_errors(lines, drive, positions, motion)
     of_singles = position_errors(members_of(lines), positions, drive, poses)
@@ -250,7 +253,9 @@ def _class_section(drives: Sequence[DriveEvaluation]) -> list[Section]:
 def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequence[str]) -> list[Path]:
     """Write the plots and then the page; for lane markings the page only. Raises InputError if the folder cannot be written."""
     if not evaluation.lines:
-        return [_write_page(folder, f"{evaluation.drive_id} against truth", summary, evaluation.tables(), {})]
+        return [
+            _write_page(folder, f"{evaluation.drive_id} compared with ground truth", summary, evaluation.tables(), {})
+        ]
     from conetl.reports import accuracy_plots  # matplotlib takes half a second to load
 
     name, tracks, singles = evaluation.drive_id, evaluation.tracks, evaluation.singles
@@ -290,7 +295,7 @@ def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequenc
         replace(nees, image=images["nees.png"], image_alt="histogram of NEES against chi-square"),
         *others,
     ]
-    page = _write_page(folder, f"{name} against truth", summary, sections, images)
+    page = _write_page(folder, f"{name} compared with ground truth", summary, sections, images)
     return [*(folder / file for file in images), page]
 
 
@@ -317,7 +322,7 @@ def write_pooled_page(folder: Path, drives: Sequence[DriveEvaluation]) -> Path:
             f"Median 3D error of the tracks {figures.median_3d_m:.3f} m, CE90 {figures.ce90_m:.3f} m, "
             f"LE90 {figures.le90_m:.3f} m."
         )
-    return _write_page(folder, f"{len(drives)} drives against truth", summary, pooled_tables(drives), {})
+    return _write_page(folder, f"{len(drives)} drives compared with ground truth", summary, pooled_tables(drives), {})
 
 
 def _write_page(

@@ -58,7 +58,7 @@ class MarkingEvaluation:
         """Figures of all markings, one row per marking, and NEES."""
         return [
             Section("Lane markings", _FIGURES_TEXT, _FIGURES, [_row("all", self.figures)]),
-            Section("Each marking of the truth", "Metres, and shares of length.", _EACH, self._rows()),
+            Section("Each marking of the ground truth", "Metres, and shares of length.", _EACH, self._rows()),
             Section(
                 "Do the sigmas of lane markings hold?",
                 f"Vertices, across the marking and in height. {NEES_TEXT}",
