@@ -103,7 +103,7 @@ def test_a_changeset_is_reverted_and_comes_back(client):
     assert [c["counts"] for c in timeline] == [True, False]
     assert standing(client) != before
     assert client.get(PATH).json()["decisions"][0]["drive_id"] == second["drive_id"]
-    assert "reverted already" in post(client, request, 409)["detail"]
+    assert "already been reverted" in post(client, request, 409)["detail"]
     withdrawn(client, done)
     assert standing(client) == before
     assert first["counts"]

@@ -79,7 +79,7 @@ def test_videos_that_cannot_be_used(tmp_path: Path) -> None:
     write_video(tmp_path / "still right.mp4", [right[0]] * 150)
     write_video(tmp_path / "short.mp4", right)
     both = [tmp_path / "left.mp4", tmp_path / "still right.mp4"]
-    with pytest.raises(InputError, match=r"still right.mp4: by how much it is shifted against left.mp4.*--offset-s"):
+    with pytest.raises(InputError, match=r"still right.mp4: its time offset from left.mp4.*--offset-s"):
         pairs_in_videos(open_videos(both, None))
     with pytest.raises(InputError, match=r"short.mp4: 0.7 s long, expected 1 s to 30 minutes"):
         open_videos([tmp_path / "left.mp4", tmp_path / "short.mp4"], None)
