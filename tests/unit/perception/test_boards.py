@@ -130,7 +130,7 @@ def test_why_there_is_no_board() -> None:
     image, _ = _seen(board, QUAD)
     empty = np.full((400, 400), 90, dtype=np.uint8)
     for shown, wanted, reason, words in (
-        (cut, board, RejectionReason.BOARD_CUT, "out of the image"),
+        (cut, board, RejectionReason.BOARD_CUT, "partly outside the image"),
         (blurred, board, RejectionReason.IMAGE_BLURRED, ""),
         (
             image,
