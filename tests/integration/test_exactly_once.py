@@ -100,9 +100,9 @@ def test_only_files_of_dead_writers_are_swept(tmp_path):
         [
             sys.executable,
             "-c",
-            "import sys; from pathlib import Path; from conetl.files.atomic import aside\n"
-            "path = aside(Path(sys.argv[1])); path.write_text('half'); print(path)\n"
-            "folder = aside(Path(sys.argv[1])); folder.mkdir(); (folder / 'part').write_text('half'); print(folder)",
+            "import sys; from pathlib import Path; from conetl.files.atomic import temporary_path\n"
+            "path = temporary_path(Path(sys.argv[1])); path.write_text('half'); print(path)\n"
+            "folder = temporary_path(Path(sys.argv[1])); folder.mkdir(); (folder / 'part').write_text('half'); print(folder)",
             str(tmp_path / "b.parquet"),
         ],
         env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2] / "src")},

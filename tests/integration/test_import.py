@@ -318,7 +318,7 @@ def test_cones_of_another_datum_are_refused_unless_they_are_accepted(conn, tmp_p
 
     assert take(conn, survey_file("etrs.csv", 0.0, 0.0), **IN_UTM).committed
     other = survey_file("ed50.csv", 81.0, 202.0)
-    with pytest.raises(InputError, match=r"lie 217\.6 m from those of the map default.*--accept.* nothing was written"):
+    with pytest.raises(InputError, match=r"are 217\.6 m from those of the map default.*--accept.* nothing was written"):
         take(conn, other, **IN_UTM)
     conn.rollback()
     assert take(conn, other, accept=True, **IN_UTM).counts[DeltaKind.ADDED] == len(irregular)

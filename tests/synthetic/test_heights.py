@@ -41,7 +41,7 @@ def of_heights(seed: int, factor: float, monkeypatch: pytest.MonkeyPatch) -> tup
         pose = pair.pose.model_copy(update={"map_t_body_m": vec3(off_m + ORIGIN_M)})
         logged.append(pair.model_copy(update={"pose": pose}))
     log, measured = read_log(logged, RIG, PARAMS), measured_motions(logged, drive.motions, PARAMS)
-    residual = motion_residuals(log, log.rotations, log.places, measured, 0.0)[0]
+    residual = motion_residuals(log, log.rotations, log.positions, measured, 0.0)[0]
     checks = check_mount(log, measured, plausible_motions(log, measured, PARAMS.scale_sigma), residual)
     [check] = [check for check in checks if check.name == "heights of GNSS/INS"]
     return replace(drive, logged=logged), check
