@@ -2,7 +2,8 @@
 .DEFAULT_GOAL := help
 SHELL := /bin/bash
 PYTHON ?= python3
-TEST_WORKERS ?= 2
+# For two cores: tests that wait for servers and pages leave a core idle.
+TEST_WORKERS ?= 3
 BIN := .venv/bin
 export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
