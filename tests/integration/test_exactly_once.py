@@ -93,7 +93,7 @@ def test_results_cannot_be_written_where_a_file_is_in_the_way(tmp_path):
         save_boxes(tmp_path)
 
 
-def test_only_files_of_dead_writers_are_swept(tmp_path):
+def test_only_files_of_dead_writers_are_removed(tmp_path):
     mine = temporary_path(tmp_path / "a.parquet")
     mine.write_text("being written")
     dead = subprocess.run(

@@ -1,5 +1,5 @@
-"""Checks whether all objects of a drive, or of an imported map, are displaced against those of the map, in plan or height, or are
-of other classes.
+"""Checks whether the objects of a drive, of a part of it or of an imported map are displaced against those of the map, in plan or
+height, or are of other classes.
 
 Objects are compared at their positions, and by their arrangement, which can match elsewhere if all positions are wrong.
 """
@@ -56,14 +56,14 @@ def check_positions(
     tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
 ) -> HealthCheck | None:
     """A hold if the drive's cones have a common displacement against the map's that exceeds the stated sigmas."""
-    places, on_map = _located(tracks), _located(features)
-    t, f = places[0], on_map[0]
+    on_drive, on_map = _located(tracks), _located(features)
+    t, f = on_drive[0], on_map[0]
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
     near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
     # GNSS without a fix is metres off, as its sigmas state: only the heights are compared after its offset is taken out.
     offset_m = np.array([*common_offset(tracks, features, params)[0][:2], 0.0])
     for shift_m, compared in ((np.zeros(3), (1.0, 1.0, 1.0)), (offset_m, (0.0, 0.0, 1.0))):
-        pairs = _same_positions(places, on_map, shift_m, params)
+        pairs = _same_positions(on_drive, on_map, shift_m, params)
         if pairs and 2 * len(pairs) >= len(near):
             i, j = list(pairs), list(pairs.values())
             common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
@@ -163,18 +163,7 @@ def check_part(deltas: Sequence[Delta], params: ReconcileParams) -> HealthCheck 
 
     GNSS may get another fix while the vehicle waits, and no images show the jump. People do not move cones by equal distances.
     """
-    moved = [(d.old, d.new) for d in deltas if d.kind is DeltaKind.MOVED and d.old and d.new]
-    moved.sort(key=lambda pair: (pair[0].xyz_m, pair[1].xyz_m))
-    check, count = None, 0
-    if len(moved) >= LEAST_PAIRS:
-        old, new = zip(*moved, strict=True)
-        apart_m = (xyz_of(new) - xyz_of(old)) * (1.0, 1.0, 0.0)
-        near = np.linalg.norm(apart_m[:, None] - apart_m, axis=2) <= 2 * _SAME_ZONE_M
-        alike = near[near.sum(axis=1).argmax()]
-        if np.hypot(*apart_m[alike, :2].std(axis=0)) <= _SAME_ZONE_M:
-            count = int(alike.sum())
-            cov_m2 = 2 * cov_matrices([one.cov_m2 for one in (*old, *new)]).mean(axis=0)
-            check = _common_displacement(apart_m[alike], cov_m2)
+    check, count = _equal_moves(deltas)
     if check is None:
         came = _by_position(d.new for d in deltas if d.kind in (DeltaKind.ADDED, DeltaKind.MOVED))
         gone = _by_position(d.old for d in deltas if d.kind in (DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED))
@@ -184,6 +173,21 @@ def check_part(deltas: Sequence[Delta], params: ReconcileParams) -> HealthCheck 
         return None
     few = f"{check.detail} Only {count} of its cones are: did its position jump where no images were taken?"
     return check.model_copy(update={"detail": few})
+
+
+def _equal_moves(deltas: Sequence[Delta]) -> tuple[HealthCheck | None, int]:
+    """A hold for the displacement that most of the moved cones have in common, and how many have it."""
+    moved = [(d.old, d.new) for d in deltas if d.kind is DeltaKind.MOVED and d.old and d.new]
+    if len(moved) < LEAST_PAIRS:
+        return None, 0
+    old, new = zip(*sorted(moved, key=lambda pair: (pair[0].xyz_m, pair[1].xyz_m)), strict=True)
+    apart_m = (xyz_of(new) - xyz_of(old)) * (1.0, 1.0, 0.0)
+    near = np.linalg.norm(apart_m[:, None] - apart_m, axis=2) <= 2 * _SAME_ZONE_M
+    alike = near[near.sum(axis=1).argmax()]
+    if np.hypot(*apart_m[alike, :2].std(axis=0)) > _SAME_ZONE_M:
+        return None, 0
+    cov_m2 = 2 * cov_matrices([one.cov_m2 for one in (*old, *new)]).mean(axis=0)
+    return _common_displacement(apart_m[alike], cov_m2), int(alike.sum())
 
 
 def _by_position(features: Iterable[MapFeature | None]) -> list[MapFeature]:

@@ -14,7 +14,8 @@ from conetl.model.arrays import Floats
 from conetl.model.drive import SurveyedPoint
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
-from conetl.readers.maps.tables import MapTable, read_table, require_exact
+from conetl.readers.maps.tables import MapTable, read_table
+from conetl.readers.stated_sigmas import require_exact
 from conetl.readers.trajectories.earth import in_wgs84
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
