@@ -20,8 +20,7 @@ import numpy as np
 from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.plane import VideoPlane
-from av.video.reformatter import ColorRange, Interpolation, VideoReformatter
-from numpy.typing import NDArray
+from av.video.reformatter import Interpolation, VideoReformatter
 
 from conetl.model.arrays import Image
 from conetl.model.errors import InputError, StorageError
@@ -38,18 +37,6 @@ _NEAR_S = 0.5
 #: Without these the library rounds down, by more than one grey level.
 _EXACT = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
 _reformatters: list[VideoReformatter] = []
-#: Formats whose first plane is the brightness in 8 bits, and that brightness in full range where its range is that of television.
-_LUMA_FORMATS = frozenset({"yuv420p", "yuvj420p", "yuv422p", "yuvj422p", "yuv444p", "yuvj444p", "nv12"})
-_FULL_RANGE = np.clip(np.round((np.arange(256) - 16) * 255 / 219), 0, 255).astype(np.uint8)
-#: Formats that `_at_full_size` converts.
-_HALF_COLOURS = frozenset({"yuv420p", "yuvj420p"})
-#: Width and height of a frame that shows where the library takes its samples of colour to be, and by how many levels both
-#: conversions differ at most (mean; half a row off makes more than two).
-_PROBE_PX, _SAME_LEVELS = 16, 1.0
-#: Shares of red and blue in the brightness by the colour space that the file states (ITU-T H.273, table 4); where it states none
-#: FFmpeg assumes BT.601.
-_BT_601 = (0.299, 0.114)
-_SHARES = {1: (0.2126, 0.0722), 2: _BT_601, 5: _BT_601, 6: _BT_601, 7: (0.212, 0.087), 9: (0.2627, 0.0593)}
 
 
 def read_frame(frame: FrameRef, sha256: str = "", *, grey: bool = False) -> Image:
@@ -64,7 +51,7 @@ def read_frame(frame: FrameRef, sha256: str = "", *, grey: bool = False) -> Imag
             f"{frame.path}: the video changed while conetl read it. Run the same command again when nothing writes to the "
             "drive. Nothing was written."
         )
-    return _pixels(decoded.frame, frame.region, grey=grey, left_sited=decoded.left_sited)
+    return _pixels(decoded.frame, frame.region, grey=grey)
 
 
 def frames_between(path: Path, first_pts: int, last_pts: int) -> Iterator[tuple[int, Image]]:
@@ -85,10 +72,10 @@ def frames_between(path: Path, first_pts: int, last_pts: int) -> Iterator[tuple[
         decoder.close()
 
 
-def _pixels(frame: VideoFrame, region: Region | None, *, grey: bool, left_sited: bool = False) -> Image:
-    """(height, width, 3) in blue, green, red order or (height, width), in the range and colour space that the file states.
+def _pixels(frame: VideoFrame, region: Region | None, *, grey: bool) -> Image:
+    """(height, width, 3) in blue, green, red order or (height, width).
 
-    left_sited: samples of colour are those of every second column, not between two.
+    The library converts by the range, colour space and location of colour samples that the file states.
     """
     x, y, width, height = region or (0, 0, frame.width, frame.height)
     if x + width > frame.width or y + height > frame.height:
@@ -97,90 +84,22 @@ def _pixels(frame: VideoFrame, region: Region | None, *, grey: bool, left_sited:
             f"a frame of {frame.width} x {frame.height} pixels has no region {x},{y},{width},{height}: the video changes size",
         )
     part = np.s_[y : y + height, x : x + width]
-    is_full = frame.color_range == ColorRange.JPEG or frame.format.name.startswith("yuvj")
-    if frame.planes[0].line_size >= frame.width:  # negative: upside down
-        if grey and frame.format.name in _LUMA_FORMATS:
-            luma = _view(frame.planes[0])[part]
-            return luma.copy() if is_full else np.asarray(cv2.LUT(luma, _FULL_RANGE), dtype=np.uint8)
-        if not grey and left_sited and frame.format.name in _HALF_COLOURS and frame.colorspace in _SHARES:
-            planes = _at_full_size(frame, part)
-            return np.asarray(cv2.transform(cv2.merge(planes), _bgr_of_yuv(frame.colorspace, is_full)), dtype=np.uint8)
-    first, *others = (_converted if region is None else _converted_once)(frame, "gray" if grey else "gbrp")
-    if grey:
-        return first[part].copy()
-    blue, red = others
-    return np.asarray(cv2.merge([blue[part], first[part], red[part]]), dtype=np.uint8)
+    planes = [plane[part] for plane in (_converted if region is None else _converted_once)(frame, grey=grey)]
+    return planes[0].copy() if grey else np.asarray(cv2.merge(planes), dtype=np.uint8)
 
 
-def _at_full_size(frame: VideoFrame, part: tuple[slice, slice]) -> list[Image]:
-    """Brightness and both colours (height, width) of a part of a frame in 4:2:0.
-
-    Samples of colour lie in the left one of two columns and between two rows. This and the matrix take 0.4 of the time of the
-    library's conversion.
-    """
-    rows, columns = part
-    luma, *chroma = (_view(plane) for plane in frame.planes)
-    planes = [luma[part]]
-    for plane in chroma:
-        kept = plane[rows.start // 2 : -(-rows.stop // 2), columns.start // 2 : -(-columns.stop // 2)]
-        left = cv2.resize(kept, (kept.shape[1], 2 * kept.shape[0]), interpolation=cv2.INTER_LINEAR)
-        right = left.copy()
-        cv2.addWeighted(left[:, :-1], 0.5, left[:, 1:], 0.5, 0.0, dst=right[:, :-1])
-        both = np.asarray(cv2.merge([left, right]).reshape(len(left), -1), dtype=np.uint8)
-        above, before = rows.start % 2, columns.start % 2
-        planes.append(both[above : above + rows.stop - rows.start, before : before + columns.stop - columns.start])
-    return planes
-
-
-@lru_cache
-def _bgr_of_yuv(colorspace: int, is_full: bool) -> NDArray[np.float64]:
-    """(3, 4): blue, green, red of brightness and both colours, each 0 to 255, and one (ITU-R BT.601, BT.709)."""
-    red, blue = _SHARES[colorspace]
-    green = 1 - red - blue
-    turn = np.array(
-        [[1, 2 - 2 * blue, 0], [1, -blue * (2 - 2 * blue) / green, -red * (2 - 2 * red) / green], [1, 0, 2 - 2 * red]]
-    )
-    least, spread = (0, (255, 255, 255)) if is_full else (16, (219, 224, 224))
-    matrix = turn @ np.diag(255 / np.array(spread))
-    return np.column_stack([matrix, -matrix @ [least, 128, 128]])
-
-
-def _is_left_sited(frame: VideoFrame) -> bool:
-    """Whether the file's samples of colour lie where `_at_full_size` takes them to be.
-
-    That is the standard's default for H.264 and H.265, but files may state otherwise, as those made of JPEG images do. The
-    binding does not give that statement; the library converts by it. So it converts a ramp of colour in a frame that states
-    the same. Colours that are half a column off move the axis of a cone by 0.2 px.
-    """
-    if frame.format.name not in _HALF_COLOURS:
-        return False
-    ramp = _reformatted(frame, frame.format.name, width=_PROBE_PX, height=_PROBE_PX)
-    ramp.make_writable()
-    for plane in ramp.planes:
-        _view(plane)[:] = 128
-    # Steeper along the rows than across them: no error along one makes up for one along the other.
-    across, along = np.mgrid[-4:4, -4:4]
-    _view(ramp.planes[2])[:] = 128 + 6 * across + 14 * along
-    library, own = _converted(ramp, "gbrp")[2], _pixels(ramp, None, grey=False, left_sited=True)[..., 2]
-    inside = np.s_[2:-2, 2:-2]
-    return float(cv2.absdiff(library[inside], own[inside]).mean()) < _SAME_LEVELS
-
-
-def _converted(frame: VideoFrame, to: str) -> list[Image]:
-    """The planes (height, width) of a frame in another format. Planes are written twice as fast as mixed colours."""
-    return [_view(plane) for plane in _reformatted(frame, to).planes]
-
-
-def _reformatted(frame: VideoFrame, to: str, **size: int) -> VideoFrame:
+def _converted(frame: VideoFrame, *, grey: bool) -> list[Image]:
+    """The brightness (height, width) of a frame, or its blue, green and red. Planes take half the time of mixed colours."""
     # A frame's own reformatter is not safe where two threads read the same frame. One with threads of its own, or one that is
     # freed with its thread, would hang a process that is forked from this one: they are kept, each used by one thread at a time.
     try:
         own = _reformatters.pop()
     except IndexError:
         own = VideoReformatter()
-    result = own.reformat(frame, format=to, interpolation=_EXACT, threads=1, **size)
+    converted = own.reformat(frame, format="gray" if grey else "gbrp", interpolation=_EXACT, threads=1)
     _reformatters.append(own)
-    return result
+    planes = [_view(plane) for plane in converted.planes]
+    return planes if grey else [planes[1], planes[0], planes[2]]
 
 
 #: Frames with both images are read for one and then for the other.
@@ -207,7 +126,6 @@ class _File(NamedTuple):
 class _Decoded(NamedTuple):
     frame: VideoFrame
     packet_sha256: bytes
-    left_sited: bool
 
 
 class _Decoder:
@@ -216,7 +134,6 @@ class _Decoder:
     def __init__(self, file: _File) -> None:
         self.file = file
         self._container: InputContainer | None = None
-        self._left_sited: bool | None = None
         self.at: int | None = None
         """Time stamp of the last frame that was decoded; None: it is not known where it will go on."""
         self.thread = threading.current_thread()
@@ -291,9 +208,7 @@ class _Decoder:
             self.at = None
             self.seek(pts)
         for at, frame in self.frames:
-            if self._left_sited is None:
-                self._left_sited = _is_left_sited(frame)
-            keep(at, _Decoded(frame, self._packets.pop(at, b""), self._left_sited))
+            keep(at, _Decoded(frame, self._packets.pop(at, b"")))
             self.at = at
             if at >= pts:
                 break
