@@ -1,7 +1,7 @@
 """Background processes: start, find again and stop them, without ever signalling a process of someone else.
 
 Process ids are reused, so a service is identified by a token in its environment. Its children inherit the token, so the children
-of a killed service are found as well. Signals go through a process descriptor, which always refers to the same process.
+of a killed service are found as well. Signals go through psutil, which checks that an id still is that of the same process.
 
 Also a Prefect server from outside, without importing Prefect: its command, its health, access to it.
 """
@@ -13,20 +13,20 @@ import errno
 import fcntl
 import json
 import os
-import select
 import signal
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from uuid import uuid4
 
 import httpx
+import psutil
 
 from conetl.files.atomic import write_json
 from conetl.files.home import make_home
@@ -109,44 +109,28 @@ def start_service(
         )  # fmt: skip
     # Linux shows no environment for a moment while a program replaces its parent's: without it the service would not be found.
     deadline = time.monotonic() + 1
-    while process.poll() is None and not _has_token(process.pid, token) and time.monotonic() < deadline:
+    service = Service(name, process.pid, token, now.isoformat(timespec="seconds"), str(log.resolve()), address)
+    while process.poll() is None and not is_running(service) and time.monotonic() < deadline:
         time.sleep(0.001)
-    return Service(name, process.pid, token, now.isoformat(timespec="seconds"), str(log.resolve()), address)
+    return service
 
 
 def is_running(service: Service) -> bool:
     """Whether the service still runs."""
-    return _has_token(service.pid, service.token)
+    return any(process.pid == service.pid for process in _processes_with(service.token))
 
 
 def stop_service(service: Service, *, grace_s: float = 15.0) -> bool:
     """Stop a service and its children; returns whether anything was running. Data and logs are kept."""
-    with ExitStack() as stack:
-        found: dict[int, int] = {}
-
-        def running() -> dict[int, int]:
-            for pid in _pids_with(service.token) - found.keys():
-                with suppress(OSError):
-                    descriptor = os.pidfd_open(pid)
-                    stack.callback(os.close, descriptor)
-                    if _has_token(pid, service.token):  # else the id was reused in between
-                        found[pid] = descriptor
-            return {pid: descriptor for pid, descriptor in found.items() if not _has_ended(descriptor)}
-
-        left = running()
-        if not left:
-            return False
-        # The leader first: it stops its own children in order.
-        _signal([left[service.pid]] if service.pid in left else left.values(), signal.SIGTERM)
-        deadline = time.monotonic() + grace_s
-        while (left := running()) and time.monotonic() < deadline:
-            if service.pid not in left:
-                _signal(left.values(), signal.SIGTERM)
-            time.sleep(0.05)
-        _signal(left.values(), signal.SIGKILL)
-        deadline = time.monotonic() + 5
-        while running() and time.monotonic() < deadline:
-            time.sleep(0.1)
+    found = _processes_with(service.token)
+    if not found:
+        return False
+    deadline = time.monotonic() + grace_s
+    # The leader first: it stops its own children in order.
+    _end({process for process in found if process.pid == service.pid}, psutil.Process.terminate, grace_s)
+    found |= _processes_with(service.token)
+    _end(found, psutil.Process.terminate, max(deadline - time.monotonic(), 0.0))
+    _end(found | _processes_with(service.token), psutil.Process.kill, 5)
     return True
 
 
@@ -193,29 +177,25 @@ def _die_with_parent() -> None:
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
-def _pids_with(token: str) -> set[int]:
-    pids = {int(entry.name) for entry in Path("/proc").iterdir() if entry.name.isdigit()}
-    return {pid for pid in pids - {os.getpid()} if _has_token(pid, token)}
+def _processes_with(token: str) -> set[psutil.Process]:
+    """Processes that were started with this token, without zombies and processes of other users."""
+    others = (process for process in psutil.process_iter() if process.pid != os.getpid())
+    return {process for process in others if _has_token(process, token)}
 
 
-def _has_token(pid: int, token: str) -> bool:
-    """Whether a process was started with this token; False for zombies and for processes of other users."""
+def _has_token(process: psutil.Process, token: str) -> bool:
     try:
-        return f"{TOKEN}={token}".encode() in Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
-    except OSError:
+        return bool(process.environ().get(TOKEN) == token)
+    except psutil.Error:
         return False
 
 
-def _has_ended(descriptor: int) -> bool:
-    poll = select.poll()
-    poll.register(descriptor, select.POLLIN)
-    return bool(poll.poll(0))
-
-
-def _signal(descriptors: Iterable[int], number: signal.Signals) -> None:
-    for descriptor in descriptors:
-        with suppress(ProcessLookupError):
-            signal.pidfd_send_signal(descriptor, number)
+def _end(found: Collection[psutil.Process], signal_it: Callable[[psutil.Process], None], timeout_s: float) -> None:
+    """Signal processes and wait until they have ended."""
+    for process in found:
+        with suppress(psutil.NoSuchProcess):
+            signal_it(process)
+    psutil.wait_procs(found, timeout=timeout_s)
 
 
 def server_command(host: str, port: int) -> list[str]:
