@@ -75,8 +75,8 @@ def test_threads_processes_and_dask_write_the_same_bytes(
         others = [child.cmdline() for child in psutil.Process().children(recursive=True)]
         assert not [line for line in others if "prefect.server.api.server:create_app" in line], "shown on this server"
         written[kind] = {path.name: path.read_bytes() for path in (tmp_path / kind / "results").iterdir()}
-    assert len(written["threads"]) == 18, (
-        "3 of detections, 3 of image details, 3 of matches, 2 of a chunk's, 2 of positions, 3 of motions, spans; self-calibration"
+    assert len(written["threads"]) == 16, (
+        "3 of detections, 3 of image details, 3 of matches, 2 of a chunk's, 3 of motions, spans; self-calibration"
     )
     assert written["processes"] == written["threads"]
     assert written["dask"] == written["threads"]

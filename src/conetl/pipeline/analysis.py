@@ -10,20 +10,20 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
-from conetl.files.parquet_store import has_result, load_results, result_key, result_path, save_result
+from conetl.files.parquet_store import load_results
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
 from conetl.model.health import HealthCheck
-from conetl.model.params import IngestParams, params_sha256
+from conetl.model.params import IngestParams
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig
 from conetl.perception.detections import add_image_detail, drop_unread_pairs
 from conetl.perception.model_card import read_model_card
 from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline import odometry
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, chunks_of, geometry_key, load_matches, parts_of
+from conetl.pipeline.chunks import Chunk, chunks_of, load_matches, parts_of
 from conetl.pipeline.detect import Detected, ExtraSteps, detail_path, detect, match
 from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitted, ThreadExecutor, results
 from conetl.pipeline.markings import mark
@@ -112,7 +112,7 @@ def analyse(
         drive, torn, refused_pairs = odometry.drop_torn_pairs(drive.model_copy(update={"rig": found.rig}), motions)
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-        position_paths = executor.run(locate, odometry.with_refined_poses(chunks, drive), found.matches)
+        positions, refused_positions = executor.run(locate, drive, found.matches, params)
         detections, refused_detections = load_results(found.detections, Detection)
         refused_detections = [*refused_detections, *refused_pairs]
         drive, detections = drop_unread_pairs(drive, detections, refused_detections)
@@ -121,7 +121,6 @@ def analyse(
         health += [torn] if found.motions else []
         health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
         matches, refused_matches = load_matches(found.matches, drive.frame_pairs)
-        positions, refused_positions = load_results(position_paths, Position)
         fused = partial(executor.run, fuse, drive, detections, params, card.evidence, trajectory)
         tracks, refused_tracks = fused(matches, positions)
         if trajectory.covariance is not None:
@@ -211,18 +210,13 @@ def _calibrate(drive: Drive, chunk: Chunk, executor: Executor) -> SelfCalibratio
     return calibration
 
 
-def locate(chunks: Sequence[Chunk], matches: Sequence[Path]) -> list[Path]:
-    """Positions of a drive by forward intersection, chunk by chunk; returns the Parquet files."""
-    paths = []
-    for chunk, path in zip(chunks, matches, strict=True):
-        params = params_sha256(chunk.params.position)
-        key = result_key(RESULTS_VERSION, "locate", path.stem, params, geometry_key(chunk))
-        paths.append(result_path(chunk.results_folder, key))
-        if not has_result(chunk.results_folder, key):
-            found, _ = load_matches([path], chunk.frame_pairs)
-            positions, rejections = locate_positions(found, chunk.frame_pairs, chunk.rig, chunk.params.position)
-            save_result(chunk.results_folder, key, positions, rejections)
-    return paths
+def locate(drive: Drive, matches: Sequence[Path], params: IngestParams) -> tuple[list[Position], list[Rejection]]:
+    """Positions of a drive by forward intersection. matches: the Parquet file of each chunk, located by itself."""
+    located = [
+        locate_positions(load_matches([path], drive.frame_pairs)[0], drive.frame_pairs, drive.rig, params.position)
+        for path in matches
+    ]
+    return [one for found, _ in located for one in found], [one for _, refused in located for one in refused]
 
 
 def fuse(

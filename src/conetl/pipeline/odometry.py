@@ -42,20 +42,6 @@ _PAIRS_AT_ONCE = 8
 _SPANS_OF_PIECE = 20
 
 
-def with_refined_poses(chunks: Sequence[Chunk], drive: Drive) -> list[Chunk]:
-    """The chunks with the rig, frame pairs and refined poses of `drive`."""
-    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
-    return [
-        chunk.model_copy(
-            update={
-                "rig": drive.rig,
-                "frame_pairs": tuple(pairs[p.frame_index] for p in chunk.frame_pairs if p.frame_index in pairs),
-            }
-        )
-        for chunk in chunks
-    ]
-
-
 def track_motions(chunk: Chunk, part: int, rig: Rig, read: ImageReader, tick: Tick | None = None) -> Iterator[None]:
     """Motions of one part of a chunk, also to the first frame pair after it.
 
