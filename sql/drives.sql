@@ -52,7 +52,9 @@ order by s.statement_index;
 
 -- name: header
 -- One ingested drive; rig is null for an imported map; id_name as map.find_map. Parameters: drive_uuid.
-select coalesce(m.id_name, m.map_name) as id_name, d.content_sha256, d.rig, d.captured_from_ns, d.reconcile, d.influence_m, d.absence_figures
+select
+    d.drive_uuid, coalesce(m.id_name, m.map_name) as id_name, d.content_sha256, d.rig, d.captured_from_ns, d.reconcile,
+    d.influence_m, d.absence_figures
 from conetl.drive d
 join conetl.map m using (map_id)
 where d.drive_uuid = %(drive_uuid)s;

@@ -16,9 +16,9 @@ from conetl.db.map import map_store as store
 from conetl.db.map import replay_store
 from conetl.db.map.commit import commit_changeset, path_wkt
 from conetl.db.map.decision_store import find_decisions
-from conetl.db.map.drive_store import drives_at_the_same_time, load_stored_drive
+from conetl.db.map.drive_store import drives_at_the_same_time, read_evidence
 from conetl.db.map.replay_store import read_open_version, read_versions
-from conetl.db.map.results import RunInfo
+from conetl.db.map.results import DriveRef, RunInfo
 from conetl.mapping.history import MapUpdate
 from conetl.model.base import SharedErrorJacobian, utc_from_ns
 from conetl.model.drive import DriveRecords
@@ -87,7 +87,8 @@ def test_lane_markings_come_back_to_the_last_bit(conn, samples):
     line, cone = samples.line_feature(dashed, shared_jacobian=jacobian), samples.feature()
     result = samples.commit(conn, samples.added(line), samples.added(cone), key="1", markings=[track])
     assert result.marking_count == 1
-    assert load_stored_drive(conn, result.drive_uuid).markings == [track]
+    [stored] = read_evidence(conn, [DriveRef(result.drive_uuid, result.changeset_id, "1")])
+    assert stored.markings == [track]
     assert {f.feature_id: f for f in store.read_current_features(conn, lines=True)} == {
         f.feature_id: f for f in (line, cone)
     }

@@ -7,7 +7,7 @@ becomes low enough (`existence_update.py`). A vanished feature and a new track o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from math import hypot, sqrt
 from operator import attrgetter
 from uuid import UUID
@@ -34,15 +34,12 @@ from conetl.mapping.deltas import (
 )
 from conetl.mapping.existence_update import is_gone, miss_evidence, sighting_evidence
 from conetl.mapping.fusion import tracks_in_map_frame
-from conetl.mapping.visibility import NotObserved
-from conetl.model.arrays import Floats
+from conetl.mapping.visibility import NotObserved, VisibilityCheck
 from conetl.model.drive import Track
 from conetl.model.feature_classes import mutually_exclusive, width_over_height
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.params import ReconcileParams
 
-#: (feature, offset_m, others_m) -> evidence that the feature is absent; see `visibility.check_visibility`.
-VisibilityCheck = Callable[[MapFeature, Floats, Floats], NotObserved | None]
 #: A feature this near to the midpoint of two tracks (as a share of their distance) was a mixture of both.
 _MIDDLE_SHARE = 0.25
 #: Wider than the base plate of any cone.

@@ -18,12 +18,12 @@ from scipy.spatial import cKDTree
 from conetl.geometry.packing import stack_rows
 from conetl.mapping.agreement import check_agreement, check_marking_agreement, is_confirmed
 from conetl.mapping.association import common_offset
-from conetl.mapping.changes import VisibilityCheck, reconcile
+from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
 from conetl.mapping.existence_update import summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
-from conetl.mapping.markings import ViewCheck, reconcile_markings
-from conetl.mapping.visibility import NotObserved, empty_view
+from conetl.mapping.markings import reconcile_markings
+from conetl.mapping.visibility import NotObserved, ViewCheck, VisibilityCheck, empty_view
 from conetl.model.arrays import Floats
 from conetl.model.drive import Track
 from conetl.model.health import HealthCheck
@@ -93,6 +93,11 @@ class MapHistory:
     """In the order of the drives."""
     updates: dict[UUID, MapUpdate] = field(default_factory=dict)
     """By changeset, of the drives that were compared."""
+
+
+def founding_key(id_name: str, content_sha256: str) -> str:
+    """Seed for the ids of the features that a drive adds; the other part is their first observation."""
+    return f"{id_name}/{content_sha256}"
 
 
 def replay_drives(

@@ -9,7 +9,7 @@ observed parts become new stretches (split). Parts of the drive's markings that 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from math import log
 from typing import NamedTuple
@@ -23,14 +23,12 @@ from conetl.mapping.deltas import ReconcileContext, miss_or_remove
 from conetl.mapping.existence_update import confirmation_evidence, is_gone, miss_evidence
 from conetl.mapping.fusion import offset_errors
 from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset
-from conetl.mapping.visibility import MarkingView, NotObserved
+from conetl.mapping.visibility import MarkingView, NotObserved, ViewCheck
 from conetl.model.arrays import Bools, Floats
 from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.markings import MarkingTrack, marking_existence
 from conetl.model.params import ReconcileParams
 
-#: Vertices (n, 3) in the drive's map frame -> when they were in view; see `visibility.markings_in_view`.
-ViewCheck = Callable[[Floats], MarkingView]
 #: Offset to which another colour or width is equivalent in matching, and the difference that makes another width.
 _UNLIKE_M, _OTHER_WIDTH_M = 0.1, 0.06
 #: Sigmas of the distance at which two markings may still be the same one.

@@ -8,7 +8,7 @@ nearer detection. The weight of an empty frame pair follows from the detector's 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -345,3 +345,20 @@ def markings_in_view(
                     in_view[:, k] &= ~(inside & (v[:, k] >= box.y_px) & (v[:, k] <= box.y_px + box.h_px))
     shown = in_view.any(axis=0)
     return MarkingView(drive.captured_at_ns[rows[shown]], in_view[:, shown])
+
+
+#: (feature, offset_m, others_m) -> evidence that the feature is absent.
+VisibilityCheck = Callable[[MapFeature, Floats, Floats], NotObserved | None]
+#: Vertices (n, 3) in the drive's map frame -> when they were in view.
+ViewCheck = Callable[[Floats], MarkingView]
+
+
+def visibility_checks(
+    view: Callable[[], DriveObservations], markings: Sequence[MarkingTrack], params: ReconcileParams
+) -> tuple[VisibilityCheck, ViewCheck]:
+    """For cones and for lane markings; view: of the drive, read on demand; markings: those that it observed."""
+    blur_px = median_blur_px(markings)
+    return (
+        lambda feature, offset_m, others_m: check_visibility(feature, offset_m, others_m, view(), params),
+        lambda vertices_m: markings_in_view(vertices_m, view(), blur_px, params),
+    )

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import gc
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 from uuid import UUID
 
@@ -20,27 +20,21 @@ from conetl.db.connection import Connection
 from conetl.db.map import replay_store as store
 from conetl.db.map.commit import INFLUENCE_M, add_drive, commit_changeset, path_wkt, with_free_id
 from conetl.db.map.decision_store import held_drives, hold_changes, read_decisions
-from conetl.db.map.drive_store import load_stored_drive, read_view
+from conetl.db.map.drive_store import read_evidence
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import NOTHING, CommittedChangeset, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
-from conetl.mapping import visibility
 from conetl.mapping.agreement import is_confirmed
-from conetl.mapping.changes import VisibilityCheck
-from conetl.mapping.history import DriveEvidence, MapHistory, MapUpdate, apply_drive, replay_drives
-from conetl.mapping.markings import ViewCheck
+from conetl.mapping.history import DriveEvidence, MapHistory, MapUpdate, apply_drive, founding_key, replay_drives
+from conetl.mapping.visibility import observations_of_drive, visibility_checks
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
 from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import HealthCheck, HoldChange
 from conetl.model.map_records import Changeset, Decisions, FeatureVersion
-from conetl.model.markings import MarkingTrack
-from conetl.model.params import IngestParams, ReconcileParams
-from conetl.model.rig import Rig
+from conetl.model.params import IngestParams
 from conetl.pipeline.adjoining import WITHIN_NS, NewDrive, find_doubts
 
 _log = logging.getLogger(__name__)
-#: Views of drives are large; the fold needs them one after the other.
-_VIEWS_IN_MEMORY = 2
 #: Holding some drives may change which others the map confirms, but rarely: trusted drives confirm older objects.
 _MOST_ROUNDS = 5
 
@@ -146,8 +140,8 @@ def _own_evidence(
 ) -> DriveEvidence:
     """The evidence of a drive that is compared for the first time."""
     drive, spots = records.drive, [(p.frame_index, p.category, p.xyz_m) for p in records.positions]
-    view = visibility.observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
-    visible, in_view = _visibility_checks(lambda: view, records.markings, params.reconcile)
+    view = observations_of_drive(drive.rig, drive.frame_pairs, records.detections, spots, figures)
+    visible, in_view = visibility_checks(lambda: view, records.markings, params.reconcile)
     return DriveEvidence(
         key=(int(view.captured_at_ns.min()), drive.content_sha256, changeset.idempotency_key),
         changeset_id=changeset.changeset_id,
@@ -222,7 +216,8 @@ def replay_of(
             again = [ref for ref in store.affected_drives(conn, [*aside, *more]) if ref.drive_uuid not in fixed]
             aside = [*fixed, *(ref.drive_uuid for ref in again)]
             doubts = find_doubts(conn, aside, new_drive, trusted)
-        compared = [*own, *stored_evidence(conn, again)]
+        require_comparable(conn, [ref.drive_uuid for ref in again])
+        compared = [*own, *read_evidence(conn, again)]
         changesets = {ref.drive_uuid: ref.changeset_id for ref in again}
         if new_drive is not None:
             changesets[new_drive.drive_uuid] = own[0].changeset_id
@@ -275,58 +270,7 @@ def _fold(
     return folded, replay
 
 
-def stored_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveEvidence]:
-    """The evidence of ingested drives; their views are read on demand. Raises InputError if they were pruned."""
-
-    @lru_cache(maxsize=_VIEWS_IN_MEMORY)
-    def view_of(drive_uuid: UUID) -> visibility.DriveObservations:
-        stored = read_view(conn, drive_uuid)
-        rig, figures = view_params[drive_uuid]
-        return visibility.observations_of_drive(rig, stored.frame_pairs, stored.detections, stored.spots, figures)
-
-    require_comparable(conn, [ref.drive_uuid for ref in drives])
-    view_params: dict[UUID, tuple[Rig, AbsenceFigures]] = {}
-    evidence = []
-    for ref in drives:
-        drive = load_stored_drive(conn, ref.drive_uuid)
-        if drive.rig is not None:  # an imported map had nothing in view
-            view_params[ref.drive_uuid] = drive.rig, drive.figures
-        visible, in_view = _visibility_checks(partial(view_of, ref.drive_uuid), drive.markings, drive.reconcile)
-        evidence.append(
-            DriveEvidence(
-                key=drive.key(ref.idempotency_key),
-                changeset_id=ref.changeset_id,
-                founding_key=founding_key(drive.id_name, drive.content_sha256),
-                tracks=drive.tracks,
-                path_m=drive.path_m,
-                influence_m=drive.influence_m,
-                check_visibility=visible,
-                markings=drive.markings,
-                check_view=in_view,
-                params=drive.reconcile,
-                imported=drive.statements,
-            )
-        )
-    return evidence
-
-
 def influence_m(params: IngestParams) -> float:
     """How far from its path a drive may change anything: its farthest position, the largest offset and a move."""
     farthest_m = params.position.max_range_m + params.reconcile.max_offset_m + params.reconcile.moved_max_m
     return max(INFLUENCE_M, farthest_m + 10.0)
-
-
-def founding_key(id_name: str, content_sha256: str) -> str:
-    """Seed for the ids of the features that a drive adds; the other part is their first observation."""
-    return f"{id_name}/{content_sha256}"
-
-
-def _visibility_checks(
-    view: Callable[[], visibility.DriveObservations], markings: Sequence[MarkingTrack], params: ReconcileParams
-) -> tuple[VisibilityCheck, ViewCheck]:
-    """For cones and for lane markings; view: of the drive, read on demand; markings: those that it observed."""
-    blur_px = visibility.median_blur_px(markings)
-    return (
-        lambda feature, offset_m, others_m: visibility.check_visibility(feature, offset_m, others_m, view(), params),
-        lambda vertices_m: visibility.markings_in_view(vertices_m, view(), blur_px, params),
-    )

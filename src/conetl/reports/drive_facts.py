@@ -9,7 +9,7 @@ import numpy as np
 
 from conetl.db.connection import Connection, read, stream_values
 from conetl.db.map.decision_store import hold_events, map_checks
-from conetl.db.map.drive_store import load_stored_drive, read_frame_pairs
+from conetl.db.map.drive_store import read_frame_pairs, read_tracks
 from conetl.db.map.map_store import list_changesets, read_features_as_of, require_map
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.serve_store import read_rows
@@ -135,7 +135,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         header=header,
         rig=rig,
         frame_pairs=frame_pairs,
-        tracks=load_stored_drive(conn, changeset.drive_uuid).tracks,
+        tracks=read_tracks(conn, changeset.drive_uuid),
         changes=tuple(
             row
             | {"number": number, "kind": DeltaKind(row["kind"]), "why": reasons.get(row["feature_id"], "")}

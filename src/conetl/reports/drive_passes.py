@@ -15,10 +15,9 @@ from conetl.db.map.drive_store import read_view
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.mapping.reasons import ChangeFacts, explain_change
-from conetl.mapping.visibility import observations_of_drive, pairs_in_view, visible_pairs
+from conetl.mapping.visibility import pairs_in_view, visible_pairs
 from conetl.model.arrays import Floats
 from conetl.model.base import Record, Vec3, utc_from_ns
-from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.drive import Pose
 from conetl.model.feature_classes import CONE, LINE_CLASSES, noun_of
 from conetl.model.map_records import DeltaKind
@@ -111,16 +110,11 @@ def _frames_in_view(
     category: str,
     observed: Collection[int],
 ) -> tuple[PassFrame, ...]:
-    rig, params = Rig.model_validate(header["rig"]), ReconcileParams.model_validate(header["reconcile"])
-    figures = header["absence_figures"]
+    params = ReconcileParams.model_validate(header["reconcile"])
     drive_uuid, easting_m, northing_m = header["drive_uuid"], float(foot_m[0]), float(foot_m[1])
-    view = read_view(conn, drive_uuid, (easting_m, northing_m, _WITHIN_M))
-    if not view.frame_pairs:
+    drive = read_view(conn, header, (easting_m, northing_m, _WITHIN_M))
+    if not drive.frames:
         return ()
-    drive = observations_of_drive(
-        rig, view.frame_pairs, view.detections, view.spots,
-        AbsenceFigures.model_validate(figures) if figures else UNMEASURED_ABSENCE,
-    )  # fmt: skip
     near = {"easting_m": easting_m, "northing_m": northing_m, "radius_m": _NEIGHBOUR_M, "feature_id": feature_id}
     what = "The tracks of a drive cannot be read"
     rows = stream_values(conn, what, "judging.tracks_near", drive_uuid=drive_uuid, **near)

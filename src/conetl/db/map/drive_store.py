@@ -6,7 +6,7 @@ Numbers come back to the last bit, so the result of another comparison is that o
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from functools import lru_cache, partial
 from typing import NamedTuple
 from uuid import UUID
 
@@ -15,14 +15,13 @@ import numpy as np
 from conetl.db.connection import Connection, read, stream, stream_values
 from conetl.db.copy_rows import json_text
 from conetl.db.map.import_store import read_statements
+from conetl.db.map.results import DriveRef
 from conetl.db.map.rows import Row, covariances, marking_of, read_jacobian, record_of
-from conetl.model.arrays import Floats
-from conetl.model.base import Vec3
+from conetl.mapping.history import DriveEvidence, founding_key
+from conetl.mapping.visibility import DriveObservations, observations_of_drive, visibility_checks
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures
 from conetl.model.drive import Detection, Drive, FramePair, Pose, Track
-from conetl.model.errors import MapMismatchError
 from conetl.model.health import ADJOINING
-from conetl.model.map_records import DriveOrder, ImportedFeature
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
 from conetl.model.rig import Rig
@@ -32,66 +31,55 @@ _UNREAD = "The drives of the map cannot be read"
 Square = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class StoredDrive:
-    """The small part of a drive: header, path, tracks and lane markings."""
-
-    id_name: str
-    content_sha256: str
-    captured_from_ns: int
-    rig: Rig | None
-    """None of an imported map."""
-    reconcile: ReconcileParams
-    influence_m: float
-    figures: AbsenceFigures
-    """Of the drive's detector."""
-    path_m: Floats
-    """(N, 2), a row per frame pair; of an imported map, its stated positions."""
-    tracks: list[Track]
-    markings: list[MarkingTrack]
-    statements: list[ImportedFeature]
-    """Of an imported map, instead of tracks."""
-
-    def key(self, idempotency_key: str) -> DriveOrder:
-        return self.captured_from_ns, self.content_sha256, idempotency_key
+#: Views of drives are large; the fold needs them one after the other.
+_VIEWS_IN_MEMORY = 2
 
 
-@dataclass(frozen=True)
-class StoredView:
-    """The large part of a drive: what was in view, and what was detected."""
+def read_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveEvidence]:
+    """The evidence of ingested drives, and of imported maps, which had nothing in view. Views are read on demand."""
+    headers: dict[UUID, Row] = {}
 
-    frame_pairs: list[FramePair]
-    detections: list[Detection]
-    spots: list[tuple[int, str, Vec3]]
-    """Frame index, class and xyz of every position."""
+    @lru_cache(maxsize=_VIEWS_IN_MEMORY)
+    def view_of(drive_uuid: UUID) -> DriveObservations:
+        return read_view(conn, headers[drive_uuid])
+
+    evidence = []
+    for ref in drives:
+        what, drive_uuid = f"Drive {ref.drive_uuid} cannot be read", ref.drive_uuid
+        [header] = read(conn, what, "drives.header", drive_uuid=drive_uuid)
+        headers[drive_uuid] = header
+        statements = read_statements(conn, drive_uuid) if header["rig"] is None else []
+        path: Iterable[tuple[float, ...]] = (s.feature.xyz_m[:2] for s in statements)
+        if header["rig"] is not None:
+            path = stream_values(conn, what, "drives.path", drive_uuid=drive_uuid)
+        params = ReconcileParams.model_validate(header["reconcile"])
+        markings = [_marking_track(row) for row in stream(conn, what, "drives.marking_tracks", drive_uuid=drive_uuid)]
+        visible, in_view = visibility_checks(partial(view_of, drive_uuid), markings, params)
+        evidence.append(
+            DriveEvidence(
+                key=(header["captured_from_ns"], header["content_sha256"], ref.idempotency_key),
+                changeset_id=ref.changeset_id,
+                founding_key=founding_key(header["id_name"], header["content_sha256"]),
+                tracks=read_tracks(conn, drive_uuid),
+                path_m=np.array(list(path)).reshape(-1, 2),
+                influence_m=header["influence_m"],
+                check_visibility=visible,
+                markings=markings,
+                check_view=in_view,
+                params=params,
+                imported=statements,
+            )
+        )
+    return evidence
 
 
-def load_stored_drive(conn: Connection, drive_uuid: UUID) -> StoredDrive:
-    """Header, path, tracks and lane markings of an ingested drive. Raises MapMismatchError if it does not exist."""
-    what = f"Drive {drive_uuid} cannot be read"
-    headers = read(conn, what, "drives.header", drive_uuid=drive_uuid)
-    if not headers:
-        raise MapMismatchError(f"there is no drive {drive_uuid} in this database")
-    header = headers[0]
-    rig = None if header["rig"] is None else Rig.model_validate(header["rig"])
-    statements = read_statements(conn, drive_uuid) if rig is None else []
-    path: Iterable[tuple[float, ...]] = (s.feature.xyz_m[:2] for s in statements)
-    if rig is not None:
-        path = stream_values(conn, what, "drives.path", drive_uuid=drive_uuid)
-    figures = header["absence_figures"]
-    return StoredDrive(
-        id_name=header["id_name"],
-        content_sha256=header["content_sha256"],
-        captured_from_ns=header["captured_from_ns"],
-        rig=rig,
-        reconcile=ReconcileParams.model_validate(header["reconcile"]),
-        influence_m=header["influence_m"],
-        figures=AbsenceFigures.model_validate(figures) if figures else UNMEASURED_ABSENCE,
-        path_m=np.array(list(path)).reshape(-1, 2),
-        tracks=[_track(row) for row in stream(conn, what, "drives.tracks", drive_uuid=drive_uuid)],
-        markings=[_marking_track(row) for row in stream(conn, what, "drives.marking_tracks", drive_uuid=drive_uuid)],
-        statements=statements,
-    )
+def read_tracks(conn: Connection, drive_uuid: UUID) -> list[Track]:
+    """The tracks of an ingested drive, in order; [] of an imported map."""
+    rows = stream(conn, f"Drive {drive_uuid} cannot be read", "drives.tracks", drive_uuid=drive_uuid)
+    return [
+        record_of(Track, row, members=tuple(map(tuple, row["members"])), shared_jacobian=read_jacobian(row))
+        for row in rows
+    ]
 
 
 class ConcurrentDrive(NamedTuple):
@@ -181,17 +169,20 @@ def read_ends(conn: Connection, drive_uuids: Collection[UUID], count: int) -> di
     return found
 
 
-def read_view(conn: Connection, drive_uuid: UUID, near: Square | None = None) -> StoredView:
-    """Frame pairs with their poses, detections and positions. near: only frame pairs recorded there."""
+def read_view(conn: Connection, drive: Row, near: Square | None = None) -> DriveObservations:
+    """What a drive had in view, and what was detected and located there.
+
+    drive: its drive_uuid, rig and absence_figures, as stored. near: only frame pairs recorded there.
+    """
+    drive_uuid, figures = drive["drive_uuid"], drive["absence_figures"]
     frame_pairs = read_frame_pairs(conn, drive_uuid, near)
     frames = None if near is None else [pair.frame_index for pair in frame_pairs]
     what, wanted = f"Drive {drive_uuid} cannot be read", {"drive_uuid": drive_uuid, "frames": frames}
     positions = stream_values(conn, what, "drives.positions", **wanted)
-    return StoredView(
-        frame_pairs=frame_pairs,
-        spots=[(frame_index, category, (x, y, z)) for frame_index, category, x, y, z in positions],
-        detections=[Detection.model_construct(**row) for row in stream(conn, what, "drives.detections", **wanted)],
-    )
+    spots = [(frame_index, category, (x, y, z)) for frame_index, category, x, y, z in positions]
+    detections = [Detection.model_construct(**row) for row in stream(conn, what, "drives.detections", **wanted)]
+    known = AbsenceFigures.model_validate(figures) if figures else UNMEASURED_ABSENCE
+    return observations_of_drive(Rig.model_validate(drive["rig"]), frame_pairs, detections, spots, known)
 
 
 def read_frame_pairs(conn: Connection, drive_uuid: UUID, near: Square | None = None) -> list[FramePair]:
@@ -206,10 +197,6 @@ def _frame_pair(row: Row) -> FramePair:
     rotation = (tuple(r[:3]), tuple(r[3:6]), tuple(r[6:]))
     pose = record_of(Pose, row, map_R_body=rotation, interpolated=None)
     return record_of(FramePair, row, pose=pose, left_sha256="", right_sha256="")
-
-
-def _track(row: Row) -> Track:
-    return record_of(Track, row, members=tuple(map(tuple, row["members"])), shared_jacobian=read_jacobian(row))
 
 
 def _marking_track(row: Row) -> MarkingTrack:

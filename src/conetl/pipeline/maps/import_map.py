@@ -22,12 +22,12 @@ from conetl.db.map.results import MapInfo, RunInfo
 from conetl.files.parquet_store import result_key
 from conetl.geometry.geodesy import to_crs
 from conetl.mapping.displacement import check_import
-from conetl.mapping.history import DriveEvidence
+from conetl.mapping.history import DriveEvidence, founding_key
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.map_records import Changeset, DeltaKind, ImportedFeature, ImportedMap
 from conetl.model.params import ImportParams, params_sha256
-from conetl.pipeline.replay import founding_key, replay_of
+from conetl.pipeline.replay import replay_of
 from conetl.readers.base_layers.georeferencing import FAR_M
 
 _NAMESPACE = UUID("9d5b6a0c-3d0f-4b0e-8e4f-0a6f2c9b7d13")
