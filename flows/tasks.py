@@ -18,6 +18,7 @@ from conetl.model.errors import InputError, is_storage_error
 from conetl.pipeline import analysis, commit, detect, ingest, markings, odometry
 from conetl.pipeline.executor import StepClock
 from conetl.pipeline.settings import Settings
+from conetl.tracking import standing
 from flows import artifacts
 
 #: Name of each step's task, and of its runs; the arguments are sealed.
@@ -32,7 +33,7 @@ _NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
     analysis.fuse: ("fuse", None),
     analysis.estimate_variances: ("estimate variances", None),
     analysis.inflate_outliers: ("inflate outliers", None),
-    analysis.reject_moving: ("reject moving objects", None),
+    standing.without_moving: ("reject moving objects", None),
     markings.mark: ("mark", None),
     commit.commit: ("merge", None),
     artifacts.publish_drive: ("publish", None),

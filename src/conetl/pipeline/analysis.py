@@ -108,35 +108,36 @@ def analyse(
         if drive.rig != given:
             chunks = chunks_of(drive, settings, _with_low_thresholds(params))
         found = _run_chunks(drive, chunks, extras, executor, count)
-        motions, _ = load_results(found.motions, RelativeMotion)
+        motions, _ = load_results([part.motions for part in found.parts if part.motions is not None], RelativeMotion)
         drive, torn, refused_pairs = odometry.drop_torn_pairs(drive.model_copy(update={"rig": found.rig}), motions)
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
         positions, refused_positions = executor.run(locate, drive, found.matches, params)
-        detections, refused_detections = load_results(found.detections, Detection)
+        detections, refused_detections = load_results([part.detections for part in found.parts], Detection)
         refused_detections = [*refused_detections, *refused_pairs]
         drive, detections = drop_unread_pairs(drive, detections, refused_detections)
-        details, _ = load_results(map(detail_path, found.detections), ImageDetail)
+        details, _ = load_results([detail_path(part.detections) for part in found.parts], ImageDetail)
         drive, without_detail = add_image_detail(drive, details)
-        health += [torn] if found.motions else []
+        health += [torn] if extras.odometry else []
         health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
         matches, refused_matches = load_matches(found.matches, drive.frame_pairs)
         fused = partial(executor.run, fuse, drive, detections, params, card.evidence, trajectory)
+        errors = pose_cov(trajectory, params.trajectory)
         tracks, refused_tracks = fused(matches, positions)
         if trajectory.covariance is not None:
             # What sightings state by themselves made these tracks; what the tracks say of that makes the next ones, and what
             # these say of single sightings the last.
-            weighed, positions, _ = executor.run(estimate_variances, drive, matches, tracks, params, trajectory)
+            weighed, positions, _ = executor.run(estimate_variances, drive, matches, tracks, params, errors)
             tracks, _ = fused(weighed, positions)
             matches, positions, refused_positions = executor.run(
-                inflate_outliers, drive, weighed, tracks, params, trajectory
+                inflate_outliers, drive, weighed, tracks, params, errors
             )
             tracks, refused_tracks = fused(matches, positions)
             # Observations of an object that moves contradict each other: sigmas that cover it would hide that.
-            tracks, moving = executor.run(reject_moving, drive, weighed, tracks, params, trajectory)
+            tracks, moving = executor.run(without_moving, tracks, weighed, drive.frame_pairs, drive.rig, errors)
             refused_tracks = [*refused_tracks, *moving]
-        points = found.marking_points
-        markings = executor.run(mark, drive, points, params, trajectory) if points else []
+        points = [part.marking_points for part in found.parts if part.marking_points is not None]
+        markings = executor.run(mark, drive, points, params.marking, errors) if points else []
     refused = [*rejections, *refused_detections, *without_detail, *refused_matches, *refused_positions, *refused_tracks]
     records = DriveRecords(drive, detections, matches, positions, tracks, refused, markings)
     health += check_calibration(found.calibration)
@@ -154,12 +155,9 @@ def _with_low_thresholds(params: IngestParams) -> IngestParams:
 class _ChunkResults(NamedTuple):
     """Parquet files of the steps that read images, in the order of the drive; the self-calibration, and the corrected rig."""
 
-    detections: list[Path]
+    parts: list[Detected]
     matches: list[Path]
-    motions: list[Path]
-    """Empty where the trajectory is not refined."""
-    marking_points: list[Path]
-    """Empty where no lane markings are searched for."""
+    """Of each chunk."""
     calibration: SelfCalibration
     rig: Rig
 
@@ -180,10 +178,7 @@ def _run_chunks(
         if following is not None:  # in this order, so that matching waits for nothing
             detected.append(_detect_parts(following, rig, extras, executor, count))
         matched.append(executor.submit(match, chunk, rig, *detected[len(matched)]))
-    found: list[Detected] = results([step for steps in detected for step in steps])
-    motions = [each.motions for each in found if each.motions is not None]
-    marks = [each.marking_points for each in found if each.marking_points is not None]
-    return _ChunkResults([each.detections for each in found], results(matched), motions, marks, calibration, rig)
+    return _ChunkResults(results([step for steps in detected for step in steps]), results(matched), calibration, rig)
 
 
 def _detect_parts(
@@ -239,27 +234,17 @@ def fuse(
 
 
 def estimate_variances(
-    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
+    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, errors: PoseCov
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
     """Matches of the whole drive with sigmas estimated from its tracks, and their positions; see `estimate_variance_factors`."""
-    errors = pose_cov(trajectory, params.trajectory)
     factors = estimate_variance_factors(tracks, matches, drive.rig, drive.frame_pairs, errors)
     weighed = with_variance_factors(matches, factors)
     return weighed, *locate_positions(weighed, drive.frame_pairs, drive.rig, params.position)
 
 
 def inflate_outliers(
-    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
+    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, errors: PoseCov
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
     """Matches of the whole drive with larger sigmas if they contradict their tracks, and positions; see `with_contradictions`."""
-    errors = pose_cov(trajectory, params.trajectory)
     compared = with_contradictions(matches, tracks, drive.rig, drive.frame_pairs, errors)
     return compared, *locate_positions(compared, drive.frame_pairs, drive.rig, params.position)
-
-
-def reject_moving(
-    drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, trajectory: RefinedTrajectory
-) -> tuple[list[Track], list[Rejection]]:
-    """Tracks of the whole drive without moving objects; see `without_moving`."""
-    errors = pose_cov(trajectory, params.trajectory)
-    return without_moving(tracks, matches, drive.frame_pairs, drive.rig, errors)

@@ -13,7 +13,7 @@ from conetl.files.parquet_store import has_result, load_results, result_key, res
 from conetl.geometry.linear_reference import spaced
 from conetl.model.drive import Drive
 from conetl.model.markings import MarkingTrack
-from conetl.model.params import IngestParams, params_sha256
+from conetl.model.params import MarkingParams, params_sha256
 from conetl.model.rig import Rig
 from conetl.perception.images import ImageFileError
 from conetl.perception.markings.crossings import find_points
@@ -22,9 +22,8 @@ from conetl.perception.rectified_image import fetch_pairs
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
-from conetl.tracking.error_propagation import pose_cov
+from conetl.tracking.error_propagation import PoseCov
 from conetl.tracking.markings.tracks import fuse_markings
-from conetl.tracking.trajectory import RefinedTrajectory
 
 _log = logging.getLogger(__name__)
 _PAIRS_AT_ONCE = 8
@@ -63,11 +62,9 @@ def _points_key(chunk: Chunk, part: int, rig: Rig) -> str:
     return result_key(RESULTS_VERSION, "marking-points", params, geometry_key(chunk, rig), str(part))
 
 
-def mark(
-    drive: Drive, paths: Sequence[Path], params: IngestParams, trajectory: RefinedTrajectory
-) -> list[MarkingTrack]:
+def mark(drive: Drive, paths: Sequence[Path], params: MarkingParams, errors: PoseCov) -> list[MarkingTrack]:
     """Lane markings of the whole drive, by its final poses and rig. paths: of all `points_path`."""
     points, _ = load_results(paths, MarkingPoints)
-    tracks = fuse_markings(points, drive, params.marking, pose_cov(trajectory, params.trajectory))
+    tracks = fuse_markings(points, drive, params, errors)
     _log.info("Lane markings: %d, from points in %d frame pairs", len(tracks), len(points))
     return tracks
