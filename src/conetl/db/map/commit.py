@@ -27,7 +27,7 @@ from conetl.db.copy_rows import Columns, clean_text, json_text
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map import rows as map_rows
 from conetl.db.map.decision_store import write_holds
-from conetl.db.map.map_store import find_changeset, map_for, system_time
+from conetl.db.map.map_store import list_changesets, map_for, system_time
 from conetl.db.map.replay_store import apply_stages, load_stages, take_turn
 from conetl.db.map.results import NOTHING, CommittedChangeset, MapInfo, Replay, RunInfo
 from conetl.model.detector_evidence import AbsenceFigures
@@ -131,7 +131,8 @@ def commit_changeset(
     versions_written = apply_stages(conn, staged, replay, committed_at)
     write_holds(conn, {changeset.changeset_id: hold} if hold else {}, committed_at, by_map=held_by_map)
     renew_statistics(conn, versions_written)
-    return committed_changeset(conn, changeset, map_name=map_name)
+    [committed] = list_changesets(conn, map_name=map_name, idempotency_key=changeset.idempotency_key)
+    return committed
 
 
 def insert_changeset(
@@ -167,14 +168,6 @@ def renew_statistics(conn: Connection, versions: int) -> None:
     """Update the planner's statistics if a tenth of the map's versions are new; autovacuum runs only after a minute."""
     if versions and db.query(conn, "commit.has_outgrown", versions=versions)[0]["outgrown"]:
         db.execute(conn, "analyze (skip_locked) conetl.feature, conetl.feature_version, conetl.delta")
-
-
-def committed_changeset(conn: Connection, changeset: Changeset, *, map_name: str) -> CommittedChangeset:
-    """The changeset as stored in the database."""
-    written = find_changeset(conn, changeset.idempotency_key, map_name=map_name)
-    if written is None:
-        raise MapMismatchError(f"changeset {changeset.changeset_id} was written but cannot be found again")
-    return written
 
 
 def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
