@@ -24,7 +24,6 @@ from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.rig import SIDES
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
-from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.commit import CommittedDrive
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Progress
@@ -62,13 +61,7 @@ def progress_artifact(drive_id: str, progress: Progress | None = None) -> Progre
     return show
 
 
-def publish_drive(
-    committed: CommittedDrive,
-    analysed: AnalysedDrive,
-    settings: Settings,
-    database: MapDatabase,
-    times: list[StepTime],
-) -> None:
+def publish_drive(committed: CommittedDrive, settings: Settings, database: MapDatabase, times: list[StepTime]) -> None:
     """Write the files of a drive that was committed now, show them as artifacts, and send its events."""
     files, report = publish(committed, settings, database, times), committed.report
     drive = as_markdown(report.drive_id)
@@ -84,7 +77,7 @@ def publish_drive(
     for key, (rows, description) in tables.items():
         if rows:
             artifacts.create_table_artifact(rows, key=key, description=description)
-    _show_worst_frames(analysed.records, whole=settings.images == "full")
+    _show_worst_frames(committed.analysed.records, whole=settings.images == "full")
     notify(report, database, send_events)
 
 

@@ -53,7 +53,7 @@ class CommittedDrive:
     """What a drive did to the map."""
 
     changeset: CommittedChangeset
-    drive: Drive
+    analysed: AnalysedDrive
     deltas: tuple[Delta, ...]
     report: IngestReport
 
@@ -136,7 +136,7 @@ def commit(
                 hold=hold_checks(health),
             )
     if isinstance(merged, CommittedChangeset):
-        return CommittedDrive(merged, drive, (), report_of(merged, settings.map_name))
+        return CommittedDrive(merged, analysed, (), report_of(merged, settings.map_name))
     deltas = merged.changeset.deltas
     if not hold_checks(health):  # a recording that contradicts itself is not compared with the map
         health = (*health, merged.extension.hold or AGREES)
@@ -158,7 +158,7 @@ def commit(
             "hold_changes": merged.hold_changes,
         }
     )
-    return CommittedDrive(merged.committed, drive, deltas, report)
+    return CommittedDrive(merged.committed, analysed, deltas, report)
 
 
 def _cones_elsewhere(

@@ -35,15 +35,8 @@ from conetl.readers.drives.header import DriveHeader
 
 _log = logging.getLogger(__name__)
 #: Steps that publish a newly committed drive, and one that was already on the map.
-PublishNew = Callable[[CommittedDrive, AnalysedDrive, Settings, MapDatabase, list[StepTime]], object]
+PublishNew = Callable[[CommittedDrive, Settings, MapDatabase, list[StepTime]], object]
 PublishKnown = Callable[[IngestReport, Settings, MapDatabase], object]
-
-
-def publish_files(
-    committed: CommittedDrive, _: AnalysedDrive, settings: Settings, database: MapDatabase, times: list[StepTime]
-) -> None:
-    """Write the files of a newly committed drive; its notification stays pending."""
-    publish(committed, settings, database, times)
 
 
 def read(folder: Path | str, map_srid: int | None, images_folder: Path) -> tuple[Drive, list[Rejection]]:
@@ -60,7 +53,7 @@ def ingest(
     database: MapDatabase | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
-    publish_new: PublishNew = publish_files,
+    publish_new: PublishNew = publish,
     publish_known: PublishKnown | None = None,
     flow_run_id: str | None = None,
 ) -> IngestReport:
@@ -111,7 +104,7 @@ def ingest(
             return _raise_if_held(known() or committed.report)
         report = committed.report.model_copy(update={"seconds": time.monotonic() - started})
         committed = replace(committed, report=report)
-        report = _after_commit(report, lambda: steps.run(publish_new, committed, analysed, settings, db, steps.times()))
+        report = _after_commit(report, lambda: steps.run(publish_new, committed, settings, db, steps.times()))
     return raise_if_doubtful(report, analysed)
 
 

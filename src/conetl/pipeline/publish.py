@@ -55,7 +55,7 @@ def publish(
     settings: folders, database and name of the map; default: CONETL_* of the environment. times: of the steps, for the page.
     """
     settings = settings or read_settings()
-    changeset, plan_view = committed.changeset, settings.drive_image_path(committed.drive.drive_id)
+    changeset, plan_view = committed.changeset, settings.drive_image_path(committed.changeset.drive_id)
     with ExitStack() as stack:
         database = database or stack.enter_context(MapDatabase(settings))
         conn = stack.enter_context(database.connection())
