@@ -13,7 +13,7 @@ from conetl.db.connection import Connection
 from conetl.db.copy_rows import Columns, clean_text, json_text
 from conetl.db.map import rows as map_rows
 from conetl.db.map.commit import insert_changeset, renew_statistics
-from conetl.db.map.map_store import map_for, require_map, system_time
+from conetl.db.map.map_store import require_map, system_time
 from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import MapInfo, Replay, RunInfo
 from conetl.db.map.rows import feature_of
@@ -82,13 +82,9 @@ def versions_of_ids(conn: Connection, info: MapInfo, feature_ids: Sequence[UUID]
 
 
 def add_import(
-    conn: Connection, imported: ImportedMap, idempotency_key: str, *, map_name: str, reconcile: ReconcileParams
+    conn: Connection, info: MapInfo, imported: ImportedMap, idempotency_key: str, reconcile: ReconcileParams
 ) -> UUID:
-    """Add an imported map as an event, so that its neighbourhood can be read; does not commit.
-
-    It counts once its changeset exists. Raises MapMismatchError if the map is in another CRS.
-    """
-    info = map_for(conn, map_name, imported.srid, imported.name)
+    """Add an imported map as an event that counts once its changeset exists; does not commit."""
     drive_uuid = uuid5(_NAMESPACE, f"{info.id_name}/{idempotency_key}")
     cells, cell_m = _cells(imported.statements)
     db.query(
@@ -104,16 +100,14 @@ def add_import(
 
 def commit_import(
     conn: Connection,
+    info: MapInfo,
     imported: ImportedMap,
     drive_uuid: UUID,
     changeset: Changeset,
     replay: Replay,
-    *,
-    map_name: str,
     run: RunInfo,
 ) -> None:
     """Write an import's statements and changeset, inside the caller's `map_transaction`. drive_uuid: of `add_import`."""
-    info = map_for(conn, map_name, imported.srid, imported.name)
     committed_at = system_time(conn, info)
     insert_changeset(conn, info, drive_uuid, changeset, None, run, committed_at)
     db.copy_columns(conn, "conetl.statement", _statement_columns(drive_uuid, info.srid, imported.statements))

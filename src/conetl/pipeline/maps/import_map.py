@@ -94,7 +94,7 @@ def import_map(
             _refuse_other_crs(conn, imported, info)
             _refuse_displaced(conn, imported, params, map_name)
         far = int(store.far_from_all(conn, info, _positions_m(imported.statements), FAR_M).sum())
-        drive_uuid = store.add_import(conn, imported, key, map_name=map_name, reconcile=params.reconcile)
+        drive_uuid = store.add_import(conn, info, imported, key, params.reconcile)
         evidence = DriveEvidence(
             key=(imported.stated_at_ns, imported.content_sha256, key),
             changeset_id=changeset.changeset_id,
@@ -123,7 +123,7 @@ def import_map(
                 "sha256": imported.content_sha256,
             },
         )
-        store.commit_import(conn, imported, drive_uuid, changeset, replay, map_name=map_name, run=run)
+        store.commit_import(conn, info, imported, drive_uuid, changeset, replay, run)
     counts = {kind: sum(delta.kind is kind for delta in deltas) for kind in DeltaKind}
     return ImportResult(changeset.changeset_id, True, counts, len(later), len(own), same_place, far)
 
