@@ -15,7 +15,6 @@ from prefect.artifacts import create_link_artifact, create_table_artifact
 from prefect.states import Completed, Failed
 from pydantic import Field
 
-from conetl.db.map.decision_store import held_drives
 from conetl.db.map.map_store import find_map
 from conetl.db.schema import run_audits
 from conetl.exports import FORMATS
@@ -47,11 +46,11 @@ def publish_map(
     """
     settings = read_settings(map_name)
     with alive(settings) as database, database.connection() as conn:
-        if find_map(conn, settings.map_name) is None:
+        info = find_map(conn, settings.map_name)
+        if info is None:
             return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
         wanted = list(FORMATS) if formats is None else formats
-        published, manifests = write_publication(conn, settings, wanted, folder or settings.exports_folder, as_of)
-        held = held_drives(conn, map_name=settings.map_name)
+        published, manifests, held = write_publication(conn, info, wanted, folder or settings.exports_folder, as_of)
     create_table_artifact(
         [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
         key="publication",

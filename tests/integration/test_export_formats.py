@@ -23,14 +23,13 @@ from pyproj import Transformer
 
 from conetl.db.connection import execute
 from conetl.db.map.import_store import set_licence
-from conetl.db.map.map_store import read_features_as_of
+from conetl.db.map.map_store import read_features_as_of, require_map
 from conetl.exports import FORMATS, text_files
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportContent, ExportRequest
 from conetl.model.errors import InputError
 from conetl.model.params import ImportParams
 from conetl.pipeline.nightly_publication import write_publication
-from conetl.pipeline.settings import Settings
 from conetl.readers.maps.imported_rows import read_map_file
 from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
 from tests.integration.test_reports import assert_loads_nothing
@@ -308,8 +307,8 @@ def test_a_failing_export_leaves_the_old_files(conn, tmp_path, monkeypatch, name
 
 
 def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
-    settings = Settings(database_url=conn.dsn)
-    published, manifests = write_publication(conn, settings, ["geojson", "geoparquet"], tmp_path)
+    info = require_map(conn, "default")
+    published, manifests, _ = write_publication(conn, info, ["geojson", "geoparquet"], tmp_path)
     latest = tmp_path / "latest"
     assert latest.resolve() == published
     maps = {f"default.{suffix}{more}" for suffix in ("geojson", "parquet") for more in ("", ".manifest.json")}
@@ -319,9 +318,9 @@ def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
     assert [m["rows"] for m in manifests] == [manifests[0]["rows"]] * 2
     monkeypatch.setattr(text_files, "write_features", lambda source, path: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        write_publication(conn, settings, ["geoparquet", "geojson"], tmp_path)
+        write_publication(conn, info, ["geoparquet", "geojson"], tmp_path)
     with pytest.raises(InputError, match="kml"):
-        write_publication(conn, settings, ["kml"], tmp_path)
+        write_publication(conn, info, ["kml"], tmp_path)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([published.name, "latest"])
     assert latest.resolve() == published
 

@@ -17,13 +17,13 @@ from pathlib import Path
 from typing import Any
 
 from conetl.db.connection import Connection
-from conetl.db.map.map_store import require_map
+from conetl.db.map.results import MapInfo
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest
 from conetl.files.atomic import LATEST, remove_leftovers, temporary_path
 from conetl.model.errors import InputError
-from conetl.pipeline.settings import Settings
+from conetl.model.health import HeldDrive
 from conetl.reports.night_page import write_night_page
 
 REPORT = "report.html"
@@ -31,12 +31,13 @@ REPORTED = timedelta(days=1)
 
 
 def write_publication(
-    conn: Connection, settings: Settings, formats: list[str], folder: Path, as_of: datetime | None = None
-) -> tuple[Path, list[dict[str, Any]]]:
-    """Write the map of `as_of` (None: latest) in `formats` to a new folder in `folder`; returns that folder and its files'
-    manifests.
+    conn: Connection, info: MapInfo, formats: list[str], folder: Path, as_of: datetime | None = None
+) -> tuple[Path, list[dict[str, Any]], list[HeldDrive]]:
+    """Write a map as of `as_of` (None: latest) in `formats` to a new folder in `folder`; that folder, the manifests of its files,
+    and the drives on hold.
 
-    Raises InputError for an unknown format, a missing map, or a folder that cannot be written.
+    info: the map as it is now: what is committed from now on is left out of every file alike. Raises InputError for an unknown
+    format, or a folder that cannot be written.
     """
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:
@@ -49,17 +50,15 @@ def write_publication(
         raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder") from error
     remove_leftovers([folder])
     try:
-        # The map after its last changeset: what is committed from now on is left out of every file alike.
-        believed_at = require_map(conn, settings.map_name).last_committed_at
-        request = ExportRequest(settings.map_name, as_of=as_of, believed_at=believed_at)
+        request = ExportRequest(info.map_name, as_of=as_of, believed_at=info.last_committed_at)
         manifests = [
-            export_map(conn, unfinished / f"{settings.map_name}{FORMATS[wanted].suffix}", wanted, request)
+            export_map(conn, unfinished / f"{info.map_name}{FORMATS[wanted].suffix}", wanted, request)
             for wanted in dict.fromkeys(formats)
         ]
         now = datetime.now(UTC)
-        facts = write_night_page(conn, unfinished / REPORT, map_name=settings.map_name, since=now - REPORTED, until=now)
+        facts = write_night_page(conn, unfinished / REPORT, map_name=info.map_name, since=now - REPORTED, until=now)
         held = [drive.model_dump(mode="json") for drive in facts.held]
-        content = {"map": settings.map_name, "report": REPORT, "held": held, "files": manifests}
+        content = {"map": info.map_name, "report": REPORT, "held": held, "files": manifests}
         (unfinished / "publication.json").write_text(json.dumps(content, indent=2) + "\n")
         unfinished.replace(folder / name)
     except BaseException:
@@ -68,4 +67,4 @@ def write_publication(
     fresh = temporary_path(folder / LATEST)
     fresh.symlink_to(name)
     fresh.replace(folder / LATEST)  # replaces the old link in one step
-    return folder / name, manifests
+    return folder / name, manifests, facts.held
