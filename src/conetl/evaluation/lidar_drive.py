@@ -102,7 +102,7 @@ def _check_pair(
 ) -> tuple[list[steps.LidarResidual], list[StereoMatch], Floats]:
     """Residuals of one pair with their matches, and its samples of the scene; points_left (N, 3) in the left camera's frame."""
     paths = Path(pair.left_path), Path(pair.right_path)
-    (left, right), detections, matches, _ = match_images(paths, rig, detector, params, pair)
+    ((left, boxes), (right, _)), matches, _ = match_images(paths, rig, detector, params, pair)
     up = map_SE3_left(pair.pose, rig)[2, :3]
     by_index = {match.match_index: match for match in matches if match.refined}
     positions, _ = locate_positions(matches, [pair], rig, params.position)
@@ -117,4 +117,4 @@ def _check_pair(
             foot, cov = np.array(position.camera_xyz_m), cov_matrix(position.camera_cov_m2)
             residuals.append(steps.residual(match, foot, cov, lidar, up))
             used.append(match)
-    return residuals, used, scene_samples(points_left, left, right, rig, detections[0], seed=pair.frame_index)
+    return residuals, used, scene_samples(points_left, left, right, rig, boxes, seed=pair.frame_index)

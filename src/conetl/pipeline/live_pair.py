@@ -131,10 +131,10 @@ def process_pair(
     pair, sides = search.pair, search.images()
     started, processor_s = time.monotonic(), time.thread_time()
     params = detectors.params
-    matched = match_searched([side.found for side in sides], drive.rig, params, pair)
-    positions, _ = locate_positions(matched.matches, [pair], drive.rig, params.position)
-    left, right = matched.detections
-    frame = LiveFrame(pair, (*left, *right), tuple(matched.matches), tuple(positions))
+    matches, _ = match_searched([side.found for side in sides], drive.rig, params, pair)
+    positions, _ = locate_positions(matches, [pair], drive.rig, params.position)
+    detections = [box for side in sides for box in side.found[1]]
+    frame = LiveFrame(pair, tuple(detections), tuple(matches), tuple(positions))
     tracks, changed = add_frame(drive.tracks, frame, drive.rig, params, detectors.evidence)
     cones = {number: found for number, found in changed.items() if isinstance(found, Track)}
     taken_back = [number for number in changed if number not in cones and number in drive.standing]

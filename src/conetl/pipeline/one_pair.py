@@ -43,16 +43,6 @@ def search_image(
     return image, to_detections(boxes, frame_index=frame_index, side=side, params=params, categories=names)[0]
 
 
-class MatchedPair(NamedTuple):
-    """Detections and matches of one pair; images, detections: left and right."""
-
-    images: list[Image]
-    detections: list[list[Detection]]
-    matches: list[StereoMatch]
-    rejections: list[Rejection]
-    """Of matching."""
-
-
 class LocatedPair(NamedTuple):
     """Cones and other objects of one pair without a trajectory."""
 
@@ -70,29 +60,29 @@ class LocatedPair(NamedTuple):
 
 def match_images(
     paths: tuple[Path, Path], rig: Rig, detector: Detector, params: IngestParams, pair: FramePair | None = None
-) -> MatchedPair:
-    """Detect cones in both images and match them. pair: with its pose, the area above the horizon is skipped.
+) -> tuple[list[tuple[Image, list[Detection]]], list[StereoMatch], list[Rejection]]:
+    """Detect cones in both images and match them: each image with its detections, the matches, and rejections of matching.
 
-    Raises ImageFileError.
+    pair: with its pose, the area above the horizon is skipped. Raises ImageFileError.
     """
     sides = zip(SIDES, paths, strict=True)
     found = [search_image(path, rig, side, detector, params.detection, pair) for side, path in sides]
-    return match_searched(found, rig, params, pair)
+    return found, *match_searched(found, rig, params, pair)
 
 
 def match_searched(
     found: Sequence[tuple[Image, list[Detection]]], rig: Rig, params: IngestParams, pair: FramePair | None
-) -> MatchedPair:
+) -> tuple[list[StereoMatch], list[Rejection]]:
     """Match what `search_image` found in the left and the right image of a pair."""
     (left_image, left), (right_image, right) = found
     up = up_in_left_camera(rig) if pair is None else map_SE3_left(pair.pose, rig)[2, :3]
-    matches, rejections = match_pair(left, right, rig, params.match, up_left=up, images=(left_image, right_image))
-    return MatchedPair([left_image, right_image], [left, right], matches, rejections)
+    return match_pair(left, right, rig, params.match, up_left=up, images=(left_image, right_image))
 
 
 def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: IngestParams) -> LocatedPair:
     """Objects of one stereo pair in the frame of the left camera. Raises ImageFileError."""
-    _, detections, matches, refused = match_images(paths, rig, detector, params)
+    searched, matches, refused = match_images(paths, rig, detector, params)
+    detections = [found for _, found in searched]
     located, more = locate_in_camera(matches, rig, params.position)
     located.sort(key=lambda one: one.ground_distance_m)
     # No second pair distinguishes a cone from a sign, but its height must be that of a cone, as in a drive.
