@@ -20,7 +20,7 @@ import numpy as np
 
 from conetl.db.connection import Connection, sql_directory, transaction
 from conetl.db.live_store import drop_watched_recording
-from conetl.db.map.decision_store import held_drives, replaced_by_delivery
+from conetl.db.map.decision_store import held_drives, why_not_counted
 from conetl.db.map.map_store import drive_transaction, find_changeset, find_map, read_features_as_of
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.files.parquet_store import result_key
@@ -87,23 +87,10 @@ def already_committed(
         with transaction(conn, "Provisional features cannot be removed"):  # it may have been watched again since
             drop_watched_recording(conn, drive, map_name=settings.map_name)
         held = held_drives(conn, map_name=settings.map_name) if known.hold else []
-        not_counted = None if known.counts or known.hold else _why_not_counted(conn, known)
+        not_counted = None if known.counts or known.hold else why_not_counted(conn, known)
     checks = next((one.checks for one in held if one.changeset_id == known.changeset_id), ())
     facts = {"health": checks, "not_counted": not_counted, "model_sha256": changeset.model_sha256}
     return report_of(known, settings.map_name).model_copy(update=facts)
-
-
-def _why_not_counted(conn: Connection, known: CommittedChangeset) -> str:
-    later = replaced_by_delivery(conn, known.changeset_id)
-    if later is None:
-        return (
-            f"its changeset {known.changeset_no} was reverted. `conetl map decisions` shows by whom and why; to put it in effect "
-            "again, revert that decision with `conetl map revert ID`"
-        )
-    return (
-        f"a later analysis or delivery of the same recording (changeset {later}) replaced it. To use this one instead, run "
-        f"`conetl map revert {later}`"
-    )
 
 
 def commit(

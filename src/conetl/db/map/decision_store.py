@@ -8,7 +8,7 @@ from uuid import UUID, uuid4
 
 from conetl.db.connection import Connection, query, read
 from conetl.db.copy_rows import clean_text, json_text
-from conetl.db.map.results import DecisionTarget, MapInfo, StoredDecision
+from conetl.db.map.results import CommittedChangeset, DecisionTarget, MapInfo, StoredDecision
 from conetl.model.health import HealthCheck, HeldDrive, HoldChange, HoldEvent, hold_reason
 from conetl.model.map_records import Classification, Decisions, Location
 
@@ -158,6 +158,20 @@ def replaced_by_delivery(conn: Connection, changeset_id: UUID) -> int | None:
     """Number of the later delivery of the recording that replaced a changeset; None if there is none."""
     rows = read(conn, "The deliveries of the drive cannot be read", "holds.replaced_by", changeset_id=changeset_id)
     return rows[0]["changeset_no"] if rows else None
+
+
+def why_not_counted(conn: Connection, known: CommittedChangeset) -> str:
+    """Why a changeset that is not on hold is not in effect, and what to do."""
+    later = replaced_by_delivery(conn, known.changeset_id)
+    if later is None:
+        return (
+            f"its changeset {known.changeset_no} was reverted. `conetl map decisions` shows by whom and why; to put it in effect "
+            "again, revert that decision with `conetl map revert ID`"
+        )
+    return (
+        f"a later analysis or delivery of the same recording (changeset {later}) replaced it. To use this one instead, run "
+        f"`conetl map revert {later}`"
+    )
 
 
 def map_checks(conn: Connection, changeset_id: UUID) -> tuple[HealthCheck, ...]:

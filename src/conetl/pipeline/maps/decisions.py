@@ -17,7 +17,7 @@ from conetl.db.map import decision_store as store
 from conetl.db.map import replay_store as replays
 from conetl.db.map.decision_store import hold_changes
 from conetl.db.map.map_store import find_features, list_changesets, map_transaction, require_map, system_time
-from conetl.db.map.results import CommittedChangeset, DecisionTarget, MapInfo, Replay
+from conetl.db.map.results import DecisionTarget, MapInfo, Replay
 from conetl.mapping.history import is_within
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.feature_classes import FEATURE_CLASSES
@@ -178,7 +178,10 @@ def accept_drive(
         ]
         held = [known for known in found if known.hold is not None]
         if not held:
-            state = _not_held(conn, found[0]) if found else "see `conetl drive held`"
+            state = "see `conetl drive held`"
+            if found:
+                counts, number = found[0].counts, found[0].changeset_no
+                state = f"changeset {number} is already in effect" if counts else store.why_not_counted(conn, found[0])
             raise ConflictError(f"no drive {drive} is on hold on the map {map_name}: {state}")
         if len(held) > 1:
             raise InputError(f"{len(held)} drives {drive} are on hold: give the number that `conetl drive held` lists")
@@ -218,20 +221,6 @@ def _open_decision(
         decided_at = system_time(conn, info)
         insert = partial(store.insert_decision, conn, info, decided_at=decided_at, note=note, decided_by=decided_by)
         yield _OpenDecision(info, decided_at, insert, store.held_drives(conn, map_name=map_name))
-
-
-def _not_held(conn: Connection, known: CommittedChangeset) -> str:
-    """Why a changeset that is not on hold cannot be accepted."""
-    number = known.changeset_no
-    if known.counts:
-        return f"changeset {number} is already in effect"
-    later = store.replaced_by_delivery(conn, known.changeset_id)
-    if later is None:
-        return f"changeset {number} was reverted, see `conetl map decisions`"
-    return (
-        f"a later delivery of the drive replaced changeset {number}. To use this one instead, first revert the later one with "
-        f"`conetl map revert {later}`"
-    )
 
 
 def _outcome(
