@@ -123,7 +123,9 @@ def serve(map_: Planted) -> None:
     page = {"first_row": 0, "max_rows": 100}
     store.review_page(conn, "default", "changes", change="moved", moved_from_m=0.0, **page)
     store.review_page(conn, "default", "doubtful", least=0.1, most=1.0, **page)
-    standing = store.read_features(conn, "default", None, None, 1000)
+    standing = store.read_rows(
+        conn, "serving.features", map_name="default", valid_at="infinity", known_at="infinity", max_rows=1000
+    )
     store.last_changes(conn, "default", [row["feature_id"] for row in standing])
     store.track_ranges(conn, [(drive_uuid, track.track_index) for track in map_.drive.tracks[::2]])
     store.read_frame_boxes(conn, drive_uuid, 100)

@@ -46,14 +46,6 @@ def read_origin(conn: Connection, map_name: str) -> tuple[float, float, float] |
     return easting, northing, height
 
 
-def read_features(
-    conn: Connection, map_name: str, valid_at: datetime | None, known_at: datetime | None, max_rows: int
-) -> list[Row]:
-    """Standing features at `valid_at` (None: latest) as known at `known_at` (None: now), by id."""
-    instants = {"valid_at": or_infinity(valid_at), "known_at": or_infinity(known_at)}
-    return read_rows(conn, "serving.features", map_name=map_name, max_rows=max_rows, **instants)
-
-
 def read_feature_history(
     conn: Connection, map_name: str, feature_id: UUID, known_at: datetime | None = None
 ) -> list[Row]:

@@ -18,7 +18,7 @@ from conetl.model.rig import Rig
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
-from conetl.web.parameters import MAX_FEATURES, ChangesetNo, Instant, MapName, Reader, cut, origin_of
+from conetl.web.parameters import MAX_FEATURES, ChangesetNo, Instant, MapName, Reader, origin_of
 
 router = APIRouter(tags=["maps"])
 _MAP = "/maps/{map_name}"
@@ -52,7 +52,8 @@ def timeline(map_name: MapName, conn: Reader) -> m.Timeline:
 def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at: Instant = None) -> m.Features:
     """Features on the road at `valid_at`, in the state of the database at `known_at`."""
     origin = origin_of(conn, map_name)
-    found, truncated = cut(store.read_features(conn, map_name, valid_at, known_at, MAX_FEATURES + 1), MAX_FEATURES)
+    instants = {"valid_at": or_infinity(valid_at), "known_at": or_infinity(known_at)}
+    found, truncated = store.read_some(conn, "serving.features", MAX_FEATURES, map_name=map_name, **instants)
     points, lines = to.by_geometry(found)
     return m.Features(
         origin_m=origin,
