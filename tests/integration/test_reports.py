@@ -105,7 +105,7 @@ def test_the_report_of_a_drive(shown: Any, latest: CommittedChangeset, samples: 
     assert [(line["reason"], line["count"]) for line in facts.rejections] == [("never_near", 2), ("image_truncated", 1)]
     assert [(s["step"], s["busy_s"]) for s in facts.header["steps"]] == [("detect", 3.0), ("merge", 0.25)]
     # moved: before and after; added: this drive; each with a left and a right crop
-    images = images_of(shown, facts, facts.changes)
+    images = images_of(shown, facts)
     assert {facts.changes[n - 1]["kind"]: [len(p.crops) for p in pairs] for n, pairs in images.items()} == {
         DeltaKind.REMOVED: [2, 0], DeltaKind.MOVED: [2, 2], DeltaKind.ADDED: [2],
     }  # fmt: skip
@@ -116,7 +116,7 @@ def test_a_missing_image_is_left_out(shown: Any, latest: CommittedChangeset) -> 
     facts = read_drive_facts(shown, latest, map_name="default")
     gone = replace(facts, header=facts.header | {"source_path": "/nowhere"})
     assert "no image" in drive_page(shown, latest, map_name="default")  # of the cone that is gone
-    assert images_of(shown, gone, facts.changes)[2][0].crops  # the drive before still has its own
+    assert images_of(shown, gone)[2][0].crops  # the drive before still has its own
 
 
 def test_alerts(shown: Any, latest: CommittedChangeset) -> None:

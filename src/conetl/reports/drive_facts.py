@@ -10,7 +10,7 @@ import numpy as np
 from conetl.db.connection import Connection, read, stream_values
 from conetl.db.map.decision_store import hold_events, map_checks
 from conetl.db.map.drive_store import read_frame_pairs, read_tracks
-from conetl.db.map.map_store import list_changesets, read_features_as_of, require_map
+from conetl.db.map.map_store import list_changesets, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.serve_store import read_rows
 from conetl.geometry.rig import map_SE3_left
@@ -41,7 +41,6 @@ class DriveFacts:
     """The content of the page of a drive, except the images."""
 
     map_name: str
-    srid: int
     changeset: CommittedChangeset
     header: Row
     """The row of `reports.changeset`. facts: trajectory, calibration, versions; steps: step, task_count, busy_s, started_s,
@@ -130,7 +129,6 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     residuals = residuals.reshape(-1, 3).astype(np.float64)
     return DriveFacts(
         map_name=map_name,
-        srid=require_map(conn, map_name).srid,
         changeset=changeset,
         header=header,
         rig=rig,

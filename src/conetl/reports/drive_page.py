@@ -81,7 +81,7 @@ def _page_and_plan(conn: Connection, changeset: CommittedChangeset, *, map_name:
         marks.append(figures.PlanMark(c["category"], c["kind"], c["xyz_m"][:2], old_xy_m, label))
     plan = figures.png(
         draw_plan(
-            PlanContent(facts.srid, marks, facts.markings, [facts.path_m], others=figures.NOT_EVALUATED),
+            PlanContent(changeset.map_srid, marks, facts.markings, [facts.path_m], others=figures.NOT_EVALUATED),
             title=f"Drive {changeset.drive_id}, {utc_from_ns(changeset.captured_from_ns):%Y-%m-%d %H:%M} UTC",
             footer=f"map {map_name} · grid north · conetl",
         )
@@ -97,7 +97,7 @@ def _page_and_plan(conn: Connection, changeset: CommittedChangeset, *, map_name:
         counts=_counts(facts),
         kinds=[(kind, sum(c["kind"] is kind for c in facts.changes)) for kind in DeltaKind],
         changed=[c for c in facts.changes if c["kind"] is not DeltaKind.CONFIRMED],
-        images=images_of(conn, facts, facts.changes),
+        images=images_of(conn, facts),
         max_illustrated=MAX_ILLUSTRATED,
         confirmed=confirmed[:_MAX_CONFIRMED],
         confirmed_left_out=max(len(confirmed) - _MAX_CONFIRMED, 0),
@@ -256,9 +256,9 @@ class PairOfCrops:
     missing: str = ""
 
 
-def images_of(conn: Connection, facts: DriveFacts, changes: Sequence[Row]) -> dict[int, list[PairOfCrops]]:
+def images_of(conn: Connection, facts: DriveFacts) -> dict[int, list[PairOfCrops]]:
     """Pairs of crops, earlier ones first, by number of the change; of at most `MAX_ILLUSTRATED`, confirmations excluded."""
-    shown = [change for change in changes if change["kind"] is not DeltaKind.CONFIRMED][:MAX_ILLUSTRATED]
+    shown = [change for change in facts.changes if change["kind"] is not DeltaKind.CONFIRMED][:MAX_ILLUSTRATED]
     drive = observations_of_drive(facts.rig, facts.frame_pairs, (), ())
     return {change["number"]: _of_change(conn, facts, change, drive) for change in shown}
 
