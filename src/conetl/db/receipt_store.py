@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, connect, database_errors, query, transaction
+from conetl.db.connection import Connection, connect, database_errors, query, read, transaction
 from conetl.files.atomic import write_json
 from conetl.files.names import file_name_part, printable
 from conetl.model.base import Vec3
@@ -35,6 +35,7 @@ State = Literal["started", "committed", "held", "known", "failed", "crashed"]
 CHECK_EVERY_S = 1.0
 #: A run that has just committed publishes its changes itself within this time.
 QUIET = timedelta(minutes=2)
+_UNREAD = "The receipts cannot be read"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +90,7 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
     parameters = {k: printable(v) if isinstance(v, str) else v for k, v in asdict(receipt).items()}
     with transaction(conn, f"The receipt of drive {receipt.drive_id} cannot be written"):
         query(conn, "receipts.insert_receipt", **parameters)
-        written = _latest(conn, receipt.map_name, [receipt.header_sha256])
+        written = latest_receipts(conn, map_name=receipt.map_name, headers=[receipt.header_sha256])
     name = f"{file_name_part(receipt.drive_id)}-{receipt.header_sha256[:12]}.json"
     try:
         content = asdict(written[receipt.header_sha256]) if written else parameters
@@ -100,41 +101,36 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
 
 def latest_receipts(conn: Connection, *, map_name: str, headers: Sequence[str]) -> dict[str, Receipt]:
     """The last receipt of drives of a map, by header_sha256."""
-    with transaction(conn, "The receipts cannot be read"):
-        return _latest(conn, map_name, headers)
+    rows = read(conn, _UNREAD, "receipts.latest_receipts", map_name=map_name, headers=list(headers))
+    return {row["header_sha256"]: Receipt(**row) for row in rows}
 
 
 def attempt_ends(conn: Connection, attempt_ids: Sequence[UUID]) -> dict[UUID, Receipt]:
     """The receipts of attempts that ended, by attempt."""
-    with transaction(conn, "The receipts cannot be read"):
-        rows = query(conn, "receipts.receipt_ends", attempt_ids=[str(a) for a in attempt_ids])
+    rows = read(conn, _UNREAD, "receipts.receipt_ends", attempt_ids=[str(a) for a in attempt_ids])
     return {row["attempt_id"]: Receipt(**row) for row in rows}
 
 
 def headers_by_changeset(conn: Connection, *, map_name: str) -> dict[UUID, set[str]]:
     """Header hashes of the folders of drives by their changesets; nothing of those that were ingested by hand."""
-    with transaction(conn, "The receipts cannot be read"):
-        rows = query(conn, "receipts.headers_by_changeset", map_name=map_name)
+    rows = read(conn, _UNREAD, "receipts.headers_by_changeset", map_name=map_name)
     return {row["changeset_id"]: set(row["headers"]) for row in rows}
 
 
 def pairs_per_second(conn: Connection, *, map_name: str) -> float | None:
     """Median frame pairs per second of recent drives; None if none was timed."""
-    with transaction(conn, "The receipts cannot be read"):
-        rate = query(conn, "receipts.pairs_per_second", map_name=map_name)[0]["pairs_per_second"]
+    rate = read(conn, _UNREAD, "receipts.pairs_per_second", map_name=map_name)[0]["pairs_per_second"]
     return None if rate is None else float(rate)
 
 
 def held_locks(conn: Connection, names: Sequence[str]) -> set[str]:
     """Those of the locks that a running process holds."""
-    with transaction(conn, "The locks cannot be read"):
-        return {row["name"] for row in query(conn, "locks.held_locks", names=list(names))}
+    return {row["name"] for row in read(conn, "The locks cannot be read", "locks.held_locks", names=list(names))}
 
 
 def drives_under_way(conn: Connection, *, map_name: str) -> list[str]:
     """Ids of the drives that are being ingested into the map by a running process."""
-    with transaction(conn, "The receipts cannot be read"):
-        begun = query(conn, "receipts.under_way", map_name=map_name)
+    begun = read(conn, _UNREAD, "receipts.under_way", map_name=map_name)
     held = held_locks(conn, [drive_lock(map_name, row["header_sha256"]) for row in begun])
     return sorted(row["drive_id"] for row in begun if drive_lock(map_name, row["header_sha256"]) in held)
 
@@ -165,11 +161,6 @@ def end_crashed(conn: Connection, started: Receipt, reason: str, folder: Path) -
         crashed = replace(started, state="crashed", reason=reason, may_pass=True, at=None)
         write_receipt(conn, crashed, folder)
         return crashed
-
-
-def _latest(conn: Connection, map_name: str, headers: Sequence[str]) -> dict[str, Receipt]:
-    rows = query(conn, "receipts.latest_receipts", map_name=map_name, headers=list(headers))
-    return {row["header_sha256"]: Receipt(**row) for row in rows}
 
 
 @contextmanager
@@ -283,8 +274,8 @@ def is_published(conn: Connection, changeset_id: UUID) -> bool:
 
 def pending_changesets(conn: Connection, *, map_name: str, quiet: timedelta) -> list[UUID]:
     """Changesets of drives that were not published, oldest first, except those committed within `quiet`."""
-    with transaction(conn, "The pending changesets cannot be read"):
-        rows = query(conn, "commit.pending_changesets", map_name=map_name, quiet_s=quiet.total_seconds())
+    what, wanted = "The pending changesets cannot be read", {"map_name": map_name, "quiet_s": quiet.total_seconds()}
+    rows = read(conn, what, "commit.pending_changesets", **wanted)
     return [row["changeset_id"] for row in rows]
 
 

@@ -54,9 +54,8 @@ class PrunableDrive:
 
 def prunable_drives(conn: Connection, before: datetime) -> list[PrunableDrive]:
     """Drives of all maps that were recorded and committed before an instant and still have their raw records."""
-    with db.transaction(conn, "The drives cannot be read"):
-        found = db.query(conn, "retention.prunable_drives", before=before)
-    return [PrunableDrive(**row) for row in found]
+    rows = db.read(conn, "The drives cannot be read", "retention.prunable_drives", before=before)
+    return [PrunableDrive(**row) for row in rows]
 
 
 def prune_drives(conn: Connection, drives: Sequence[PrunableDrive], *, now: datetime | None = None) -> int:
