@@ -13,7 +13,7 @@ from conetl.cli.console import JsonOption, answer, parse_size, print_json, print
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectify
 from conetl.model.errors import InputError
-from conetl.model.rig import Camera, Rig, Side
+from conetl.model.rig import SIDES, Rig, Side
 from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, WRITERS, read_rig_and_format
 
 SizeOption = Annotated[
@@ -55,12 +55,12 @@ def show(
         ("image size", f"{rig.left.width_px} x {rig.left.height_px}", f"{rig.right.width_px} x {rig.right.height_px}")
     ]
     interior += [
-        (name, *(_cell(getattr(camera, name), sigmas, f"{side}.{name}") for side, camera in _cameras(rig)))
+        (name, *(_cell(getattr(rigs.camera_of(rig, side), name), sigmas, f"{side}.{name}") for side in SIDES))
         for name in ("fx_px", "fy_px", "cx_px", "cy_px")
-    ]  # fmt: skip
+    ]
     interior.append(("lens", rig.left.lens.model, rig.right.lens.model))
     for i in range(max(len(rig.left.lens.coefficients), len(rig.right.lens.coefficients))):
-        interior.append((f"lens.{i}", *(_coefficient(camera, side, i, sigmas) for side, camera in _cameras(rig))))
+        interior.append((f"lens.{i}", *(_coefficient(rig, side, i, sigmas) for side in SIDES)))
     print_table("Interior orientation", ("parameter", "left", "right"), interior)
     print_table("Exterior orientation", ("parameter", "value"), _exterior(rig, sigmas))
     say(_usage(rig))
@@ -104,14 +104,11 @@ def convert(
             raise InputError(f"--scale-to {scale_to}: {source}: {error}") from error
     WRITERS[to](rig, target)
     lost = _lost(rig, to)
-    text = f"{source}: {FORMAT_NAMES[found]} -> {target}: {_name(to)}"
+    name = {str(kind): name for kind, name in FORMAT_NAMES.items()}[to]
+    text = f"{source}: {FORMAT_NAMES[found]} -> {target}: {name}"
     if lost:
-        text += f"\n{_name(to)} cannot store {' and '.join(lost)}"
+        text += f"\n{name} cannot store {' and '.join(lost)}"
     answer(as_json, {"read_as": found, "written": str(target), "format": to, "not_written": lost}, text)
-
-
-def _name(kind: str) -> str:
-    return {str(key): name for key, name in FORMAT_NAMES.items()}[kind]
 
 
 def _lost(rig: Rig, to: str) -> list[str]:
@@ -123,20 +120,15 @@ def _lost(rig: Rig, to: str) -> list[str]:
     return [*body, *covariance]
 
 
-def _cameras(rig: Rig) -> tuple[tuple[Side, Camera], tuple[Side, Camera]]:
-    return ("left", rig.left), ("right", rig.right)
-
-
 def _cell(value: float, sigmas: dict[str, float], name: str) -> str:
     places = next((count for ending, count in _DECIMALS.items() if name.endswith(ending)), 6)
     sigma = sigmas.get(name)
     return f"{value:.{places}f}" + ("" if sigma is None else f" ± {sigma:.{places}f}")
 
 
-def _coefficient(camera: Camera, side: Side, index: int, sigmas: dict[str, float]) -> str:
-    if index >= len(camera.lens.coefficients):
-        return ""
-    return _cell(camera.lens.coefficients[index], sigmas, f"{side}.lens.{index}")
+def _coefficient(rig: Rig, side: Side, index: int, sigmas: dict[str, float]) -> str:
+    known = rigs.camera_of(rig, side).lens.coefficients
+    return _cell(known[index], sigmas, f"{side}.lens.{index}") if index < len(known) else ""
 
 
 def _exterior(rig: Rig, sigmas: dict[str, float]) -> list[tuple[str, str]]:
