@@ -22,7 +22,6 @@ import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from subprocess import CompletedProcess
 from typing import Literal
 from urllib.parse import quote
 from uuid import uuid4
@@ -156,23 +155,17 @@ def _initialise(location: ClusterLocation, install: PostgresInstall) -> None:
     """
     new = f"{NEW_DATA_PREFIX}{uuid4().hex}"
     initdb = [install.program("initdb"), "-D", new, "-U", SUPERUSER, "-A", "peer", "-E", "UTF8", "--locale=C", "-k"]
-    _require_success(run_as(location, initdb, timeout_s=120), "PostgreSQL could not create a new cluster", location)
+    _run(location, initdb, "PostgreSQL could not create a new cluster", timeout_s=120)
     allowed = dict.fromkeys([location.user.pw_name, location.caller_name, "root"])
     _write_as(location, f"{new}/pg_hba.conf", f"local all all peer map={SUPERUSER}\n")
     _write_as(location, f"{new}/pg_ident.conf", "".join(f'{SUPERUSER} "{n}" {SUPERUSER}\n' for n in allowed if n))
     single = [install.program("postgres"), "--single", "-D", new, "postgres"]
-    made = run_as(location, single, stdin=f"create database {DATABASE}\n", timeout_s=120)
-    if any(word in made.stdout for word in ("ERROR:", "FATAL:", "PANIC:")):
-        raise DatabaseError(
-            f"PostgreSQL could not create the database {DATABASE} in {location.directory}: {made.stdout.strip()}"
-        )
-    _require_success(made, f"PostgreSQL could not create the database {DATABASE}", location)
-    _require_success(
-        run_as(location, ["mkdir", "-p", "log"], timeout_s=10), "the log folder could not be created", location
-    )
-    _require_success(
-        run_as(location, ["mv", "-T", new, "data"], timeout_s=10), "the new cluster could not be renamed", location
-    )
+    what, statement = f"PostgreSQL could not create the database {DATABASE}", f"create database {DATABASE}\n"
+    said = _run(location, single, what, stdin=statement, timeout_s=120)
+    if any(word in said for word in ("ERROR:", "FATAL:", "PANIC:")):  # it ends with success
+        raise DatabaseError(f"{what} in {location.directory}: {said.strip()}")
+    _run(location, ["mkdir", "-p", "log"], "the log folder could not be created")
+    _run(location, ["mv", "-T", new, "data"], "the new cluster could not be renamed")
 
 
 def _start(location: ClusterLocation, install: PostgresInstall) -> None:
@@ -267,13 +260,15 @@ def _wait_until_answering(location: ClusterLocation, timeout_s: float) -> bool:
 
 
 def _write_as(location: ClusterLocation, relative_path: str, text: str) -> None:
-    done = run_as(location, ["sh", "-c", 'cat > "$0"', relative_path], stdin=text, timeout_s=10)
-    _require_success(done, f"{relative_path} could not be written", location)
+    _run(location, ["sh", "-c", 'cat > "$0"', relative_path], f"{relative_path} could not be written", stdin=text)
 
 
-def _require_success(done: CompletedProcess[str], what: str, location: ClusterLocation) -> None:
+def _run(location: ClusterLocation, command: list[str], what: str, *, stdin: str = "", timeout_s: float = 10) -> str:
+    """Run a command as the cluster's user; what it printed. Raises `DatabaseError` that says `what` if it fails."""
+    done = run_as(location, command, stdin=stdin, timeout_s=timeout_s)
     if done.returncode != 0:
         raise DatabaseError(f"{what} in {location.directory} (as user {location.user.pw_name}): {done.stdout.strip()}")
+    return done.stdout
 
 
 def _log_files(location: ClusterLocation) -> list[Path]:
