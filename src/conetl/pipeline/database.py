@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from functools import cached_property
 
 from conetl.db.cluster.cluster import cluster_up
 from conetl.db.connection import Connection, connect
@@ -45,7 +46,6 @@ class MapDatabase:
     def __init__(self, settings: Settings) -> None:
         self._settings = settings
         self._conn: Connection | None = None
-        self._url: str | None = None
 
     def __enter__(self) -> MapDatabase:
         return self
@@ -54,27 +54,24 @@ class MapDatabase:
         if self._conn is not None:
             self._conn.close()
 
-    @property
+    @cached_property
     def url(self) -> str:
         """Its address; the schema is up to date."""
-        if self._url is None:
-            url = database_url(self._settings)
-            self._conn = connect(url)
-            migrate(self._conn)
-            self._url = url
-        return self._url
+        url = database_url(self._settings)
+        self._conn = connect(url)
+        migrate(self._conn)
+        return url
 
     @contextmanager
     def connection(self) -> Iterator[Connection]:
         """The connection, with no transaction open before and after. Raises DatabaseError."""
         url = self.url
-        if self._conn is None or self._conn.closed or not is_alive(self._conn):
-            if self._conn is not None:
-                self._conn.close()
-            self._conn = connect(url)
-        conn = self._conn
+        if self._conn is not None and not is_alive(self._conn):
+            self._conn.close()
+            self._conn = None
+        conn = self._conn = self._conn or connect(url)
         try:
             yield conn
         finally:
-            if not conn.closed and is_alive(conn):
+            if is_alive(conn):
                 conn.rollback()
