@@ -58,7 +58,7 @@ class ExtraSteps(NamedTuple):
 NO_EXTRAS = ExtraSteps()
 
 
-def detect(chunk: Chunk, part: int, rig: Rig, extras: ExtraSteps = NO_EXTRAS, tick: Tick | None = None) -> Detected:
+def detect(chunk: Chunk, part: int, rig: Rig, extras: ExtraSteps = NO_EXTRAS, tick: Tick = no_tick) -> Detected:
     """Detections in both images of one part of a chunk, and its matches, stored for `match`.
 
     The right image is searched along epipolar lines, and everywhere in some pairs of every block (`epipolar_search.py`). rig: of
@@ -72,7 +72,7 @@ def detect(chunk: Chunk, part: int, rig: Rig, extras: ExtraSteps = NO_EXTRAS, ti
     if extras.markings:
         steps.append(find_marking_points(chunk, part, rig, read))
     together = zip_longest(*steps)
-    detections = _detections(chunk, part, rig, read, together, tick or no_tick)
+    detections = _detections(chunk, part, rig, read, together, tick)
     deque(together, maxlen=0)
     return Detected(
         detections,

@@ -99,8 +99,8 @@ class ProgressCount:
         self._total, self._done = total, 0
         self._progress = progress or (lambda *_: None)
         self._lock = threading.Lock()
-        self.tick: Tick | None = self.add if executor.shares_memory else None
-        """For steps to call as they go on; None where they run in other processes and are counted when they are done."""
+        self.tick: Tick = self.add if executor.shares_memory else no_tick
+        """For steps to call as they go on; steps in other processes are counted when they are done."""
         self.add(0)
 
     def add(self, count: int) -> None:
@@ -110,7 +110,7 @@ class ProgressCount:
 
     def follow(self, step: Submitted, count: int) -> None:
         """Count a step of another process when it is done."""
-        if self.tick is None:
+        if self.tick is no_tick:
             step.add_done_callback(lambda _: self.add(count))
 
 

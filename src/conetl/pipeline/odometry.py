@@ -26,7 +26,7 @@ from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, load_matches, parts_of
-from conetl.pipeline.executor import Tick, no_tick
+from conetl.pipeline.executor import Tick
 from conetl.tracking.checks.exposures import check_lost_frames, right_camera_ahead
 from conetl.tracking.checks.foreign_images import check_recording
 from conetl.tracking.checks.poses import check_trajectory
@@ -42,7 +42,7 @@ _PAIRS_AT_ONCE = 8
 _SPANS_OF_PIECE = 20
 
 
-def track_motions(chunk: Chunk, part: int, rig: Rig, read: ImageReader, tick: Tick | None = None) -> Iterator[None]:
+def track_motions(chunk: Chunk, part: int, rig: Rig, read: ImageReader, tick: Tick) -> Iterator[None]:
     """Motions of one part of a chunk, also to the first frame pair after it.
 
     Each step reads one more pair by `read`; the last step stores the motions. rig: of the drive after its self-calibration. tick:
@@ -51,7 +51,7 @@ def track_motions(chunk: Chunk, part: int, rig: Rig, read: ImageReader, tick: Ti
     own, params = _part(chunk, part), chunk.params.trajectory
     key = _motions_key(own, rig)
     if has_result(chunk.results_folder, key):
-        (tick or no_tick)(len(own.frame_pairs) - 1)
+        tick(len(own.frame_pairs) - 1)
         return
     set_up_worker()
     yield  # the first motion needs two pairs
@@ -59,7 +59,7 @@ def track_motions(chunk: Chunk, part: int, rig: Rig, read: ImageReader, tick: Ti
     followed = follow_drive(own.frame_pairs, own.rig, _prefetching(read, own.frame_pairs), params)
     for motion in motions_of(followed, own.frame_pairs, rig, params):
         found.append(motion)
-        (tick or no_tick)(1)
+        tick(1)
         yield
     save_result(chunk.results_folder, key, found, [])
 
