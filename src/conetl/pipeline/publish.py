@@ -66,16 +66,14 @@ def publish(
     return PublishedFiles(geojson, plan_view, page)
 
 
-def renew_pages(conn: Connection, changeset_ids: Collection[UUID], settings: Settings) -> list[Path]:
-    """Rewrite existing QA reports of drives, for example after one went on hold or was released; returns their paths.
-
-    Raises InputError if one cannot be written.
+def renew_pages(conn: Connection, changeset_ids: Collection[UUID], settings: Settings) -> None:
+    """Rewrite existing QA reports of drives, for example after one went on hold or was released. Raises InputError if one cannot
+    be written.
     """
-    if not changeset_ids:
-        return []
-    known = [one for one in list_changesets(conn, map_name=settings.map_name) if one.changeset_id in changeset_ids]
-    written = [one for one in known if settings.drive_report_path(one.drive_id, one.changeset_no).is_file()]
-    return [_write_page(conn, one, settings) for one in written]
+    for one in list_changesets(conn, map_name=settings.map_name) if changeset_ids else ():
+        is_written = settings.drive_report_path(one.drive_id, one.changeset_no).is_file()
+        if one.changeset_id in changeset_ids and is_written:
+            _write_page(conn, one, settings)
 
 
 def publish_decision(conn: Connection, decided: DecisionOutcome, settings: Settings) -> str | None:
