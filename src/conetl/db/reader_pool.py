@@ -36,12 +36,12 @@ _SESSION = {
 
 
 class ReaderPool:
-    """At most `size` read-only connections, opened when first needed and again after they were lost."""
+    """At most `MAX_CONNECTIONS` read-only connections, opened when first needed and again after they were lost."""
 
-    def __init__(self, url: str, size: int = 6) -> None:
+    def __init__(self, url: str) -> None:
         self._url = url
         self._free: list[Connection] = []
-        self._slots = threading.BoundedSemaphore(size)
+        self._slots = threading.BoundedSemaphore(MAX_CONNECTIONS)
         self._exports = threading.BoundedSemaphore(1)
 
     @contextmanager

@@ -107,10 +107,8 @@ def export(
     count_of_lines = 0 if lines is None else lines["rows"]
     first = {name: count for name, count in manifest["rows_by_class"].items() if lines is None or name != LANE_MARKING}
     if what is ExportContent.FEATURES:
-        text, of_lines = (
-            counted_by_class(first or {category or CONE: 0}),
-            counted_by_class({LANE_MARKING: count_of_lines}),
-        )
+        text = counted_by_class(first or {category or CONE: 0})
+        of_lines = counted_by_class({LANE_MARKING: count_of_lines})
     else:
         noun = "version" if what is ExportContent.HISTORY else "change"
         text, of_lines = counted(sum(first.values()), noun), f"{counted(count_of_lines, noun)} of lane markings"

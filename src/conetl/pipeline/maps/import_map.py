@@ -250,10 +250,8 @@ def _refuse_displaced(conn: Connection, imported: ImportedMap, params: ImportPar
     found = check_import(stated, standing, params.reconcile)
     if found is None or found.value is None:
         return
-    where, sigma = (
-        f"{imported.source_path}: its cones are {abs(found.value):.1f} m",
-        f"with a stated sigma of {found.sigma:.2f} m",
-    )
+    where = f"{imported.source_path}: its cones are {abs(found.value):.1f} m"
+    sigma = f"with a stated sigma of {found.sigma:.2f} m"
     wrong = "or revert the changeset (conetl map revert) whose"
     accept = "are wrong; --accept imports them as they are; nothing was written"
     if found.name.endswith("heights"):
