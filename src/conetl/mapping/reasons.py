@@ -7,18 +7,6 @@ from uuid import UUID
 
 from conetl.model.map_records import DeltaKind
 
-#: Beginning of the sentence.
-_HEADS = {
-    DeltaKind.ADDED: "Added",
-    DeltaKind.CONFIRMED: "Confirmed",
-    DeltaKind.MOVED: "Moved",
-    DeltaKind.REMOVED: "Removed",
-    DeltaKind.MISSED: "Not observed",
-    DeltaKind.HEIGHT_CHANGED: "Height changed",
-    DeltaKind.SPLIT: "Split",
-    DeltaKind.MERGED: "Merged",
-}
-
 
 class ChangeFacts(NamedTuple):
     """What the database stores about one change of a feature by a drive or an imported map."""
@@ -64,7 +52,8 @@ def explain_change(facts: ChangeFacts) -> str:
         end += f", largest horizontal sigma {facts.sigma_m:.3f} m"
     if facts.kind is DeltaKind.MISSED:
         end += ", it stays on the map"
-    return f"{_HEADS[facts.kind]}: {observed}; {end}."
+    head = "not observed" if facts.kind is DeltaKind.MISSED else facts.kind.replace("_", " ")
+    return f"{head.capitalize()}: {observed}; {end}."
 
 
 def _absence(facts: ChangeFacts) -> str:
