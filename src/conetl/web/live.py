@@ -95,11 +95,10 @@ class HeadWatcher:
 
 
 def _news(sent: Head | None, head: Head) -> list[str]:
-    fields = {"changeset": "changeset_no", "decision": "decision_no", "base": "base"}
     return [
-        _event(name, str(getattr(head, field)))
-        for name, field in fields.items()
-        if sent is None or getattr(sent, field) != getattr(head, field)
+        _event(name.removesuffix("_no"), str(value))
+        for name, value in head._asdict().items()
+        if sent is None or getattr(sent, name) != value
     ]
 
 
