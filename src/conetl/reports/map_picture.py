@@ -157,16 +157,15 @@ def draw_plan(
 def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm: tuple[float, float]) -> Figure:
     """The figure of exactly `bbox`."""
     west, south, east, north = bbox
-    box = (west, east, south, north)
     figure = figures.new_figure(size_mm[0] * _MM, size_mm[1] * _MM, dpi=_DPI)
     axes = figure.add_subplot()
     axes.set_xlim(west, east)
     axes.set_ylim(south, north)
     axes.set_autoscale_on(False)
     axes.set_aspect("equal")
-    handles = [*_objects(axes, content, box), *_markings(axes, content, box), *_ground(axes, content)]
+    handles = [*_objects(axes, content, bbox), *_markings(axes, content, bbox), *_ground(axes, content)]
     _frame(axes)
-    _scale_bar(axes, box)
+    _scale_bar(axes, bbox)
     _north(axes)
     figure.suptitle(title, x=0.012, ha="left", fontsize=13, fontweight="bold", color=_INK)
     figures.add_legend(figure, handles, loc="outside right upper", fontsize=8.5, handletextpad=0.6)
@@ -210,9 +209,9 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
     return handles
 
 
-def _markings(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
+def _markings(axes: Axes, content: PlanContent, bbox: Bbox) -> list[Line2D]:
     """Draw lane markings and their changes; their lines of the legend."""
-    low, high = np.array(box[::2]), np.array(box[1::2])
+    low, high = np.array(bbox[:2]), np.array(bbox[2:])
     shown = [
         one
         for one in content.markings
@@ -222,10 +221,10 @@ def _markings(axes: Axes, content: PlanContent, box: Bbox) -> list[Line2D]:
     return figures.draw_markings(axes, shown)
 
 
-def _objects(axes: Axes, content: PlanContent, box: Bbox) -> list[figures.Handle]:
+def _objects(axes: Axes, content: PlanContent, bbox: Bbox) -> list[figures.Handle]:
     """Draw cones and other objects, and changes; their entries of the legend count those inside the picture."""
     xy_m = np.reshape([mark.xy_m for mark in content.marks], (-1, 2))
-    inside = np.asarray(((xy_m >= box[::2]) & (xy_m <= box[1::2])).all(axis=1))
+    inside = np.asarray(((xy_m >= bbox[:2]) & (xy_m <= bbox[2:])).all(axis=1))
     shown = [content.marks[k] for k in np.flatnonzero(inside).tolist()]
     by_class = any(letter_of(mark.category) for mark in content.marks)
     handles: list[figures.Handle] = []
@@ -267,9 +266,9 @@ def _frame(axes: Axes) -> None:
     axes.spines[:].set_color("#9aa5b0")
 
 
-def _scale_bar(axes: Axes, box: Bbox) -> None:
+def _scale_bar(axes: Axes, bbox: Bbox) -> None:
     """At the lower left, with a round length of about a fifth of the width."""
-    width_m = box[1] - box[0]
+    width_m = bbox[2] - bbox[0]
     power = 10.0 ** math.floor(math.log10(width_m / 5))
     length_m = power * max(step for step in (1, 2, 5, 10) if step * power <= width_m / 5)
     style = {"color": _INK, "fontproperties": FontProperties(size=7.5)}
