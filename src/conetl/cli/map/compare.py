@@ -262,13 +262,11 @@ def picture(
     size_mm = ui.parse_size("--size", size, "millimetres", 60, 1200, "240x160")
     with open_map(map_name) as (conn, info):
         name = info.map_name
-        if changes is None:
-            versions = read_features_as_of(conn, valid_at, known_at=known, map_name=name, lines=True)
-            standing, differing = [version.feature for version in versions], None
-        else:
-            standing = state_of(conn, name, changes[1])
+        if changes is not None:
             valid_at, known = instants_of(conn, name, changes[1])
-            differing = map_diff.diff(state_of(conn, name, changes[0]), standing)
+        versions = read_features_as_of(conn, valid_at, known_at=known, map_name=name, lines=True)
+        standing = [version.feature for version in versions]
+        differing = None if changes is None else map_diff.diff(state_of(conn, name, changes[0]), standing)
         content = _content(info.srid, standing, differing)
         extent = content.extent() if bbox is None else _bbox(bbox, info.srid)
         content = with_surroundings(conn, name, content, extent, valid_at, known)
