@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from conetl.model.errors import InputError
+from conetl.model.errors import ConetlError, InputError
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -125,6 +125,20 @@ def input_errors(source: object) -> Iterator[None]:
         raise InputError(f"{source}: cannot be read ({error.strerror})") from error
     except ValueError as error:
         raise InputError(f"{source}: {first_message(error)}") from error
+
+
+@contextmanager
+def library_errors(problem: str, *kinds: type[Exception]) -> Iterator[None]:
+    """Turn errors of a library into InputErrors: `problem (the library's message)`.
+
+    kinds: their types; without any all errors except conetl's own, as many libraries raise anything for a damaged file.
+    """
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, ConetlError) or not isinstance(error, kinds or Exception):
+            raise
+        raise InputError(f"{problem} ({first_line(error)})") from error
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:

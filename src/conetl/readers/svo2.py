@@ -30,7 +30,7 @@ from mcap.records import Message
 from conetl.files.atomic import atomic_files
 from conetl.model.errors import InputError
 from conetl.perception.video import MAX_FRAMES, VIDEO_SUFFIXES
-from conetl.readers.drives.bag_messages import library_errors
+from conetl.readers.drives.bag_messages import bag_errors
 from conetl.readers.drives.formats import names_in
 from conetl.readers.trajectories.times import clock_problem
 
@@ -110,7 +110,7 @@ def copy_video(path: Path, target: Path) -> None:
 def _opened(path: Path) -> Iterator[McapReader]:
     if path.suffix.lower() != ".svo2":
         raise InputError(f"{path}: recordings of this format are not documented: {_export(path)}")
-    with library_errors(path), path.open("rb") as file:
+    with bag_errors(path), path.open("rb") as file:
         yield make_reader(file, validate_crcs=True)
 
 

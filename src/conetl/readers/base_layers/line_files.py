@@ -16,7 +16,7 @@ import pyogrio.raw
 import shapely
 from pyproj import Transformer
 
-from conetl.files.documents import MAX_SHOWN, first_line, shown
+from conetl.files.documents import MAX_SHOWN, library_errors, shown
 from conetl.model.errors import InputError
 from conetl.model.work_zone_records import LaneLine
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -41,7 +41,7 @@ def read_vector_file(path: Path) -> LineFile:
     lines: list[Line] = []
     refused: list[str] = []
     systems: dict[str, None] = {}
-    try:
+    with library_errors(f"{path}: not a file of lines that GDAL can read"):
         for name, _ in pyogrio.list_layers(path):
             if pyogrio.read_info(path, layer=name, force_feature_count=True)["features"] > MAX_LINES:
                 raise InputError(f"{path}: more than {MAX_LINES:,} features in layer {shown(name)}: import it in parts")
@@ -54,10 +54,6 @@ def read_vector_file(path: Path) -> LineFile:
             if found and meta["crs"]:
                 systems[meta["crs"]] = None
             lines += found
-    except InputError:
-        raise
-    except Exception as error:  # GDAL raises many types for a broken file
-        raise InputError(f"{path}: not a file of lines that GDAL can read ({first_line(error)})") from error
     if not lines:
         reasons = f"; {refused[0]}" if refused else ""
         raise InputError(f"{path}: there is no line; expected LineString or MultiLineString features{reasons}")

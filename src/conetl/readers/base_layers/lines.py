@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pyproj import CRS
 
-from conetl.files.documents import XmlFile, input_errors
+from conetl.files.documents import XmlFile, input_errors, library_errors
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
@@ -74,11 +74,9 @@ def full_kind(kind: str, attributes: Mapping[str, Any]) -> str:
 def read_lanelet2(path: Path) -> LineFile:
     """Boundaries of a Lanelet2 file. Raises InputError where it is not one or has none."""
     refused: list[str] = []
-    try:
-        with input_errors(path), XmlFile(path) as file:
-            nodes, ways, bounding = _read(file, path, refused)
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}: is not OSM XML ({error}); expected a Lanelet2 map") from error
+    not_xml = library_errors(f"{path}: is not OSM XML; expected a Lanelet2 map", ElementTree.ParseError)
+    with not_xml, input_errors(path), XmlFile(path) as file:
+        nodes, ways, bounding = _read(file, path, refused)
     lines: list[Line] = []
     for identity, (references, tags) in ways.items():
         if identity not in bounding and tags.get("type") not in BOUNDARIES:

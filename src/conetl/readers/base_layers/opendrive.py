@@ -18,7 +18,7 @@ import shapely
 from numpy.polynomial.polynomial import polyder, polyval
 from pyproj import CRS
 
-from conetl.files.documents import MAX_SHOWN, XmlFile, input_errors, shown
+from conetl.files.documents import MAX_SHOWN, XmlFile, input_errors, library_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -157,11 +157,9 @@ def param_poly3(unit_m: float, u: Sequence[float], v: Sequence[float], ds: Float
 
 def read_opendrive(path: Path) -> LineFile:
     """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
-    try:
-        with input_errors(path), XmlFile(path) as file:
-            root = ElementTree.parse(file).getroot()
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}: is not XML ({error}); expected an OpenDRIVE file") from error
+    not_xml = library_errors(f"{path}: is not XML; expected an OpenDRIVE file", ElementTree.ParseError)
+    with not_xml, input_errors(path), XmlFile(path) as file:
+        root = ElementTree.parse(file).getroot()
     if root.tag != "OpenDRIVE":
         raise InputError(f"{path}: its root is <{root.tag}>, expected <OpenDRIVE>")
     lines: list[Line] = []

@@ -11,7 +11,7 @@ from __future__ import annotations
 import bz2
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,8 +32,8 @@ from rosbags.typesys.msg import normalize_msgtype
 from rosbags.typesys.store import Typestore
 
 from conetl.files.atomic import temporary_path
-from conetl.files.documents import MAX_SHOWN, read_yaml
-from conetl.model.errors import ConetlError, InputError
+from conetl.files.documents import library_errors, read_yaml
+from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, check_image_bytes
 from conetl.readers.drives.bag_rig import CAMERA_INFO, TRANSFORMS, USED_TYPES
@@ -128,7 +128,7 @@ def bag_files(path: Path) -> Path | None:
 def open_bag(path: Path) -> Iterator[Bag]:
     """The bag of `bag_files`. Raises InputError where it is truncated or damaged."""
     with ExitStack() as opened:
-        with library_errors(path):
+        with bag_errors(path):
             if path.is_dir() or path.suffix == ROS1_SUFFIX:
                 if (path / METADATA).is_file():
                     read_yaml(path / METADATA)  # within the limits, before rosbags builds it
@@ -139,29 +139,17 @@ def open_bag(path: Path) -> Iterator[Bag]:
         yield bag._replace(types={topic: kind for topic, kind in bag.types.items() if len(topic) <= MAX_TOPIC})
 
 
-@contextmanager
-def library_errors(path: Path) -> Iterator[None]:
-    """All errors of the bag libraries in a damaged file, which are of many types, as InputError."""
-    try:
-        yield
-    except ConetlError as error:
-        raise InputError(str(error)) from error
-    except Exception as error:
-        text = str(error)[:MAX_SHOWN] or type(error).__name__
-        repair = (
-            f"'rosbag reindex {path.name}'"
-            if path.suffix == ROS1_SUFFIX
-            else "'mcap recover' (MCAP) or 'ros2 bag reindex'"
-        )
-        raise InputError(
-            f"{path}: the bag cannot be read: {text}. A recording that was cut off is repaired by {repair}"
-        ) from error
+def bag_errors(path: Path) -> AbstractContextManager[None]:
+    """All errors of the bag libraries in a damaged file as InputError."""
+    of_ros1 = path.suffix == ROS1_SUFFIX
+    repair = f"'rosbag reindex {path.name}'" if of_ros1 else "'mcap recover' (MCAP) or 'ros2 bag reindex'"
+    return library_errors(f"{path}: the bag cannot be read: a recording that was cut off is repaired by {repair}")
 
 
 def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]
-        with library_errors(path):
+        with bag_errors(path):
             for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
                 content = _decoded(reader.deserialize, raw, connection.msgtype)
                 if connection.msgtype == CAMERA_INFO and not reader.is2 and content is not None:
@@ -200,7 +188,7 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [topic for topic in topics if topic in types]
         # Without an index the file is in the order of recording; to sort it, all of it would be kept in memory.
-        with library_errors(path):
+        with bag_errors(path):
             for _, channel, message in reader.iter_messages(wanted, log_time_order=indexed) if wanted else ():
                 content = _decoded(store.deserialize_cdr, message.data, types[channel.topic])
                 yield Message(channel.topic, content, message.log_time)

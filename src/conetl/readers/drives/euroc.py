@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.files.documents import read_yaml, shown
+from conetl.files.documents import library_errors, read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive
@@ -125,12 +125,10 @@ def _rows(path: Path, root: Path, content: pairs.ContentHash) -> Iterator[tuple[
     data = path.read_bytes()
     content.add(path.relative_to(root).as_posix(), data)
     reader = csv.reader(io.StringIO(data.decode("utf-8-sig", errors="replace"), newline=""))
-    try:
+    with library_errors(f"{path}: not a CSV file", csv.Error):
         for words in reader:
             if words and words[0].strip() and not words[0].lstrip().startswith("#"):
                 yield reader.line_num, words
-    except csv.Error as error:
-        raise InputError(f"{path}: not a CSV file: {error}") from error
 
 
 def _stamp(text: str, where: str) -> int | str:

@@ -21,7 +21,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError
 
-from conetl.files.documents import MAX_SHOWN, first_message, input_errors, shown
+from conetl.files.documents import MAX_SHOWN, first_message, input_errors, library_errors, shown
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.model.base import Height, Latitude, Longitude, Record
@@ -85,14 +85,12 @@ class Rows:
     def add(self, text: str) -> None:
         """Append whole lines of the file, the header first. Raises InputError where its columns are not those of `Row`."""
         reader = csv.DictReader(io.StringIO(text, newline=""), fieldnames=self._columns)
-        try:
+        with library_errors(f"{self.path}: not a CSV file", csv.Error):
             if self._columns is None:
                 self._columns = reader.fieldnames
                 self._check_columns()
             for values in reader:
                 self._add(values)
-        except csv.Error as error:
-            raise InputError(f"{self.path}: not a CSV file: {error}") from error
 
     def _add(self, values: Mapping[str, Any]) -> None:
         where = f"{TRAJECTORY}, row {self._count}"

@@ -20,9 +20,8 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import shapely
 from pyproj import CRS
-from pyproj.exceptions import CRSError
 
-from conetl.files.documents import first_line, input_errors, shown
+from conetl.files.documents import first_line, input_errors, library_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
@@ -110,7 +109,7 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
 
     if path.suffix.lower() == ".fgb":
         _check_flatgeobuf_header(path)
-    try:
+    with library_errors(f"{path} cannot be read as a map"):
         layers = tuple(str(name) for name, geometry in pyogrio.list_layers(path) if geometry is not None)
         layer = _choose_layer(path, layers, layer)
         info = pyogrio.read_info(path, layer=layer)
@@ -130,10 +129,6 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
             if name not in reader.schema.names:
                 raise InputError(f"{path} has no geometry: a cone map is a layer of points")
             _append_batches(table, reader, name)
-    except InputError:
-        raise
-    except Exception as error:  # GDAL raises many types for a broken file
-        raise InputError(f"{path} cannot be read as a map ({first_line(error)})") from error
     return table
 
 
@@ -185,7 +180,7 @@ def _choose_layer(path: Path, layers: Sequence[str], wanted: str | None) -> str:
 
 
 def _read_parquet(path: Path) -> MapTable:
-    try:
+    with library_errors(f"{path} cannot be read as GeoParquet"):
         file = pq.ParquetFile(path)
         metadata = file.metadata
         groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
@@ -203,10 +198,6 @@ def _read_parquet(path: Path) -> MapTable:
         table = MapTable(path, None if crs is None else CRS.from_user_input(crs))
         names = [field.name for field in file.schema_arrow if not pa.types.is_nested(field.type)]
         _append_batches(table, file.iter_batches(_BATCH, columns=names), name)
-    except InputError:
-        raise
-    except (OSError, pa.ArrowException, ValueError, KeyError, TypeError, MemoryError, CRSError) as error:
-        raise InputError(f"{path} cannot be read as GeoParquet ({first_line(error)})") from error
     return table
 
 
@@ -250,24 +241,24 @@ def _read_csv(path: Path) -> MapTable:
 
     The separator is the most frequent of comma, semicolon and tab in the header.
     """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            header = file.readline()
-            file.seek(0)
-            rows = csv.reader(file, strict=True, delimiter=max(",;\t", key=header.count))
-            names = [_CSV_NAMES.get(name.strip().lower(), name.strip()) for name in next(rows, [])]
-            lines = []
-            most_rows = min(MAX_ROWS, MAX_VALUES // max(1, len(names)))
-            for number, line in enumerate(rows, start=1):
-                if not line:
-                    continue
-                if len(line) != len(names):
-                    raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
-                lines.append(line)
-                if number > most_rows:
-                    raise _too_many(path)
-    except (OSError, UnicodeError, csv.Error) as error:
-        raise InputError(f"{path} cannot be read as CSV ({first_line(error)})") from error
+    with (
+        library_errors(f"{path} cannot be read as CSV", OSError, UnicodeError, csv.Error),
+        path.open(encoding="utf-8-sig", newline="") as file,
+    ):
+        header = file.readline()
+        file.seek(0)
+        rows = csv.reader(file, strict=True, delimiter=max(",;\t", key=header.count))
+        names = [_CSV_NAMES.get(name.strip().lower(), name.strip()) for name in next(rows, [])]
+        lines = []
+        most_rows = min(MAX_ROWS, MAX_VALUES // max(1, len(names)))
+        for number, line in enumerate(rows, start=1):
+            if not line:
+                continue
+            if len(line) != len(names):
+                raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
+            lines.append(line)
+            if number > most_rows:
+                raise _too_many(path)
     if len(set(names)) != len(names):
         raise InputError(f"{path}: the header contains a column name twice")
     columns = {

@@ -13,7 +13,7 @@ import yaml
 from numpy.typing import ArrayLike
 
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import input_errors, read_limited, shown
+from conetl.files.documents import input_errors, library_errors, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.arrays import Floats
@@ -36,10 +36,8 @@ _SKEW_SHARE = 1e-6
 
 def read_xml(path: Path) -> ElementTree.Element:
     """Root element of an XML file. Raises InputError."""
-    try:
+    with library_errors(f"{path}: this is not XML", ElementTree.ParseError, ValueError):
         return ElementTree.fromstring(read_limited(path))
-    except (ElementTree.ParseError, ValueError) as error:
-        raise InputError(f"{path}: this is not XML: {error}") from error
 
 
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:

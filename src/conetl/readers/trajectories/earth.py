@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -18,7 +17,7 @@ from pyproj.crs import CompoundCRS
 from pyproj.datadir import get_data_dir, get_user_data_dir  # type: ignore[attr-defined]
 from pyproj.exceptions import ProjError
 
-from conetl.files.documents import shown
+from conetl.files.documents import library_errors, shown
 from conetl.geometry import geodesy
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -63,15 +62,6 @@ def in_wgs84(reading: Reading, settings: TrajectoryFile, path: Path) -> Iterator
         yield found
 
 
-@contextmanager
-def _proj_errors(what: str) -> Iterator[None]:
-    """PROJ's errors as InputError."""
-    try:
-        yield
-    except (ProjError, ValueError) as error:
-        raise InputError(f"{what}: {shown(str(error))}") from error
-
-
 def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
     """From the frame of the positions to that of the map, where a file begins (3,). Raises InputError."""
     if settings.frame is None or settings.map_frame is None:
@@ -85,7 +75,7 @@ def _between_frames(settings: TrajectoryFile, start: Floats) -> Transformer:
             raise InputError(f"drive.yaml: trajectory.{key}: {shown(crs.name)} is not the name of a frame")
     source, target = (crs.to_3d() for crs in known.values())
     lat, lon = (float(value) for value in start[:2])
-    with _proj_errors("drive.yaml: trajectory.frame, map_frame"):
+    with library_errors("drive.yaml: trajectory.frame, map_frame", ProjError, ValueError):
         group = geodesy.operations(source, target, geodesy.area_of_interest(lon, lat))
     if not group.transformers or not group.best_available:
         raise InputError(
@@ -99,7 +89,7 @@ def _shifted(shift: Transformer, piece: Records) -> Records:
     """The records in another frame, each at its own time."""
     years = 1970 + piece.times_ns / _YEAR_NS
     lat, lon, height = piece.positions.T
-    with _proj_errors("drive.yaml: trajectory.frame, map_frame"):
+    with library_errors("drive.yaml: trajectory.frame, map_frame", ProjError, ValueError):
         lon, lat, height = shift.transform(lon, lat, height, years)[:3]
     positions = np.column_stack([lat, lon, height])
     positions[~np.isfinite(positions)] = np.nan
@@ -121,7 +111,7 @@ def _transformed(steps: list[Transformer], axes: Axes, piece: Records, settings:
     x, y, z = piece.positions.T
     if axes == "geodetic":
         x, y = y, x
-    with _proj_errors("trajectory.crs, heights"):
+    with library_errors("trajectory.crs, heights", ProjError, ValueError):
         for step in steps:
             x, y, z = step.transform(x, y, z)
     positions = np.column_stack([y, x, z])
@@ -189,7 +179,7 @@ def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Pat
         source = source.to_3d()
     if geoid is not None and geoid.lower().endswith(_GRID_SUFFIXES):
         after.append(_grid(geoid, path))
-    with _proj_errors(f"{path}: no transformation from {shown(source.name)} to WGS 84"):
+    with library_errors(f"{path}: no transformation from {shown(source.name)} to WGS 84", ProjError, ValueError):
         x, y = (start[1], start[0]) if axes == "geodetic" else (start[0], start[1])
         lon, lat = Transformer.from_crs(
             flat, CRS(4979) if flat.is_geocentric else flat.geodetic_crs, always_xy=True
@@ -221,7 +211,7 @@ def _grid(name: str, path: Path) -> Transformer:
         f'vgridshift +grids="{found}" +multiplier=1',
         "unitconvert +xy_in=rad +xy_out=deg",
     )
-    with _proj_errors(f"{found}: PROJ cannot read this geoid grid"):
+    with library_errors(f"{found}: PROJ cannot read this geoid grid", ProjError, ValueError):
         return Transformer.from_pipeline("+proj=pipeline " + " ".join(f"+step +proj={step}" for step in steps))
 
 

@@ -14,8 +14,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from conetl.files.documents import XmlFile
-from conetl.model.errors import InputError
+from conetl.files.documents import XmlFile, input_errors, library_errors
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import floats, head_bytes
@@ -79,18 +78,14 @@ class _Points:
 def _records(path: Path, settings: TrajectoryFile, *, add_geoid: bool) -> Iterator[Records]:
     points = _Points()
     read_times = time_reader(TimeFormat(settings.scale("UTC"), "stamp"))
-    try:
-        with XmlFile(path) as file:
-            while block := file.read():
-                points.parser.Parse(block, False)
-                if len(points.rows) >= _PIECE:
-                    yield _piece(points.rows, read_times, add_geoid)
-                    points.rows = []
+    not_gpx = library_errors(f"{path}: this is not GPX", expat.ExpatError, LookupError)
+    with not_gpx, input_errors(path), XmlFile(path) as file:
+        while block := file.read():
+            points.parser.Parse(block, False)
+            if len(points.rows) >= _PIECE:
+                yield _piece(points.rows, read_times, add_geoid)
+                points.rows = []
         points.parser.Parse(b"", True)
-    except (expat.ExpatError, ValueError, LookupError) as error:
-        raise InputError(f"{path}: this is not GPX: {str(error)[:200]}") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     if points.rows:
         yield _piece(points.rows, read_times, add_geoid)
 
