@@ -63,13 +63,9 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     if not couples:
         raise InputError(f"{path}: there are no images in {names['left']}/data.csv")
 
-    def images_of(left: pairs.Image, right: pairs.Image) -> tuple[pairs.ImageFile, pairs.ImageFile]:
-        files = [[image.path] if image.path.is_file() else [] for image in (left, right)]
-        return pairs.check_images(files[0], files[1], rig, content, root)
-
     return pairs.drive_of_couples(
-        couples, names, source, rig, srid, images_of, lambda time_ns: se3.to_pose(*at(track, time_ns, settings.max_pose_gap_ns))
-    )  # fmt: skip
+        couples, names, source, rig, srid, lambda time_ns: se3.to_pose(*at(track, time_ns, settings.max_pose_gap_ns))
+    )
 
 
 def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:

@@ -277,13 +277,13 @@ def drive_of_couples(
     source: Source,
     rig: Rig,
     srid: int,
-    images_of: Callable[[Image, Image], tuple[ImageFile, ImageFile]],
     pose_at: Callable[[int], Pose],
+    hash_of: Callable[[Path], str | None] = lambda _: None,
 ) -> tuple[Drive, list[Rejection]]:
     """The drive and the rejections of its pairs. frame_index is the number of the couple, from 0.
 
-    names: of the two image streams. images_of: checked paths of a couple's images; pose_at: pose of the body at a time (UTC ns);
-    both raise PairError. Raises InputError where no pair is left.
+    names: of the two image streams. pose_at: pose of the body at a time (UTC ns), raises PairError. hash_of: SHA-256 of images
+    that were checked before, as of `ImageFile`; None of files that are to be checked. Raises InputError where no pair is left.
     """
     stamps = {n: t for n, couple in enumerate(couples) if (t := time_of(couple)) is not None}
     wrong_times = misplaced(stamps)
@@ -298,7 +298,13 @@ def drive_of_couples(
             if number in wrong_times:
                 text = f"the time {captured} ns {wrong_times[number]}"
                 raise PairError(RejectionReason.TIMESTAMP_INVALID, text)
-            images = images_of(*_both(couple, source.settings, names))
+            left, right = (image.path for image in _both(couple, source.settings, names))
+            left_sha256, right_sha256 = hash_of(left), hash_of(right)
+            if left_sha256 is None or right_sha256 is None:
+                ours, theirs = ([path] if path.is_file() else [] for path in (left, right))
+                images = check_images(ours, theirs, rig, source.content, source.root)
+            else:
+                images = ImageFile(left, left_sha256), ImageFile(right, right_sha256)
             pairs[number] = *images, captured, pose_at(captured)
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))

@@ -93,14 +93,12 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     if not couples:
         raise InputError(f"{path}: there are no images on {topics.left} and {topics.right}")
 
-    def images_of(left: pairs.Image, right: pairs.Image) -> tuple[pairs.ImageFile, pairs.ImageFile]:
-        # An unpacked image is named by its hash.
-        hashes = ("", "") if content.headers_only else (left.path.stem, right.path.stem)
-        return pairs.ImageFile(left.path, hashes[0]), pairs.ImageFile(right.path, hashes[1])
+    def hash_of(path: Path) -> str:
+        return "" if content.headers_only else path.stem  # an unpacked image is named by its hash
 
     return pairs.drive_of_couples(
-        couples, {"left": topics.left, "right": topics.right}, source, rig, srid, images_of, pose_at
-    )  # fmt: skip
+        couples, {"left": topics.left, "right": topics.right}, source, rig, srid, pose_at, hash_of
+    )
 
 
 def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:

@@ -26,10 +26,10 @@ from conetl.model.drive import Drive
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig
-from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, frame_of, index_video, region_of, video_facts
+from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, index_video, region_of, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, no_rig, rig_on_body
-from conetl.readers.drives.pairs import ContentHash, Image, ImageFile, Source, check_images, drive_of_couples, time_of
+from conetl.readers.drives.pairs import ContentHash, Source, drive_of_couples, time_of
 from conetl.readers.drives.poses import placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stamps_of_images, stated_start, timed
@@ -85,17 +85,10 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
         records = of_images((min(exposures_ns), max(exposures_ns)), track.times_ns)
         raise InputError(f"{trajectory}: there are no records{records}")
     hashes = {p: c.video.sha256(n, c.region) for c in cameras if c.video is not None for n, p in enumerate(c.paths)}
-
-    def images_of(left: Image, right: Image) -> tuple[ImageFile, ImageFile]:
-        if frame_of(left.path) is None:
-            return check_images([left.path], [right.path], rig, content, root)
-        ours, theirs = (ImageFile(image.path, hashes.get(image.path, "")) for image in (left, right))
-        return ours, theirs
-
     pose_at = pose_reader(track, exposures_ns, settings.max_pose_gap_s, from_course=from_course)
     left, right = cameras
     drive, rejections = drive_of_couples(
-        timing.couples, {"left": left.name, "right": right.name}, source, rig, srid, images_of, pose_at
+        timing.couples, {"left": left.name, "right": right.name}, source, rig, srid, pose_at, hashes.get
     )
     return Preview(timing, drive.model_copy(update={"clock_sigma_s": timing.clock.sigma_s or None}), rejections)
 
