@@ -32,6 +32,7 @@ from conetl.evaluation.truth import (
     split_by_extent,
     table_3_rows,
 )
+from conetl.files.documents import library_errors
 from conetl.geometry.consistency import Consistency, leave_one_out_nees
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
@@ -329,14 +330,12 @@ def _write_page(
     folder: Path, title: str, summary: Sequence[str], sections: Sequence[Section], images: Mapping[str, bytes]
 ) -> Path:
     """Write images and page into a folder; the path of the page. Raises InputError."""
-    try:
+    with library_errors(f"{folder} cannot be written: choose another folder with --out", OSError):
         folder.mkdir(parents=True, exist_ok=True)
         for file, data in images.items():
             (folder / file).write_bytes(data)
         page = render("accuracy.html.j2", title=title, summary=summary, sections=sections)
         return write_page(folder / "index.html", page)
-    except OSError as error:
-        raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder with --out") from error
 
 
 def _drive_row(name: str, drives: Sequence[DriveEvaluation]) -> tuple[object, ...]:

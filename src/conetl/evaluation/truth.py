@@ -15,7 +15,7 @@ import shapely
 from pydantic import Field, ValidationError
 from scipy.stats import chi2
 
-from conetl.files.documents import first_message
+from conetl.files.documents import first_message, library_errors
 from conetl.geometry.consistency import point_nees
 from conetl.geometry.packing import cov_matrices
 from conetl.mapping.association import assign, near_pairs
@@ -59,12 +59,10 @@ class TruthCone(Record):
 
 def read_truth(path: Path) -> list[TruthCone]:
     """All lines of a truth.csv. Raises InputError with file, line and field."""
-    try:
-        with path.open(newline="", encoding="utf-8") as file:
-            reader = csv.DictReader(file)
-            columns, rows = list(reader.fieldnames or ()), list(reader)
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"truth {path}: cannot be read ({error})") from error
+    unreadable = library_errors(f"truth {path}: cannot be read", OSError, UnicodeDecodeError)
+    with unreadable, path.open(newline="", encoding="utf-8") as file:
+        reader = csv.DictReader(file)
+        columns, rows = list(reader.fieldnames or ()), list(reader)
     required = [name for name, field in TruthCone.model_fields.items() if field.is_required()]
     if not set(required) <= set(columns):
         raise InputError(

@@ -100,8 +100,8 @@ def first_message(error: ValueError) -> str:
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of a library's error message, or the error's type if it has none."""
-    lines = str(error).splitlines()
+    """The first line of a library's error message, of the system's its reason; the error's type if it has none."""
+    lines = str(getattr(error, "strerror", None) or error).splitlines()
     return lines[0].rstrip(".")[:MAX_SHOWN] if lines else type(error).__name__
 
 
@@ -129,7 +129,7 @@ def input_errors(source: object) -> Iterator[None]:
 
 @contextmanager
 def library_errors(problem: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Turn errors of a library into InputErrors: `problem (the library's message)`.
+    """Turn errors of a library or the system into InputErrors: `problem (their message)`.
 
     kinds: their types; without any all errors except conetl's own, as many libraries raise anything for a damaged file.
     """

@@ -22,7 +22,8 @@ from typing import Any, cast
 from cachetools import LRUCache
 from upath import UPath
 
-from conetl.model.errors import InputError, StorageError
+from conetl.files.documents import library_errors
+from conetl.model.errors import StorageError
 
 #: Bytes that stay in memory for their next reader: the 256 images of half a chunk, of a megabyte each. What is pushed out
 #: between its hash and its decoding is read twice.
@@ -74,12 +75,8 @@ def as_path(text: str | Path) -> Path:
     if found is None:
         return Path(text)
     address = f"{found[1]}://{str(text)[found.end() :]}"
-    try:
+    with library_errors(f"{address}: objects of this kind cannot be read: pip install 'conetl[s3]'", ImportError):
         return cast(Path, UPath(address))
-    except ImportError as error:
-        raise InputError(
-            f"{address}: objects of this kind cannot be read: {error}; pip install 'conetl[s3]'"
-        ) from error
 
 
 def is_remote(path: Path) -> bool:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.files.documents import input_errors, shown
+from conetl.files.documents import input_errors, library_errors, shown
 from conetl.files.names import printable
 from conetl.geometry import geodesy
 from conetl.geometry.packing import vec3
@@ -88,7 +88,5 @@ def _sigmas(table: MapTable, sigma_m: float | None, path: Path) -> Floats:
 
 def _numbers(table: MapTable, name: str) -> Floats:
     """A column (N,), NaN where it is empty. Raises InputError."""
-    try:
+    with library_errors(f"{table.path}: {name} is not a number", TypeError, ValueError):
         return np.array([np.nan if value is None else float(value) for value in table.columns[name]])
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{table.path}: {name} is not a number: {shown(str(error))}") from error

@@ -28,6 +28,7 @@ from mcap.reader import McapReader, make_reader
 from mcap.records import Message
 
 from conetl.files.atomic import atomic_files
+from conetl.files.documents import library_errors
 from conetl.model.errors import InputError
 from conetl.perception.video import MAX_FRAMES, VIDEO_SUFFIXES
 from conetl.readers.drives.bag_messages import bag_errors
@@ -89,13 +90,10 @@ def copy_video(path: Path, target: Path) -> None:
                 if number >= MAX_FRAMES:
                     raise InputError(f"{path}: more than {MAX_FRAMES:,} frames: split the recording into several")
                 if stream is None:
-                    try:
-                        with av.open(BytesIO(data), options={"format_whitelist": "h264,hevc"}) as probed:
-                            codec, stream = probed.format.name, output.add_stream_from_template(probed.streams.video[0])
-                    except av.FFmpegError as error:
-                        raise InputError(
-                            f"{path}: its first frame has no parameters of H.264 or H.265: {_export(path)}"
-                        ) from error
+                    unknown = f"{path}: its first frame has no parameters of H.264 or H.265: {_export(path)}"
+                    options = {"format_whitelist": "h264,hevc"}
+                    with library_errors(unknown, av.FFmpegError), av.open(BytesIO(data), options=options) as probed:
+                        codec, stream = probed.format.name, output.add_stream_from_template(probed.streams.video[0])
                     stream.time_base = Fraction(1, _UNITS)
                     start_ns, last = message.log_time, -1
                 packet = av.Packet(data)

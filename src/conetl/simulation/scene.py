@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.documents import library_errors
 from conetl.model.arrays import Floats, Image
-from conetl.model.errors import InputError
 from conetl.model.rig import Camera
 from conetl.simulation import meshes, scenario, textures
 from conetl.simulation.parts import BUILDERS, Part, cone_parts, motion
@@ -28,12 +28,9 @@ BLUR_SIGMA_PX = 0.45
 
 def load_mitsuba() -> Any:
     """The mitsuba module, set to its portable variant. Raises InputError where it is not installed."""
-    try:
+    missing = "rendering needs Mitsuba 3, which is not installed: pip install 'conetl[simulate]', then run this again"
+    with library_errors(missing, ImportError):
         import mitsuba as mi
-    except ImportError as error:
-        raise InputError(
-            "rendering needs Mitsuba 3, which is not installed: pip install 'conetl[simulate]', then run this again"
-        ) from error
     if mi.variant() is None:
         mi.set_variant("scalar_rgb")
     return mi

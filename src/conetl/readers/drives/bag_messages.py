@@ -277,7 +277,10 @@ def unpack(data: bytes, suffix: str, folder: Path) -> Path:
     """Path of the image in the folder, written unless it exists. Raises InputError where it cannot be written."""
     digest = hashlib.sha256(data).hexdigest()
     path = (folder / digest[:2] / f"{digest}{suffix}").absolute()
-    try:
+    unwritable = (
+        f"{path}: an image of the bag cannot be unpacked there; free space or set CONETL_HOME to a folder with more"
+    )
+    with library_errors(unwritable, OSError):
         if path.is_file() and path.stat().st_size == len(data):
             path.touch()  # in use: `old_images` checks its age
             return path
@@ -285,9 +288,4 @@ def unpack(data: bytes, suffix: str, folder: Path) -> Path:
         unfinished = temporary_path(path)
         unfinished.write_bytes(data)
         unfinished.replace(path)
-    except OSError as error:
-        raise InputError(
-            f"{path}: an image of the bag cannot be unpacked there: {error.strerror or error}; free space or set CONETL_HOME to "
-            "a folder with more"
-        ) from error
     return path

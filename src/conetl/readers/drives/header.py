@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from conetl.files.documents import input_errors
 from conetl.files.names import printable, require_utf8
 from conetl.files.storage import is_remote
 from conetl.model.base import utc_from_ns
@@ -56,10 +57,8 @@ def find_drives(root: Path) -> Iterator[Path]:
 
     Links are followed and stay in the paths: the calibration may be beside the link. Raises InputError.
     """
-    try:
+    with input_errors(root):
         exists = root.is_dir()
-    except OSError as error:
-        raise InputError(f"{root}: cannot be read: {error.strerror}") from error
     if not exists:
         raise InputError(f"{printable(root)}: there is no such folder; give a folder that holds drives")
     require_utf8(root)

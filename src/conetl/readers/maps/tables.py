@@ -86,10 +86,8 @@ def read_table(path: Path, layer: str | None = None) -> MapTable:
         raise InputError(
             f"{path}: a map can be imported from {', '.join(readers)}, not from {path.suffix or 'such a file'}"
         )
-    try:
+    with input_errors(path):
         size = path.stat().st_size
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror})") from error
     if not path.is_file() or size == 0:
         raise InputError(f"{path} is {'empty' if path.is_file() else 'not a file'}: nothing to import")
     if size > MAX_TEXT_BYTES and path.suffix.lower() in (".csv", ".geojson", ".json"):

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import MAX_DEPTH, MAX_JSON_BYTES, MAX_SHOWN, read_bytes, read_json, shown
+from conetl.files.documents import MAX_DEPTH, MAX_JSON_BYTES, library_errors, read_bytes, read_json, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
@@ -113,13 +113,9 @@ def _read_mat(path: Path) -> Mapping[str, Any]:
     data = read_bytes(path)
     if data[124:128] in (b"\0\2IM", b"\2\0MI"):
         raise InputError(f"{path}: this is a version 7.3 file (HDF5), which is not read. {_HOW}")
-    try:
+    not_mat = f"{path}: this is not a .mat file (version 5 to 7), or it is damaged. {_HOW}"
+    with library_errors(not_mat, ValueError, KeyError, struct.error, zlib.error):
         variables = _variables(data)
-    except (ValueError, KeyError, struct.error, zlib.error) as error:
-        text = str(error)[:MAX_SHOWN]
-        raise InputError(
-            f"{path}: this is not a .mat file (version 5 to 7), or it is damaged ({text}). {_HOW}"
-        ) from error
     if structure(variables) is None:
         names = shown([*variables]) if variables else "only objects"
         raise InputError(
