@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from shlex import quote
 from typing import Annotated, Any
@@ -112,7 +113,7 @@ def _facts(kind: str, summary: DriveSummary, seconds: float, workers: int) -> li
 
 def _print(drive: Path, facts: Sequence[tuple[str, object]], summary: DriveSummary) -> None:
     ui.print_table(str(drive), ("property", "value"), facts, numbers_from=2)
-    _print_first("Lost pairs", {"record": "record", "reason": "reason", "detail": "detail"}, summary.lost)
+    _print_first("Lost pairs", {key: itemgetter(key) for key in ("record", "reason", "detail")}, summary.lost)
     gaps: ui.Columns = {
         "from frame": "after_frame",
         "to frame": "before_frame",

@@ -13,7 +13,7 @@ import numpy as np
 
 from conetl.files.names import require_utf8
 from conetl.files.storage import as_path, forget_listing, is_remote, storage_errors
-from conetl.model.drive import Drive, SurveyedPoint
+from conetl.model.drive import Drive
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
@@ -66,9 +66,12 @@ def read_drive(
         root = path.resolve()
         settings, content = read_drive_yaml(root), ContentHash(headers_only=headers_only)
         source = Source(path, root, settings, content, map_srid or settings.map_srid, images_folder)
-        points = _control_file(source)
+        control_file = _control_file(source)
         drive, rejections = found.read(source)
-        drive = drive.model_copy(update={"control_points": _control_points(source, points, drive.map_srid)})
+        if control_file is not None and settings.control_points is not None:
+            stated = settings.control_points.model_dump(exclude={"file"})
+            points = tuple(read_surveyed_points(control_file, drive.map_srid, **stated))
+            drive = drive.model_copy(update={"control_points": points})
         _require_plausible_sigmas(drive)
     drive, frozen = without_frozen(drive)
     return drive, [*rejections, *frozen]
@@ -103,13 +106,6 @@ def _control_file(source: Source) -> Path | None:
         raise InputError(f"{path}: the control points are missing")
     source.content.add(source.settings.control_points.file, path.read_bytes())
     return path
-
-
-def _control_points(source: Source, path: Path | None, srid: int) -> tuple[SurveyedPoint, ...]:
-    given = source.settings.control_points
-    if path is None or given is None:
-        return ()
-    return tuple(read_surveyed_points(path, srid, crs=given.crs, heights=given.heights, sigma_m=given.sigma_m))
 
 
 def _not_a_drive(path: Path) -> InputError:

@@ -81,14 +81,6 @@ class Extent(Record):
     lat_deg: tuple[float, float]
 
 
-class LostPair(Record):
-    """One rejected pair."""
-
-    record: str
-    reason: str
-    detail: str
-
-
 class DriveSummary(Record):
     """All of it; `conetl inspect --json` prints it."""
 
@@ -99,7 +91,8 @@ class DriveSummary(Record):
     expected_pairs: int
     usable_pairs: int
     lost_by_reason: dict[str, int]
-    lost: tuple[LostPair, ...]
+    lost: tuple[dict[str, str], ...]
+    """record, reason and detail of each rejection."""
     captured_from: datetime
     captured_to: datetime
     duration_s: float
@@ -129,7 +122,7 @@ def summarise(drive: Drive, rejections: Sequence[Rejection]) -> DriveSummary:
         drive_id=drive.drive_id, source_path=drive.source_path, map_srid=drive.map_srid, rig=_rig(drive),
         expected_pairs=drive.expected_frame_count, usable_pairs=len(pairs),
         lost_by_reason=dict(sorted(Counter(r.reason.value for r in rejections).items())),
-        lost=tuple(LostPair(record=r.record, reason=r.reason.value, detail=r.detail) for r in rejections),
+        lost=tuple(r.model_dump(mode="json", include={"record", "reason", "detail"}) for r in rejections),
         captured_from=drive.captured_from, captured_to=drive.captured_to, duration_s=float(times_s[-1] - times_s[0]),
         rate_hz=float(1.0 / np.median(seconds)) if len(seconds) else None, length_m=float(metres.sum()),
         gaps=_gaps(pairs, seconds, metres, in_time, {jump.frame for jump in single}),

@@ -241,18 +241,14 @@ def write_rig_yaml(rig: Rig, path: Path) -> None:
     """
     content: dict[str, Any] = {"rig_id": rig.rig_id}
     for name, camera in (("left", rig.left), ("right", rig.right)):
-        content[name] = camera.model_dump(mode="python", exclude={"lens"})
-        if camera.lens.model != "none":
-            content[name]["lens"] = {"model": camera.lens.model, "coefficients": list(camera.lens.coefficients)}
+        content[name] = camera.model_dump(mode="json", exclude={"lens"} if camera.lens.model == "none" else None)
     content["left_SE3_right"] = _rigid(rigs.left_SE3_right(rig))
     if not rigs.body_is_left_camera(rig):
         content["body_SE3_left"] = _rigid(rigs.body_SE3_camera(rig, "left"))
     content["sigma_px"] = rig.sigma_px
     if rig.calibration_covariance is not None:
-        content["calibration_covariance"] = {
-            "names": list(rig.calibration_covariance.names),
-            "matrix": [list(row) for row in rig.calibration_covariance.matrix],
-        }
+        covariance = rig.calibration_covariance.model_dump(mode="json", include={"names", "matrix"})
+        content["calibration_covariance"] = covariance
     write_yaml(path, content)
 
 
