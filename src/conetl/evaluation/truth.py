@@ -12,10 +12,10 @@ from typing import Generic, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import shapely
-from pydantic import Field, ValidationError
+from pydantic import Field
 from scipy.stats import chi2
 
-from conetl.files.documents import first_message, library_errors
+from conetl.files.documents import input_errors, library_errors
 from conetl.geometry.consistency import point_nees
 from conetl.geometry.packing import cov_matrices
 from conetl.mapping.association import assign, near_pairs
@@ -70,10 +70,8 @@ def read_truth(path: Path) -> list[TruthCone]:
         )
     truth = []
     for number, row in enumerate(rows, 2):
-        try:
+        with input_errors(f"truth {path}, line {number}"):
             truth.append(TruthCone.model_validate(row))
-        except ValidationError as error:
-            raise InputError(f"truth {path}, line {number}, {first_message(error)}") from error
     return truth
 
 

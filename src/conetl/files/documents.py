@@ -99,12 +99,6 @@ def first_message(error: ValueError) -> str:
     return text if complete else f"{text}, found {shown(first['input'])}"
 
 
-def first_line(error: BaseException) -> str:
-    """The first line of a library's error message, of the system's its reason; the error's type if it has none."""
-    lines = str(getattr(error, "strerror", None) or error).splitlines()
-    return lines[0].rstrip(".")[:MAX_SHOWN] if lines else type(error).__name__
-
-
 class XmlFile(FileIO):
     """An XML file of any size, read in large blocks: expat parses an unfinished tag again with every block."""
 
@@ -129,7 +123,7 @@ def input_errors(source: object) -> Iterator[None]:
 
 @contextmanager
 def library_errors(problem: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Turn errors of a library or the system into InputErrors: `problem (their message)`.
+    """Turn errors of a library or the system into InputErrors: `problem (their message in one line, or their type)`.
 
     kinds: their types; without any all errors except conetl's own, as many libraries raise anything for a damaged file.
     """
@@ -138,7 +132,8 @@ def library_errors(problem: str, *kinds: type[Exception]) -> Iterator[None]:
     except Exception as error:
         if isinstance(error, ConetlError) or not isinstance(error, kinds or Exception):
             raise
-        raise InputError(f"{problem} ({first_line(error)})") from error
+        words = str(getattr(error, "strerror", None) or error).split() or [type(error).__name__]
+        raise InputError(f"{problem} ({' '.join(words)[:MAX_SHOWN].rstrip('.')})") from error
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
@@ -152,10 +147,8 @@ def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
 
 def read_limited(path: Path, max_bytes: int = MAX_JSON_BYTES) -> str:
     """UTF-8 text of a small file. Raises InputError if it is larger than the limit, is not text, or cannot be read."""
-    try:
+    with library_errors(f"{path}: this is not a text file", UnicodeDecodeError):
         return read_bytes(path, max_bytes).decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: this is not a text file") from error
 
 
 def read_yaml(path: Path) -> Any:
@@ -165,11 +158,10 @@ def read_yaml(path: Path) -> Any:
 
 def parse_yaml(path: Path, text: str) -> Any:
     """Content of the text of a YAML file. Raises InputError where it is not YAML or exceeds a limit."""
-    try:
+    # Dates and numbers that do not exist are ValueErrors.
+    with library_errors(f"{path}: this is not YAML", yaml.YAMLError, ValueError):
         _require_bounded(path, text)
         return yaml.load(text, Loader=yaml.CSafeLoader)
-    except (yaml.YAMLError, ValueError) as error:  # dates and numbers that do not exist are ValueErrors
-        raise InputError(f"{path}: this is not YAML: {' '.join(str(error).split())[:MAX_SHOWN]}") from error
 
 
 def read_yaml_model(path: Path | None, model: type[Model], what: str) -> Model:
@@ -217,12 +209,9 @@ def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]
 
 def read_json(path: Path) -> Any:
     """Content of a JSON file. Raises InputError where it is not JSON, exceeds a limit or cannot be read."""
-    try:
+    too_deep = library_errors(f"{path}: nested too deeply", RecursionError)
+    with too_deep, library_errors(f"{path}: this is not JSON", ValueError):
         return json.loads(read_limited(path))
-    except RecursionError:
-        raise InputError(f"{path}: nested too deeply") from None
-    except ValueError as error:
-        raise InputError(f"{path}: this is not JSON: {str(error)[:MAX_SHOWN]}") from error
 
 
 def _require_bounded(path: Path, text: str) -> None:

@@ -94,7 +94,7 @@ BAD_ZED = {
     "no angle": (ZED.replace("CV_HD", "CV_QHD"), "'STEREO.cv_hd' is missing", SIZE),
     "no camera": (ZED.replace("RIGHT_CAM", "RIGHT"), "expected the sections LEFT_CAM_HD", SIZE),
     "no lens": (ZED.replace("k1", "q1"), "'LEFT_CAM_HD.k1' must be in one of", SIZE),
-    "twice": (ZED.replace("[STEREO]", "[STEREO]\nTY=1"), "not an INI file: .*already exists", SIZE),
+    "twice": (ZED.replace("[STEREO]", "[STEREO]\nTY=1"), "not an INI file.*already exists", SIZE),
     "no sections": ("fx=1\n", "not an INI file", SIZE),
     "words": (ZED.replace("cx=", "cx=about "), "'LEFT_CAM_HD.cx' must be numbers", SIZE),
 }

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from conetl.files.documents import read_yaml_mapping, shown, validated
+from conetl.files.documents import library_errors, read_yaml_mapping, shown, validated
 from conetl.files.names import printable
 from conetl.model.base import GeodeticPosition, Positive, Record
 from conetl.model.errors import InputError
@@ -217,11 +217,10 @@ def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
     or a link leads outside.
     """
     root = folder.resolve()
-    try:
+    # Longer than a file system allows, or with a zero byte.
+    with library_errors(f"{source}: {shown(name)} cannot be the name of a file", OSError, ValueError):
         path = (root / beside / name).resolve()
         path.exists()
-    except (OSError, ValueError) as error:  # longer than a file system allows, or with a zero byte
-        raise InputError(f"{source}: {shown(name)} cannot be the name of a file") from error
     if not path.is_relative_to(root):
         raise InputError(f"{source}: {shown(name)} is outside the drive folder {folder}; name a path inside it")
     return path

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from conetl.files.documents import input_errors, shown, validated
+from conetl.files.documents import input_errors, library_errors, shown, validated
 from conetl.geometry import rig as rigs
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
@@ -338,10 +338,8 @@ def suggested(root: Path, settings: Mapping[str, Any], key: str) -> tuple[str, s
 def _columns(text: str) -> dict[str, str | int]:
     """Column by our name for it, of `time=Zeit,lat=2`, or of JSON. Raises InputError."""
     if text.startswith("{"):
-        try:
+        with library_errors(f"--columns {shown(text)}: this is not JSON", ValueError):
             return dict(json.loads(text))
-        except ValueError as error:
-            raise InputError(f"--columns {shown(text)}: this is not JSON: {error}") from error
     words = [word.partition("=") for word in text.split(",")]
     if not all(name.strip() and column.strip() for name, _, column in words):
         raise InputError(f"--columns {shown(text)}: expected names as in time=Zeit,lat=B,lon=L,height=H")

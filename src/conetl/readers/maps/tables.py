@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 import shapely
 from pyproj import CRS
 
-from conetl.files.documents import first_line, input_errors, library_errors, shown
+from conetl.files.documents import input_errors, library_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
@@ -203,13 +203,10 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
     parts = []
     count = 0
     for every in batches:
-        try:
-            every.validate(full=True)  # GDAL 3.12 shifts the values of FlatGeobuf behind a feature without geometry
-        except pa.ArrowInvalid as error:
-            raise InputError(
-                f"{table.path}, from row {count + 1} on: a feature has no geometry where a point is expected, or the file is "
-                f"damaged ({first_line(error)})"
-            ) from error
+        damaged = "a feature has no geometry where a point is expected, or the file is damaged"
+        # GDAL 3.12 shifts the values of FlatGeobuf behind a feature without geometry.
+        with library_errors(f"{table.path}, from row {count + 1} on: {damaged}", pa.ArrowInvalid):
+            every.validate(full=True)
         batch = _without_lines(every)
         table.lines_left_out += every.num_rows - batch.num_rows
         points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object), on_invalid="ignore")

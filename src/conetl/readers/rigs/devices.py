@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conetl.files.documents import MAX_SHOWN, read_json, read_limited, shown
+from conetl.files.documents import MAX_SHOWN, library_errors, read_json, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -66,10 +66,8 @@ def read_zed_rig(path: Path, *, image_size: Size | None = None) -> Rig:
 def _sections(path: Path) -> Sections:
     """Values by section (in capitals) and key (in lower case)."""
     parser = RawConfigParser(inline_comment_prefixes=("#", ";"))
-    try:
+    with library_errors(f"{path}: not an INI file", Error):
         parser.read_string(read_limited(path), source=path.name[:MAX_SHOWN])
-    except Error as error:
-        raise InputError(f"{path}: not an INI file: {' '.join(str(error).split())[:MAX_SHOWN]}") from error
     return {name.upper(): dict(parser.items(name)) for name in parser.sections()}
 
 
