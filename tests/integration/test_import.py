@@ -35,7 +35,7 @@ from conetl.readers.surveyed_points import read_surveyed_points
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, failed_audits, merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
 
-IMPORTABLE = [name for name in FORMATS if name not in ("mcap", "lanelet2", "wzdx")]
+IMPORTABLE = [name for name in FORMATS if name not in ("mcap", "lanelet2")]
 PARAMS = ImportParams()
 NEW_IDS = ImportParams(new_ids=True)
 SURVEYED = {"stated_at": datetime(2026, 3, 1, tzinfo=UTC)}
