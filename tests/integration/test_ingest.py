@@ -463,6 +463,9 @@ def test_locate_needs_no_services(office: Desk) -> None:
     assert cones
     assert all(1 < cone["ground_distance_m"] < 40 for cone in cones)
     assert all(0.3 < cone["height_m"] < 1.0 for cone in cones)
+    far = [path.with_name("0000000015.jpg") for path in pair]
+    text = nowhere.ask("locate", *far, "--calibration", SAMPLES[0])
+    assert "not used: match: the cone is 37.9 m away" in text, "its number would be taken for that of an object"
 
 
 def every_other_pair(folder: Path, first: int, *, days: int = 0, east_m: float = 0.0, north_m: float = 0.0) -> Path:

@@ -205,7 +205,7 @@ def locate(
             f"not used: {name} {misfit.cone_height_m:.2f} m high at {misfit.ground_distance_m:.1f} m: implausible height"
         )
     for rejection in found.rejections:
-        ui.say(f"not used: {rejection.record.removesuffix(' of frame pair 0')}: {rejection.detail}")
+        ui.say(f"not used: {rejection.record.partition(' of ')[0].rstrip(' 0123456789')}: {rejection.detail}")
 
 
 def _row(one: CameraPosition) -> dict[str, Any]:
