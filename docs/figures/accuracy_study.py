@@ -272,7 +272,7 @@ def _save(figure: plt.Figure, name: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parts = {"range": over_range, "calibration": calibration, "frames": frames, "sides": sides, "render": rendered_cone}
-    parser.add_argument("parts", nargs="*", choices=[*parts, []], help="parts of the page; all of them unless given")
+    parser.add_argument("parts", nargs="*", choices=[*parts, []], help="parts of the page; default: all")
     wanted = parser.parse_args().parts or list(parts)
     for name in wanted:
         started = time.monotonic()
