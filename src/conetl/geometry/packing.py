@@ -24,7 +24,7 @@ def cov3(matrix: Floats) -> Cov3:
 
 
 def cov_matrix(cov: Cov3) -> Floats:
-    """Upper triangle xx, xy, xz, yy, yz, zz -> symmetric (3, 3)."""
+    """Symmetric (3, 3) matrix from its upper triangle xx, xy, xz, yy, yz, zz."""
     xx, xy, xz, yy, yz, zz = cov
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 

@@ -53,10 +53,10 @@ class Pose(Record):
     map_R_body: Matrix3
     map_t_body_m: Vec3
     sigma_enu_m: tuple[NonNegative, NonNegative, NonNegative]
-    """Of the body's position (GNSS/INS), absolute; strongly correlated between the frames of one drive."""
+    """Absolute, of the body's position (GNSS/INS); strongly correlated between the frames of a drive."""
     sigma_rpy_rad: tuple[NonNegative, NonNegative, NonNegative]
     interpolated: Interpolated | None = None
-    """The part of these sigmas that comes from interpolation; None of poses recorded often enough for it not to matter."""
+    """Part of these sigmas caused by interpolation; None if records are frequent enough to neglect it."""
 
 
 #: Fine structure (grey levels) below which the detector may be blind: at 4 fog and blur hide at least a third of the cones.
@@ -67,7 +67,7 @@ class FramePair(Record):
     """The left and right image of one trigger, with the pose at that instant."""
 
     frame_index: FrameIndex
-    """Number in the file name; it links images, poses and time stamps."""
+    """Number in the file name, which links images, poses and time stamps."""
     left_path: str
     right_path: str
     captured_at_ns: int
@@ -75,9 +75,9 @@ class FramePair(Record):
     pose: Pose
     left_sha256: str = ""
     right_sha256: str = ""
-    """Of the image files, as they were read with the drive; empty where only their headers were."""
+    """SHA-256 of the image files; empty if only their headers were read."""
     detail: NonNegative | None = None
-    """Fine structure that its images show (grey levels), the smaller of both; None where it was not measured."""
+    """Fine structure of its images (grey levels), the smaller of both; None if not measured."""
 
     @property
     def shows_absence(self) -> bool:
@@ -94,7 +94,7 @@ class FramePair(Record):
         return utc_from_ns(self.captured_at_ns)
 
     def with_pose(self, **values: object) -> FramePair:
-        """The same pair; fields of its pose have other values."""
+        """The same pair with other values of fields of its pose."""
         return self.model_copy(update={"pose": self.pose.model_copy(update=values)})
 
 
@@ -116,12 +116,12 @@ class SurveyedPoint(Record):
 
 
 class UnclearSquares(Record):
-    """Squares of the images that a lens shows blurred or not at all. An object that is not found there may still exist."""
+    """Squares of the images that are blurred or covered. An object that is not detected there may still exist."""
 
     side_px: Positive
-    """Of a square; the first one is in the top left corner."""
+    """Side of a square; the first one is in the top left corner."""
     left: tuple[tuple[int, int], ...] = ()
-    """Row and column of each, counted from 0."""
+    """Row and column of each square, from 0."""
     right: tuple[tuple[int, int], ...] = ()
 
 
@@ -133,16 +133,16 @@ class Drive(Record):
     rig: Rig
     map_srid: int
     content_sha256: str = Field(pattern=r"^[0-9a-f]{64}$")
-    """Hash over names and bytes of all files read, images included."""
+    """Hash of names and bytes of all files, including images."""
     frame_pairs: tuple[FramePair, ...] = Field(min_length=1, repr=False)
     expected_frame_count: int = Field(gt=0)
-    """Number of frame pairs in the folder, rejected ones included."""
+    """Number of frame pairs in the folder, including rejected ones."""
     clock_sigma_s: Positive | None = None
-    """Of the offset between the clocks of images and poses; None: as the parameters assume (`TrajectoryParams`)."""
+    """Sigma of the offset between the clocks of images and poses; default: that of `TrajectoryParams`."""
     control_points: tuple[SurveyedPoint, ...] = ()
-    """They take part in the adjustment of its poses."""
+    """Surveyed cones, used in the adjustment of the poses."""
     unclear: UnclearSquares | None = None
-    """None where its images were not checked, or all squares are clear."""
+    """None if the images were not checked, or all squares are clear."""
 
     @model_validator(mode="after")
     def _frames_in_order(self) -> Drive:
@@ -172,14 +172,14 @@ class Drive(Record):
 class Detection(Record):
     """A box from the network, in pixels of the original image; x_px, y_px is the top-left corner.
 
-    Box edges count from the image's edge (COCO): a box over the first pixel has x 0, width 1, and the centre of that pixel is
-    0.5 in box edges and 0 as an image point. `tracking/matching/matches.py` converts them.
+    Box edges are measured from the edge of the image (COCO): a box over the first pixel has x 0 and width 1, and the centre of
+    that pixel is 0.5 in box edges and 0 as an image point. `tracking/matching/matches.py` converts them.
     """
 
     frame_index: int = Field(ge=0)
     side: Side
     detection_index: int = Field(ge=0)
-    """Number within its image, by descending score."""
+    """Number within its image, in order of descending score."""
     category: str = CONE
     x_px: float
     y_px: float
@@ -193,7 +193,7 @@ class Detection(Record):
 
 
 class StereoMatch(Record):
-    """Left and right detection of one object, with the image points that geometry uses.
+    """Left and right detection of one object, with the image points used for its position.
 
     `foot`: centre of the base where it meets the ground; `centre`: centre of the box (the paper's point); `tip`: top of the cone.
     """
@@ -209,15 +209,15 @@ class StereoMatch(Record):
     tip_left_uv_px: Vec2
     tip_right_uv_px: Vec2
     sigma_u_px: Positive
-    """Of each image point along the rows, independent in both images: sigma of disparity over sqrt(2). sigma_v_px: across."""
+    """Of each image point along the rows, independent in both images: sigma of the disparity / sqrt(2). sigma_v_px: across."""
     sigma_v_px: Positive
     sigma_pointing_px: NonNegative
-    """Along the rows, common to both images: position of the cone's axis. Affects the bearing, not the range."""
+    """Of the cone's axis along the rows, common to both images: affects the bearing, not the range."""
     sigma_outline_px: NonNegative = 0.0
-    """Across the rows, and times `FeatureClass.outline_aside` along them, common to all observations of one cone: the detector's
-    foot and axis."""
+    """Of the detected foot and axis, common to all observations of one cone: across the rows, and times
+    `FeatureClass.outline_aside` along them."""
     refined: bool
-    """True if refined by area-based matching, False if from box edges alone."""
+    """Whether area-based matching refined the image points, which otherwise come from the boxes alone."""
     cost: NonNegative
 
 
@@ -236,11 +236,11 @@ class Position(Record):
     centre_xyz_m: Vec3
     cone_height_m: float
     camera_xyz_m: Vec3
-    """The foot in the left camera's frame (x right, y down, z forward), free of GNSS error."""
+    """Foot in the left camera's frame (x right, y down, z forward), without GNSS error."""
     camera_cov_m2: Cov3
     sigma_outline_m: NonNegative = 0.0
-    """Down, and times `FeatureClass.outline_aside` to the right, common to all observations of this cone
-    (`StereoMatch.sigma_outline_px`); part of both covariances."""
+    """Common to all observations of this cone (`StereoMatch.sigma_outline_px`): down, and times `FeatureClass.outline_aside` to
+    the right; included in both covariances."""
     range_m: Positive
     """Ground distance from the left camera to the foot."""
     ray_angle_rad: Positive
@@ -250,15 +250,15 @@ class Position(Record):
 
 
 class Track(Record):
-    """All positions of one physical cone in one drive, jointly adjusted."""
+    """All positions of one physical object in one drive, in one adjustment."""
 
     track_index: int = Field(ge=0)
     category: str = CONE
     xyz_m: Vec3
     cov_m2: Cov3
-    """Absolute, with the errors of pose and calibration that all observations share, and of the class that its objects share."""
+    """Absolute: includes the errors of pose, calibration and class that observations share."""
     relative_cov_m2: Cov3
-    """Without these: for distances between objects of one class in this drive."""
+    """Without these errors: for distances between objects of one class in this drive."""
     centre_xyz_m: Vec3
     cone_height_m: Positive
     cone_height_sigma_m: Positive
@@ -271,14 +271,14 @@ class Track(Record):
     members: tuple[tuple[int, int], ...] = Field(min_length=1)
     """(frame_index, match_index) of every position."""
     shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
-    """Of the parts of calibration and class in `cov_m2`; None where unknown. Stored in the database, not part of JSON."""
+    """Of calibration and class in `cov_m2`; None if unknown. Stored in the database, not part of JSON."""
 
 
 class DriveRecords(NamedTuple):
     """One drive with the records of every step, in the order of processing."""
 
     drive: Drive
-    """With refined poses and the corrected right camera, if any."""
+    """With refined poses and corrected right camera, if any."""
     detections: Sequence[Detection] = ()
     matches: Sequence[StereoMatch] = ()
     positions: Sequence[Position] = ()

@@ -52,11 +52,11 @@ class Detector:
     card: ModelCard
     input_name: str
     fixed_size: tuple[int, int] | None = None
-    """Height and width in pixels where the network takes one size only; images are then scaled to fit."""
+    """Height and width in pixels if the network accepts only one size; images are scaled to fit."""
     any_size: bool = True
-    """Whether the network takes images of any size; False also where one side is fixed."""
+    """Whether the network accepts images of any size; False if one side is fixed."""
     several: bool = False
-    """Whether the network takes several images of one size at once."""
+    """Whether the network accepts several images of one size at once."""
 
 
 def load_detector(model_path: Path | None = None, *, threads: int = 1, providers: str = "CPU") -> Detector:
@@ -201,15 +201,14 @@ def detect_image(
     single_image: bool = False,
     categories: Sequence[str] | None = ("traffic_cone",),
 ) -> NDArray[np.float64]:
-    """Find the objects of these categories in one image (H, W, 3) uint8 BGR; None: of all that the model knows.
+    """Detect the objects of these categories (None: all of the model) in one image (H, W, 3) uint8 BGR.
 
-    Returns (N, 10) [x, y, w, h, score, foot x, foot y, tip x, tip y, index in `card.class_names`] by falling score: x, y is the
-    top-left corner, in pixels of the given image, whose left and top edges are x = 0 and y = 0 (the centre of the first pixel is
-    0.5). Foot and tip are NaN where the network does not give them. The sidecar may enable the small-object pass and, after it,
-    the re-scoring pass (`second_passes.py`). first_row: rows above it are not searched (`geometry.camera.first_road_row`).
-    within: x0, y0, x1, y1 in which boxes must have their centre (None: anywhere), reach_px: how far they may extend beyond it;
-    the network then sees a margin of `CONTEXT_PX` only. single_image: not one of many of a drive, so time matters less than
-    large and very small cones.
+    Returns (N, 10) [x, y, w, h, score, foot x, foot y, tip x, tip y, index in `card.class_names`] by descending score: x, y is
+    the top-left corner in pixels of the image, with x = 0 and y = 0 at its edges (0.5 at the centre of the first pixel). Foot and
+    tip are NaN if the network does not output them. The sidecar can enable the small-object pass and, after it, the re-scoring
+    pass (`second_passes.py`). first_row: rows above it are not searched (`geometry.camera.first_road_row`). within: x0, y0, x1,
+    y1 in which boxes must have their centre (None: anywhere); reach_px: how far they may extend beyond it; the network then sees
+    only a margin of `CONTEXT_PX`. single_image: not one of many of a drive, so large and very small cones matter more than time.
     """
     if image_bgr.dtype != np.uint8 or image_bgr.ndim != 3 or image_bgr.shape[2] != 3:
         raise ValueError(f"expected a BGR image (H, W, 3) of uint8, got {image_bgr.shape} of {image_bgr.dtype}")

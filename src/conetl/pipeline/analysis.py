@@ -84,14 +84,14 @@ def analyse(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> AnalysedDrive:
-    """Detect and odometry -> self-calibrate -> match -> refine -> locate -> fuse. Needs no database and no server.
+    """Detect cones and refine the trajectory of a drive, then compute positions and tracks. Needs no database and no server.
 
-    If the trajectory was refined, locate and fuse run twice more, with sigmas estimated from the tracks: of all observations of a
-    class, and then of single ones.
+    If the trajectory was refined, positions and tracks are computed twice more, with sigmas estimated from the tracks: first for
+    all observations of a class, then for single ones.
 
-    drive, rejections: as `read_drive` returns them. settings: the model, the number of threads, and the folder for results of
-    finished chunks; default: CONETL_* of the environment. executor: runs the steps; default: `settings.workers` threads.
-    progress: called with the number of images and motions that are done, and of all. Raises ConetlError.
+    drive, rejections: as returned by `read_drive`. settings: model, number of threads, and folder for the results of finished
+    chunks; default: CONETL_* of the environment. executor: runs the steps; default: `settings.workers` threads. progress: called
+    with the number of processed images and motions, and of all. Raises ConetlError.
     """
     params, settings = params or IngestParams(), settings or read_settings()
     given = drive.rig

@@ -50,7 +50,7 @@ _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pyproj
 
 @dataclass(frozen=True)
 class CommittedDrive:
-    """What a drive did to the map."""
+    """Changes of the map by one drive."""
 
     changeset: CommittedChangeset
     analysed: AnalysedDrive
@@ -101,8 +101,8 @@ def commit(
 ) -> CommittedDrive:
     """Compare the tracks of a drive with the map and commit all differences, or none.
 
-    settings: database and name of the map; default: CONETL_* of the environment. database: an open one to use. run: stored with
-    the changeset. If the same drive was committed before, the report says "no changes". Raises MapMismatchError, DatabaseError.
+    settings: database and name of the map; default: CONETL_* of the environment. database: one that is already open. run: stored
+    with the changeset. If the drive is on the map, the status is "no changes". Raises MapMismatchError, DatabaseError.
     """
     settings = settings or read_settings()
     drive, records, params = analysed.drive, analysed.records, analysed.params

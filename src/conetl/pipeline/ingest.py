@@ -59,14 +59,14 @@ def ingest(
 ) -> IngestReport:
     """Read -> analyse -> commit -> publish one drive.
 
-    folder: a drive folder. map_srid: EPSG code of the map if it is not the UTM zone of the drive. settings, executor, progress:
+    folder: a drive folder. map_srid: EPSG code of the map; default: the UTM zone of the drive. settings, executor, progress:
     as for `analyse`; database: as for `commit`. publish_new, publish_known: called for a newly committed drive, and for one that
     was already on the map. The images of the drive are read once if they fit into `files.storage.CACHE_BYTES`; those of a larger
     drive are read again.
 
     Raises ConetlError (bad input, service unavailable: nothing was written), DriveOnHoldError (stored, but the recording
     contradicts itself) and TooManyRejectionsError (committed, but too many frame pairs were rejected). A failure after the commit
-    is noted in the report (`unpublished`).
+    is stated in the report (`unpublished`).
     """
     params, settings, started = params or IngestParams(), settings or read_settings(), time.monotonic()
     make_home(settings.home)

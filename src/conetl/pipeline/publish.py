@@ -35,7 +35,7 @@ Notify = Callable[[IngestReport, Sequence[receipts.RemovedCone]], None]
 
 
 class PublishedFiles(NamedTuple):
-    """What was written of one drive."""
+    """Files written for one drive."""
 
     geojson: Path
     """The whole map."""
@@ -50,9 +50,9 @@ def publish(
     database: MapDatabase | None = None,
     times: Sequence[receipts.StepTime] = (),
 ) -> PublishedFiles:
-    """Write the map as GeoJSON, and the plan view (PNG) and QA report of a drive. Sends no notification: see `notify`.
+    """Write the map as GeoJSON, and plan view (PNG) and QA report of a drive. Does not send notifications (`notify` does).
 
-    settings: folders, database and name of the map; default: CONETL_* of the environment. times: of the steps, for the page.
+    settings: folders, database and name of the map; default: CONETL_* of the environment. times: of the steps, for the report.
     """
     settings = settings or read_settings()
     changeset, plan_view = committed.changeset, settings.drive_image_path(committed.changeset.drive_id)

@@ -27,42 +27,42 @@ _NO_SETTING = re.compile(
 
 
 class Settings(BaseSettings):
-    """Settings of one run; every field may be set by an environment variable, for example CONETL_DATABASE_URL."""
+    """Settings of one run. An environment variable sets each field, for example CONETL_DATABASE_URL."""
 
     model_config = SettingsConfigDict(env_prefix="CONETL_", frozen=True, extra="forbid")
 
     database_url: SecretStr | None = None
-    """A PostGIS database; without it conetl runs its own private cluster under `home`. Secret: Prefect keeps parameters."""
+    """PostGIS database; default: a private cluster in `home`. Secret, because Prefect stores parameters."""
     home: Path = Path(".conetl")
-    """Private database cluster, intermediate results, exports, Prefect's own state."""
+    """Folder of the private database cluster, intermediate results, exports and Prefect's state."""
     map_name: str = Field(default="default", pattern=f"^{MAP_NAME.pattern}$")
     model_path: Path | None = None
-    """ONNX file of the detector; without it the one that is shipped."""
+    """ONNX file of the detector; default: the shipped one."""
     onnx_providers: str = "CPU"
-    """What runs the network: execution providers of the installed onnxruntime, the preferred one first, such as `CUDA,CPU`."""
+    """Execution providers of the installed onnxruntime, the preferred one first, such as `CUDA,CPU`."""
     workers: int = Field(default=os.cpu_count() or 1, ge=1)
-    """Detection tasks at the same time, one core each."""
+    """Number of parallel detection tasks, one core each; default: all cores."""
     task_runner: Literal["threads", "processes", "dask"] = "threads"
-    """What works on the chunks of a drive; the results are the same."""
+    """What processes the chunks of a drive; the results are equal."""
     dask_address: str | None = None
-    """Scheduler of a Dask cluster, such as tcp://host:8786, for `task_runner` dask; without it Dask runs on this machine."""
+    """Scheduler of a Dask cluster for `task_runner` dask, such as tcp://host:8786; default: Dask on this machine."""
 
     drop_folder: Path | None = None
-    """Where new drives arrive, for the deployment `ingest-drop-folder`; `inbox` under `home` unless given."""
+    """Folder in which new drives arrive, for the deployment `ingest-drop-folder`; default: `inbox` in `home`."""
     drive_roots: str = ""
-    """Folders below which workers read drives, separated by commas; empty: everywhere."""
+    """Folders below which workers may read drives, separated by commas; default: everywhere."""
     drop_quiet_minutes: float = Field(default=10.0, ge=0)
-    """A drive without the marker file counts as complete once nothing in it has changed for this long."""
+    """A drive without the file COMPLETE counts as complete if nothing in it has changed for this long."""
     prefect_database_url: SecretStr | None = None
-    """Database of the Prefect server that `conetl up` starts; `prefect` beside the map's unless given."""
+    """Database of the Prefect server that `conetl up` starts; default: `prefect` on the server of the map."""
     drives_pool: str = "conetl"
-    """Prefect's work pool of the deployment `ingest-drive`; the default's workers run drives as processes."""
+    """Prefect's work pool of the deployment `ingest-drive`; by default drives run as processes."""
     prefect_hosts: str = ""
-    """Further names, separated by commas, by which browsers and workers call the Prefect server, such as that of a proxy."""
+    """Other host names of the Prefect server, such as that of a proxy, separated by commas."""
     writer_token: SecretStr | None = None
-    """The web view accepts decisions with this token; see also `conetl view --writer-token-file`."""
+    """Token with which the web view accepts decisions; see also `conetl view --writer-token-file`."""
     images: Literal["crop", "full"] = "crop"
-    """What the view, reports and Prefect show of images: detections and their surroundings, the rest pixelated; or everything."""
+    """Images in the view, reports and Prefect: crop pixelates all but detections and their surroundings."""
     view_url: str | None = None
     """Address of `conetl view`, for links in Prefect; `conetl up` sets it for its workers."""
 
@@ -184,7 +184,7 @@ def prefect_login(home: Path) -> str:
 def prefect_server_environment(home: Path, address: str) -> dict[str, str]:
     """Environment variables of a Prefect server of conetl: its login, and pages of its own address only.
 
-    address: URL by which browsers call it. Prefect allows pages of every origin unless told otherwise.
+    address: URL by which browsers call it. By default Prefect allows pages of every origin.
     """
     page = os.environ.get("PREFECT_SERVER_UI_API_URL", f"{address}/api")
     origin = urlsplit(page)

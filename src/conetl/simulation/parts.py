@@ -20,7 +20,7 @@ from conetl.simulation.scenario import ORANGE, Colour, Cone, RoadObject
 _GREY = (0.50, 0.51, 0.52)
 _RUBBER = (0.10, 0.10, 0.10)
 _WHITE = (0.92, 0.92, 0.90)
-#: Height of a plate as a share of its width, 1 unless given.
+#: Height of a plate as a share of its width; default: 1.
 _BOARD_SHARE = {"arrow_board": 0.5, "rectangle": 1.25}
 #: Classes of kinds that stand on the road, and of plates.
 _STANDING = {"type_3": "barricade"} | {kind: kind for kind in ("drum", "tubular_marker", "vertical_panel")}

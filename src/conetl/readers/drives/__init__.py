@@ -44,14 +44,14 @@ def drive_format(path: Path) -> str | None:
 def read_drive(
     path: Path | str, *, map_srid: int | None = None, images_folder: Path | None = None, headers_only: bool = False
 ) -> tuple[Drive, list[Rejection]]:
-    """A drive and the frame pairs that were rejected.
+    """Read a drive; returns it with the rejected frame pairs.
 
     path: a drive folder, a bag, or the address of a drive in object storage (s3://bucket/drive).
-    map_srid: EPSG code of the map that the drive is for; default drive.yaml's, else the UTM zone of the first pose.
-    images_folder: where the images of a bag are unpacked to, by the hash of their bytes; no other format needs it.
-    headers_only: check images by their first and last bytes only. This is quick, but does not find damage in between, and
-    content_sha256 covers only the small files: for inspecting a drive, not for ingesting it.
-    Raises DriveFolderError where the folder as a whole cannot be used.
+    map_srid: EPSG code of the map; default: that of drive.yaml, otherwise the UTM zone of the first pose.
+    images_folder: folder to which the images of a bag are unpacked; other formats do not need it.
+    headers_only: check only the first and last bytes of images. This is fast, but does not find damage in between, and
+    content_sha256 covers only the small files: to inspect a drive, not to ingest it.
+    Raises DriveFolderError if the drive as a whole cannot be used.
     """
     path = as_path(path)
     forget_listing(path)

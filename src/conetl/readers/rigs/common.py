@@ -240,7 +240,7 @@ def rig_of(
     sigma_px: float = 0.5,
     body_SE3_left: ArrayLike | None = None,
 ) -> Rig:
-    """Rig whose id, unless given, is the format's name and a hash over its numbers."""
+    """Rig; its id is by default the format's name and a hash over its numbers."""
     body = np.eye(4) if body_SE3_left is None else np.asarray(body_SE3_left, dtype=np.float64)
     matrices = se3.to_matrix4(body), se3.to_matrix4(se3.compose(body, left_SE3_right))
     digest = hashlib.sha256(repr((left, right, matrices)).encode()).hexdigest()[:8]

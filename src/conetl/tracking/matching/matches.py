@@ -69,7 +69,7 @@ def match_pair(
 
     up_left: unit vector (3,) pointing up, in the left camera's frame; (0, -1, 0) for a level camera. images: the two rectified
     images, (H, W, 3) uint8; with them the correspondence is refined by area-based matching (`params.refine`). A detection
-    without a partner of its category yields no match; a box cut by the image's border lacks foot or tip and is rejected.
+    without a partner of its category gives no match; a box at the border of the image lacks foot or tip and is rejected.
     """
     rejections: list[Rejection] = []
     left_whole = [d for d in left if _is_whole(d, rig.left, rejections)]
