@@ -43,6 +43,7 @@ RETIRED = {
     r"aside of\b": "beside",
     r"brought onto": "committed to, put on",
     r"at a stated \{": "with a stated sigma of",
+    r"unless (?:given|told)\b": "by default, default:",
 }
 #: Files whose text is not ours, or that must name what is retired.
 EXEMPT = (

@@ -27,7 +27,7 @@ class DetectionParams(Params):
     categories: tuple[str, ...] = (CONE,)
     """Classes of objects that are searched for. A drive is not evidence that an object of another class is gone."""
     score_threshold: Fraction = 0.3
-    """Deliberately low: a track needs several boxes that agree in space."""
+    """Low, because a track needs several boxes that agree in space."""
     nms_iou: Fraction = 0.5
     min_height_px: Positive = 8.0
     horizon_margin_rad: Annotated[float, Field(ge=0, lt=1.57)] = 0.1
@@ -70,7 +70,7 @@ class PositionParams(Params):
     """Stop when the sum of squares of the correction is below this (the paper's criterion)."""
     max_iterations: int = Field(default=20, ge=1)
     min_ray_angle_rad: Positive = 0.008
-    """Smaller angles between the two rays are rejected: 0.008 rad is 67 m at a baseline of 0.54 m."""
+    """Matches with a smaller angle between the rays are rejected: 0.008 rad is 67 m at a baseline of 0.54 m."""
     max_range_m: Positive = 35.0
     max_residual_px: Positive = 6.0
 
@@ -81,20 +81,20 @@ class TrackParams(Params):
     max_gap_frames: int = Field(default=12, ge=1)
     """A track not observed for longer is closed; `join_gate_m` may still join it."""
     max_innovation_m: Positive = 2.0
-    """Limit of the distance to the prediction: far boxes are uncertain along the line of sight, and may be another cone's."""
+    """Maximum distance to the prediction: distant boxes are uncertain along the line of sight and may be of another cone."""
     motion_sigma_relative: Positive = 0.12
     """Error of the relative motion along the path, as a share of it: GNSS without a fix drifts by 10 %."""
     motion_sigma_aside: Positive = 0.04
-    """The same across the path (sideways and up), where the INS alone is good."""
+    """The same across the path (sideways and up), where the INS is accurate."""
     motion_sigma_m: Positive = 0.05
     join_gate_m: Positive = 0.6
     """Two tracks never observed in one image and nearer than this (plus drift) are one cone."""
     min_observations: int = Field(default=3, ge=1)
     min_existence_probability: Fraction = 0.5
-    """Least existence probability of a track that confirms a feature; `ReconcileParams` has that of one that adds a feature."""
+    """Minimum existence probability of a track that confirms a feature; see `founding_existence_probability` for new ones."""
     expected_cones_per_picture: Positive = 0.05
-    """Prior: against the detector's false boxes per image it gives the odds that a group of boxes is a cone. One in twenty
-    images suits an ordinary street; work zones have more."""
+    """Prior: its ratio to the detector's false boxes per image is the odds that a group of boxes is a cone. One in twenty images
+    is typical of an ordinary street; work zones have more."""
     score_doubt: Annotated[float, Field(gt=0, lt=0.5)] = 0.02
     """Limit of the evidence of one score for or against a cone: no set of images holds every object on roads."""
     hidden_run_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
@@ -102,12 +102,12 @@ class TrackParams(Params):
     min_cone_height_m: Positive = FEATURE_CLASSES[CONE].heights_m[0]
     max_cone_height_m: Positive = FEATURE_CLASSES[CONE].heights_m[1]
     max_ground_distance_m: Positive = 0.45
-    """Of the foot from the road surface, as the drive's other tracks give it."""
+    """Maximum distance of the foot from the road surface given by the drive's other tracks."""
     max_range_m: Positive = 20.0
     """A cone must have been observed nearer than this at least once to become a feature."""
 
     def heights_m(self, category: str) -> tuple[float, float]:
-        """Least and largest height of an object: of cones these parameters, of other classes `FEATURE_CLASSES`."""
+        """Minimum and maximum height of an object: of cones these parameters, of other classes `FEATURE_CLASSES`."""
         if category == CONE:
             return self.min_cone_height_m, self.max_cone_height_m
         return FEATURE_CLASSES[category].heights_m
@@ -117,19 +117,19 @@ class ReconcileParams(Params):
     gate_chi2: Positive = 16.0
     """Gate on the squared Mahalanobis distance between track and feature, after the drive's common offset."""
     min_gate_m: Positive = 0.5
-    """Nearer than this is always the same position: crews do not set cones closer than that."""
+    """Objects closer than this are at the same position: crews do not set cones closer together."""
     max_rise_m: Positive = 1.5
-    """Cones at one place with a larger height difference, beyond their sigmas, are on two levels, such as a bridge and a road."""
+    """Cones at one position with a larger height difference, beyond their sigmas, are on two levels (a bridge and a road)."""
     max_offset_m: Positive = 2.0
-    """Largest common offset of a drive against the map that is estimated and taken out (GNSS without a fix)."""
+    """Maximum common offset of a drive from the map that is estimated and removed (GNSS without a fix)."""
     moved_max_m: Positive = 3.0
-    """A vanished feature and a new track of like height, at most this far apart, are one moved cone."""
+    """A vanished feature and a new track of similar height, at most this far apart, are one moved cone."""
     moved_height_tolerance_m: Positive = 0.15
-    """Heights that differ by more are of different height classes, which are at least 0.2 m apart."""
+    """Cones whose heights differ by more are of different sizes, which are at least 0.2 m apart."""
     moved_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.7
-    """Below this a feature counts as vanished if a new cone of like height is near it."""
+    """Below this a feature counts as vanished if a new cone of similar height is near it."""
     founding_existence_probability: Fraction = 0.6
-    """A less certain track confirms a present feature but founds none: two drives rarely err at the same location."""
+    """A less certain track confirms a feature but does not add one: two drives rarely err at the same location."""
     vanished_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
     """Probability that a cone is removed between two drives: the prior of a drive that misses it."""
     stray_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
@@ -141,30 +141,30 @@ class ReconcileParams(Params):
     removal_min_frames: int = Field(default=5, ge=1)
     """... with its location visible and empty in at least this many frame pairs."""
     visible_min_height_px: Positive = 22.0
-    """A cone counts as visible when it would appear at least this tall ..."""
+    """A cone counts as visible if it would appear at least this tall ..."""
     visible_border_px: Positive = 12.0
     """... and at least this far inside both images."""
     marking_gate_m: Positive = 0.25
     """Lane markings nearer than this across their direction, after the drive's common offset, are the same one."""
     marking_moved_max_m: Positive = 1.0
-    """A lane marking that is missed and a new one at most this far beside it are one that was repainted."""
+    """A lane marking that is missed and a new one at most this far beside it are one marking that was repainted."""
     marking_least_m: Positive = 2.5
-    """Shorter parts of a drive's lane marking are not added: ends of markings are found to about the distance of their
+    """Shorter parts of a drive's lane marking are not added: the ends of markings are only accurate to the distance of their
     vertices."""
     marking_missed_probability: Annotated[float, Field(gt=0, lt=1)] = 0.05
-    """Probability that a drive does not observe a lane marking that it had in view: dirt, shadow, a lorry beside it. The frame
-    pairs of one drive are not independent in that."""
+    """Probability that a drive does not observe a lane marking in view (dirt, shadow, a lorry beside it): once for all frame
+    pairs, which are not independent."""
     marking_blind_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
     """The same for a drive that shows less than half as much of lane markings as it does not observe (a wet road at night)."""
     marking_min_frames: int = Field(default=3, ge=1)
-    """A vertex of a lane marking that this many frame pairs had in view, and the drive did not observe, is missed."""
+    """A vertex of a lane marking is missed if it was in view of this many frame pairs and the drive did not observe it."""
     marking_view_from_m: Positive = 4.0
     """Lane markings are in view from this distance in front of the camera ..."""
     marking_view_to_m: Positive = 12.0
     """... to this one, and this far to the left and right: within the area that is searched for them (`MarkingParams`)."""
     marking_view_aside_m: Positive = 7.0
     marking_max_blur_m: Positive = 0.025
-    """Nor beyond the depth at which the drive's images blur edges on the road by this sigma, a fifth of the width of paint."""
+    """Nothing is in view beyond the depth at which images blur edges on the road by this sigma, a fifth of the paint width."""
 
 
 class TrajectoryParams(Params):
@@ -196,7 +196,7 @@ class TrajectoryParams(Params):
     """Wider images are reduced for tracking points."""
     cell_px: int = Field(default=40, ge=8)
     corners_per_cell: int = Field(default=2, ge=1)
-    """More of them sharpen a motion below the following floors, and cost time in proportion."""
+    """More corners make motions more precise than the floors below, at proportional cost."""
     min_disparity_px: Positive = 2.0
     """Points with less are too far away to measure the distance driven."""
     min_points: int = Field(default=30, ge=6)
@@ -207,14 +207,14 @@ class TrajectoryParams(Params):
     inlier_px: Positive = 1.5
     min_inlier_share: Fraction = 0.2
     gate_m: Positive = 0.5
-    """Motions farther than this from the logged one, per frame pair, are those of a moving lorry in the image."""
+    """Motions that differ by more from the logged one, per frame pair, are those of a moving lorry in the image."""
     gate_rad: Positive = 0.02
     floor_relative: Positive = 0.003
     """Error of visual odometry beyond its residuals, as a share of the distance between two frame pairs ..."""
     floor_m: Positive = 0.002
     floor_rad: Positive = 0.0001
     scale_sigma: Positive = 0.003
-    """... and common to the whole drive: errors of baseline and focal length scale all distances alike."""
+    """... and common to the whole drive: errors of baseline and focal length scale all distances equally."""
     robust_sigmas: Positive = 3.0
     """Huber's bound for an interval in the adjustment of the trajectory."""
     clock_sigma_s: Positive = 0.001
@@ -230,16 +230,16 @@ class TrajectoryParams(Params):
     cone_landmarks: bool = True
     """Use the drive's own cones as landmarks in the adjustment ..."""
     cone_landmarks_from_m: Positive = 0.1
-    """... if GNSS/INS states at least this (median horizontal sigma); beside an RTK fix cones only harm."""
+    """... if GNSS/INS states at least this median horizontal sigma; with an RTK fix, cones make the trajectory worse."""
     max_shift_chi2: Positive = 36.0
     """Largest squared shift of a pose in its stated sigmas: 3 sigma of a GNSS/INS that states half its sigmas."""
 
 
 class MarkingParams(Params):
-    """How lane markings are found; only used where they are searched for (`DetectionParams.categories`)."""
+    """Detection of lane markings; only used if they are searched for (`DetectionParams.categories`)."""
 
     pair_spacing_m: Positive = 1.0
-    """A frame pair is searched for markings when the rig has moved this far since the last one that was."""
+    """A frame pair is searched for markings if the rig has moved this far since the last searched one."""
     min_range_m: Positive = 4.0
     """Depths in front of the camera between which the road is searched ..."""
     max_range_m: Positive = 17.0
@@ -249,15 +249,15 @@ class MarkingParams(Params):
     """Bounds of the width of paint: 0.10 to 0.30 m by most standards, measured with noise."""
     max_width_m: Positive = 0.35
     min_contrast: Positive = 8.0
-    """Least grey levels between paint and road."""
+    """Minimum difference of paint and road in grey levels."""
     max_above_road_m: Positive = 0.04
-    """Of the paint above the road on either side of it: kerbs are at least 0.06 m high."""
+    """Maximum height of the paint above the road on either side: kerbs are at least 0.06 m high."""
     max_gap_m: Positive = 14.0
     """Longest gap between the dashes of one line: 9 m (Germany, other roads) to 12 m (motorways)."""
     min_length_m: Positive = 3.0
-    """Least length of the paint of one marking."""
+    """Minimum length of the paint of one marking."""
     min_frames: int = Field(default=3, ge=1)
-    """Least number of frame pairs that show it."""
+    """Minimum number of frame pairs that show it."""
     vertex_spacing_m: Positive = 2.5
 
 
@@ -285,7 +285,7 @@ class ImportParams(Params):
     cone_height_m: Positive = 0.5
     cone_height_sigma_m: Positive = 0.2
     existence_probability: Fraction = 0.9
-    """Below 1: people err, and cones are removed."""
+    """Below 1, because people make mistakes and cones are removed."""
     ground_height_m: float | None = None
     """Ellipsoidal height of all cones of a file without heights; None: such a file is refused."""
     new_ids: bool = False
@@ -297,9 +297,9 @@ class WorkZoneParams(Params):
     """How cones become work zones."""
 
     min_cones: int = Field(default=3, ge=2)
-    """Fewer cones near each other found no work zone; an existing zone continues until its last cone is gone."""
+    """Fewer cones near each other are not a work zone; an existing zone continues until its last cone is gone."""
     min_link_m: Positive = 15.0
-    """Neighbours along the road nearer than this always belong together."""
+    """Neighbours along the road closer than this always belong together."""
     link_factor: Positive = 3.2
     """Otherwise up to this many times the spacing beside the gap: two successive missing cones do not split a zone."""
     max_link_m: Positive = 80.0
@@ -318,18 +318,18 @@ class WorkZoneParams(Params):
     row_tolerance_m: Positive = 0.3
     """Distance of a cone of a row from the line of its neighbours ..."""
     row_skip_cost: Positive = 7.0
-    """... and the square of how many such tolerances are accepted before a cone is left out of the row."""
+    """... and the square of the number of tolerances beyond which a cone is not in the row."""
     min_row_cones: int = Field(default=4, ge=3)
-    """Least number of cones of a second row; fewer are strays."""
+    """Minimum number of cones of a second row; fewer are strays."""
     placement_sigma_m: Positive = 0.15
     """Precision of setting cones across the road."""
     segment_penalty: Positive = 14.0
-    """Chi-square that one more bend in a row must explain."""
+    """Chi-square that an additional bend in a row must explain."""
     min_taper_slope: Positive = 0.01
     """Gentler slopes are not tapers: at 75 mph MUTCD requires 1:75."""
     min_taper_shift_m: Positive = 0.75
     lane_width_m: tuple[Positive, Positive] = (2.3, 5.0)
-    """Least and largest distance of two lane lines with a lane between them."""
+    """Minimum and maximum distance between two lane lines of a lane."""
     min_open_lane_m: Positive = 2.5
     """A lane with less remaining width is closed: lorries are up to 2.55 m wide (directive 96/53/EC)."""
     full_lane_shift_m: Positive = 2.8
@@ -350,22 +350,22 @@ class LayoutParams(Params):
     """Rules of the layout check. The numbers of standards, and their sources, are in `workzones/rules`; None: no such rule."""
 
     taper_spacing_ft_per_mph: Positive | None = None
-    """Spacing of devices in a taper at most this many times the speed limit in mph, in feet ..."""
+    """Maximum spacing of devices in a taper in feet per mph of the speed limit ..."""
     tangent_spacing_ft_per_mph: Positive | None = None
     """... and in a tangent."""
     low_speed_max_mph: Positive = 45.0
     """L = W S^2 / divisor below this speed, L = W S from it on."""
     low_speed_divisor: Positive = 60.0
     merging_taper_share: Positive | None = None
-    """A merging taper is at least this share of L long ..."""
+    """Minimum length of a merging taper as a share of L ..."""
     shoulder_taper_share: Positive | None = None
-    """... and a shoulder taper this one."""
+    """... and of a shoulder taper."""
     missing_cone_ratio: Positive = 1.6
     """No standard: a gap of more than this many times the row's own spacing lacks a cone."""
     in_lane_tolerance_m: Positive = 0.6
     """No standard: a cone farther than this from its row, towards traffic, is in the lane."""
     sigmas: Positive = 3.0
-    """A rule is exceeded for certain if exceeded by this many sigmas."""
+    """A limit counts as exceeded if it is exceeded by this many sigmas."""
     sources: dict[str, str] = Field(default_factory=dict)
     """By the names above: standard with section or table. Only rules with a source can be violated."""
 

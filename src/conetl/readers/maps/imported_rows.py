@@ -1,4 +1,4 @@
-"""Rows of a map file -> checked statements in the map's CRS. A bad row rejects the file: no map is imported in part."""
+"""Rows of a map file -> checked statements in the map's CRS. A file with a bad row is refused: no map is imported in part."""
 
 from __future__ import annotations
 
