@@ -226,7 +226,7 @@ def test_the_queue_is_worked_off_by_keys(page, address, conn, settings, module_d
     page.click(".review-button")  # 1: the held drive comes first
     assert (
         HOLD in page.locator(".review-detail").inner_text()
-        and "5 +- 0.1 m (limit 0.1)" in page.locator(".review-detail").inner_text()
+        and "5.00 +- 0.10 m (limit 0.1)" in page.locator(".review-detail").inner_text()
     )
     page.keyboard.press("a")  # 2
     page.keyboard.type("seen in the images")  # 3

@@ -121,7 +121,7 @@ def test_the_queue_is_paged_and_what_is_decided_leaves_it(client, module_conn, h
     assert [item for page in pages for item in page] == whole["items"] and pages[-1] == []
     held = whole["items"][0]
     assert held["checks"] == [
-        {"name": "jumps of the poses", "figures": "5 +- 0.1 m (limit 0.1)", "detail": held["why"]}
+        {"name": "jumps of the poses", "figures": "5.00 +- 0.10 m (limit 0.1)", "detail": held["why"]}
     ]
 
     settings = Settings(home=home)

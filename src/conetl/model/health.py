@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 from enum import StrEnum
+from math import floor, log10
 from shlex import quote
 from typing import Any, Literal
 from uuid import UUID
@@ -47,12 +48,13 @@ class HealthCheck(Record):
 
     @property
     def figures(self) -> str:
-        """The measured value with its sigma, unit and limit; empty if nothing was measured."""
+        """The measured value with its sigma (both to two digits of the sigma), unit and limit; empty if nothing was measured."""
         if self.value is None:
             return ""
-        sigma = "" if self.sigma is None else f" +- {self.sigma:.2g}"
+        digits = f"z.{max(1 - floor(log10(self.sigma)), 0)}f" if self.sigma else ".3g"
+        sigma = f" +- {self.sigma:{digits}}" if self.sigma else ""
         limit = "" if self.limit is None else f" (limit {self.limit:.3g})"
-        return f"{self.value:.3g}{sigma}{self.unit and f' {self.unit}'}{limit}"
+        return f"{self.value:{digits}}{sigma}{self.unit and f' {self.unit}'}{limit}"
 
 
 def hold(name: str, detail: str, *, value: float | None, **figures: Any) -> HealthCheck:

@@ -200,10 +200,8 @@ def locate(
             ui.say("Possible causes: swapped images, images already rectified, or the calibration of another rig.")
     ui.print_records("", _COLUMNS, enumerate(located, 1))
     for misfit in found.misfits:
-        name = misfit.category.replace("_", " ")
-        ui.say(
-            f"not used: {name} {misfit.cone_height_m:.2f} m high at {misfit.ground_distance_m:.1f} m: implausible height"
-        )
+        size = f"{misfit.cone_height_m:.2f} m high at {misfit.ground_distance_m:.1f} m"
+        ui.say(f"not used: {misfit.category.replace('_', ' ')} {size}: implausible height")
     for rejection in found.rejections:
         ui.say(f"not used: {rejection.record.partition(' of ')[0].rstrip(' 0123456789')}: {rejection.detail}")
 
