@@ -225,6 +225,8 @@ def test_a_vehicle_that_reverses_is_held(sigma_m: float) -> None:
         checks = check_trajectory(seen, RIG, motions, refined, PARAMS)
         assert (hold_reason(checks) is not None) == held
         assert "driving direction" in {check.name for check in checks}
+        [stated] = [check for check in checks if check.name == "stated sigmas of the poses"]
+        assert held or stated.detail == "No pose was moved by more than 6 of its stated sigmas."
 
 
 def test_a_straight_drive_another_one_or_too_little_do_not_show_the_offset() -> None:

@@ -89,9 +89,9 @@ def analyse(
     If the trajectory was refined, positions and tracks are computed twice more, with sigmas estimated from the tracks: first for
     all observations of a class, then for single ones.
 
-    drive, rejections: as returned by `read_drive`. settings: model, number of threads, and folder for the results of finished
-    chunks; default: CONETL_* of the environment. executor: runs the steps; default: `settings.workers` threads. progress: called
-    with the number of processed images and motions, and of all. Raises ConetlError.
+    drive, rejections: as returned by `read_drive`. settings: model, number of threads, folder for results of finished chunks;
+    default: CONETL_* of the environment. executor: runs the steps; default: `settings.workers` threads. progress: called with the
+    number of processed images and motions, and of all. Raises ConetlError.
     """
     params, settings = params or IngestParams(), settings or read_settings()
     given = drive.rig

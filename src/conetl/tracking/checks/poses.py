@@ -81,6 +81,9 @@ def check_trajectory(
     if len(frame_pairs) <= _LEAST_INTERVALS:
         return [check_jumps(frame_pairs, rig, measured, good)]
     residual = motion_residuals(log, log.rotations, log.positions, measured, 0.0)[0]
+    against = trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS
+    within = f"no pose was moved by more than {params.max_shift_chi2**0.5:.2g} of its stated sigmas"
+    stated = trajectory.detail if against else within
     checks = [
         _measured(frame_pairs, rig, measured.start),
         _agreement(frame_pairs, rig, measured, good, residual),
@@ -94,12 +97,7 @@ def check_trajectory(
         _alignment(log, measured, residual),
         *([] if is_interpolated(frame_pairs) else check_mount(log, measured, good, residual)),
         *_directions(frame_pairs, log, measured),
-        hold_if(
-            trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS,
-            "stated sigmas of the poses",
-            f"{trajectory.detail[0].upper()}{trajectory.detail[1:]}.",
-            value=None,
-        ),
+        hold_if(against, "stated sigmas of the poses", f"{stated[0].upper()}{stated[1:]}.", value=None),
     ]
     return [_with_likely_cause(check, trajectory.clock, params) for check in checks]
 
