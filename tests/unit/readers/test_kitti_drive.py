@@ -177,6 +177,10 @@ def change_line(drive: Path, number: int, text: str, camera: str = "image_02") -
 R = RejectionReason
 LOSSES: dict[str, tuple[Callable[[Path], object], int, RejectionReason, str]] = {
     "empty file": (lambda d: (d / "image_03/data/0000000001.jpg").write_bytes(b""), 1, R.IMAGE_UNREADABLE, "empty"),
+    "both images in another folder": (
+        lambda d: [shutil.move(d / c / "data/0000000005.jpg", d / c) for c in ("image_02", "image_03")], 5, R.IMAGE_MISSING,
+        "no left image",
+    ),
     "two images of one number": (
         lambda d: shutil.copy(d / "image_02/data/0000000002.jpg", d / "image_02/data/2.jpg"), 2, R.IMAGE_UNREADABLE, "keep one",
     ),

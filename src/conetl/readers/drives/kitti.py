@@ -64,8 +64,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     rejections: list[Rejection] = []
     left = _numbered_images(camera_folder(root, settings.cameras.left, settings), path, rejections)
     right = _numbered_images(camera_folder(root, settings.cameras.right, settings), path, rejections)
-    numbers = sorted(left.keys() | right.keys())
-    if not numbers:
+    if not left and not right:
         raise InputError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
     size = first_size((paths[0] for _, paths in sorted(left.items())), content)
     rig = read_rig_for(root, calibration, size, settings, content)
@@ -75,6 +74,8 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     split = _split_triggers(root, settings, stamps, content)
     oxts_stamps = _stamps(root, OXTS_STAMPS, settings, content) if (root / OXTS_STAMPS).is_file() else {}
     srid, track, bad_records = _trajectory(source, oxts_stamps)
+    # A frame with a time stamp and a pose, but without images, is lost too: copied in part, or to another folder.
+    numbers = sorted(left.keys() | right.keys() | stamps.keys() & (track.rows.keys() | bad_records.keys()))
 
     pairs: dict[int, UsablePair] = {}
     misplaced_at = misplaced({number: times[number] for number in numbers if number in times and number not in split})
