@@ -742,14 +742,19 @@ def test_edited_rows_of_an_own_export_count(conn, tmp_path):
     assert failed_audits(conn) == []
 
 
-def test_new_ids_warn_where_the_cones_of_the_map_stand(conn, tmp_path):
+@pytest.mark.parametrize("later", [(), (1,)])
+def test_new_ids_warn_where_the_cones_of_the_map_stand_or_stood(conn, tmp_path, later):
     merge(conn, survey(0))
     conn.commit()
+    exported = len(read_current_features(conn))
     path = tmp_path / "own.gpkg"
     export_map(conn, path, "gpkg", ExportRequest())
     conn.rollback()
+    for day in later:
+        merge(conn, survey(day))
+        conn.commit()
     done = take(conn, path, params=NEW_IDS)
-    assert done.committed and done.same_place == len(read_current_features(conn))
+    assert done.committed and done.same_place == exported
 
 
 def test_the_command_line(conetl, tmp_path, surveyed, monkeypatch):

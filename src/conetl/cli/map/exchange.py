@@ -187,7 +187,7 @@ def import_(
             text = f"{file} was exported from this map: no changes."
     if done.same_place:
         note(
-            f"{done.same_place} of {counted(total, noun)} are exactly at positions of objects on the map. If the file was "
+            f"{done.same_place} of {counted(total, noun)} are exactly where objects of the map are or were. If the file was "
             "exported from this map, its evidence now counts twice: undo the import with `conetl map revert`"
         )
     if done.far:

@@ -16,7 +16,14 @@ from scipy.spatial import cKDTree
 from conetl.db.connection import Connection
 from conetl.db.map import import_store as store
 from conetl.db.map.decision_store import read_decisions
-from conetl.db.map.map_store import find_changeset, find_map, map_for, map_transaction, read_current_features
+from conetl.db.map.map_store import (
+    find_changeset,
+    find_map,
+    map_for,
+    map_transaction,
+    read_current_features,
+    read_versions,
+)
 from conetl.db.map.replay_store import affected_drives, superseded_drives
 from conetl.db.map.results import MapInfo, RunInfo
 from conetl.files.parquet_store import result_key
@@ -50,7 +57,7 @@ class ImportResult(NamedTuple):
     own: int = 0
     """Rows that were left out: this map exported them, so they are no evidence."""
     same_place: int = 0
-    """Rows with ids of their own that stand where cones of the map stand, to a millimetre."""
+    """Rows with ids of their own that stand where cones of the map stand or stood, to a millimetre."""
     far: int = 0
     """Rows that stand farther than `FAR_M` from everything on a map that was not empty."""
 
@@ -154,8 +161,8 @@ def _own_rows(conn: Connection, info: MapInfo, statements: Sequence[ImportedFeat
 
 
 def _standing_at(conn: Connection, map_name: str, statements: Sequence[ImportedFeature]) -> int:
-    """Number of positions that equal those of standing cones, to a millimetre."""
-    standing_m = np.array([feature.xyz_m for feature in read_current_features(conn, map_name=map_name)]).reshape(-1, 3)
+    """Number of positions that equal those of cones, now or before, to a millimetre (drives move them after an export)."""
+    standing_m = np.array([version.feature.xyz_m for version in read_versions(conn, map_name=map_name)]).reshape(-1, 3)
     if not len(standing_m):
         return 0
     distances_m, _ = cKDTree(standing_m).query(_positions_m(statements), distance_upper_bound=_SAME_PLACE_M)
