@@ -107,8 +107,8 @@ def fuse_group(
     """The track of one group of positions, or its rejection; in_use: boxes of all groups."""
     limits, rig = data.params.track, data.rig
     if len(group) < limits.min_observations:
-        wanted = f"expected at least {limits.min_observations}; one or two boxes prove nothing"
-        return _reject(RejectionReason.TOO_FEW_OBSERVATIONS, group, f"{len(group)} positions, {wanted}")
+        detail = f"{len(group)} of at least {limits.min_observations} positions: too few to be evidence of an object"
+        return _reject(RejectionReason.TOO_FEW_OBSERVATIONS, group, detail)
     nearest_m = min(p.range_m for p in group)
     if nearest_m > limits.max_range_m:
         detail = f"never nearer than {nearest_m:.1f} m, expected {limits.max_range_m} m"
