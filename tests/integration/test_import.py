@@ -687,6 +687,7 @@ def test_deeply_nested_geojson_is_refused(tmp_path, depth):
 def test_a_new_map_wants_its_crs_stated(tmp_path):
     path = geojson(tmp_path / "good.geojson", [GOOD])
     complaint(path, r"--map-srid.*longitude 8\.4300, latitude 49\.0100, would be in EPSG:32632", map_srid=None)
+    complaint(path, r"EPSG:4326 .* not a projected CRS in metres.*--map-srid", map_srid=4326)
 
 
 def test_the_browser_shows_a_map_that_began_with_an_import(conn, own_view, surveyed):

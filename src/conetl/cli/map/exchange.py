@@ -21,7 +21,7 @@ from conetl.exports.export import export_map
 from conetl.exports.qgis_project import write_qgis_project
 from conetl.exports.source import ExportContent, ExportRequest
 from conetl.files.documents import first_message
-from conetl.geometry.geodesy import check_map_srid, map_crs
+from conetl.geometry.geodesy import map_crs
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LANE_MARKING, noun_of
 from conetl.model.params import ImportParams
@@ -169,10 +169,7 @@ def import_(
                 f"--map-srid {map_srid}: the map {settings.map_name} already exists and is in EPSG:{info.srid}; omit the option"
             )
         srid = info.srid if info else map_srid
-        if srid is not None:
-            _require_map_srid(srid)
         imported = read_map_file(file, params, crs=crs, map_srid=srid, stated_at=parse_time(surveyed_at), layer=layer)
-        _require_map_srid(imported.srid)
         total = len(imported.statements)
         noun = "cone" if all(one.feature.category == CONE for one in imported.statements) else "object"
         done = import_map(conn, imported, params, map_name=settings.map_name, accept=accept)
@@ -237,11 +234,3 @@ def qgis(
     with open_map(map_name) as (conn, info):
         write_qgis_project(conn, output, map_name=info.map_name, user=user)
     answer(as_json, {"written": str(output)}, f"Project -> {output}")
-
-
-def _require_map_srid(srid: int) -> None:
-    """Raise InputError unless EPSG:srid is suitable for a map."""
-    try:
-        check_map_srid(srid)
-    except ValueError as error:
-        raise InputError(f"{error}: choose another one (--map-srid)") from error

@@ -17,7 +17,7 @@ from pyproj import CRS, Transformer
 
 from conetl.files.documents import error_key, expectation, input_errors, shown
 from conetl.files.parquet_store import file_sha256
-from conetl.geometry.geodesy import to_ellipsoidal, utm_srid
+from conetl.geometry.geodesy import check_map_srid, to_ellipsoidal, utm_srid
 from conetl.model.arrays import Floats
 from conetl.model.base import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3, ns_from_utc
 from conetl.model.errors import InputError
@@ -277,11 +277,14 @@ def _same(a: CRS, b: CRS) -> bool:
 
 
 def _map_srid(table: MapTable, crs: CRS, map_srid: int | None) -> int:
-    if map_srid is not None:
-        return map_srid
-    if crs.is_projected and (srid := crs.to_epsg()) is not None:
-        return int(srid)
-    raise InputError(f"{table.path} would create a new map: state its CRS (--map-srid){_zone_hint(table, crs)}")
+    srid = map_srid if map_srid is not None or not crs.is_projected else crs.to_epsg()
+    if srid is None:
+        raise InputError(f"{table.path} would create a new map: state its CRS (--map-srid){_zone_hint(table, crs)}")
+    try:
+        check_map_srid(srid)
+    except ValueError as error:
+        raise InputError(f"{error}: choose another one (--map-srid)") from error
+    return srid
 
 
 def _zone_hint(table: MapTable, crs: CRS) -> str:
