@@ -208,14 +208,10 @@ def test_decisions_and_drives_in_any_order_give_one_map(another_database, conn):
 
 def place_of_first_day(conn, kind, feature, order):
     """The same decision in every order: about the place where the first drive saw the cone."""
-    from conetl.db.map.decision_store import insert_decision
-    from conetl.db.map.map_store import find_map, map_transaction, system_time
     from conetl.model.map_records import Location
-    from conetl.pipeline.maps.decisions import _judge_location
+    from conetl.pipeline.maps.decisions import _judge_location, _open_decision
 
-    with map_transaction(conn):
-        info = find_map(conn)
-        at = system_time(conn, info)
+    with _open_decision(conn, "default", " ".join(order), None, lock_timeout_s=60.0) as at:
         place = Location(xy_m=feature.xyz_m[:2], radius_m=1.0)
-        insert_decision(conn, info, kind, decided_at=at, note=" ".join(order), location=place)
-        _judge_location(conn, info, kind, place, at)
+        at.insert(kind, location=place)
+        _judge_location(conn, at, kind, place)

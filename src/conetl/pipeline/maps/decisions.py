@@ -115,7 +115,7 @@ def decide_location(
         if kind == CLASSIFY:
             location = _classification(state, category, location)
         decision_id = at.insert(kind, location=location, feature_id=state.feature_id)
-        written, replayed = _judge_location(conn, at.info, kind, location, at.decided_at)
+        written, replayed = _judge_location(conn, at, kind, location)
         return _outcome(conn, at, decision_id, kind, written, replayed)
 
 
@@ -150,7 +150,7 @@ def revert(
             decision_id, written, replayed, conflicts = _judge_drive(conn, at, target.drive_uuid, decide, changeset_id)
         elif decision is not None and (location := decision.location) is not None:
             decision_id = decide()
-            written, replayed = _judge_location(conn, at.info, decision.kind, location, at.decided_at)
+            written, replayed = _judge_location(conn, at, decision.kind, location)
         else:
             raise InputError(f"decision {target.id} cannot be reverted")
         return _outcome(conn, at, decision_id, kind, written, replayed, conflicts, target.changeset_id)
@@ -241,17 +241,15 @@ def _outcome(
     )
 
 
-def _judge_location(
-    conn: Connection, info: MapInfo, kind: str, location: Location, decided_at: datetime
-) -> tuple[int, int]:
+def _judge_location(conn: Connection, at: _OpenDecision, kind: str, location: Location) -> tuple[int, int]:
     """Compute the consequences of a decision about a position: versions written, drives compared again."""
-    around = replays.drives_at(conn, info.map_name, location)
+    around = replays.drives_at(conn, at.info.map_name, location)
     # Suppression hides detections and changes nothing that drives are compared with; a pin and a class do.
     again = replays.affected_drives(conn, around) if kind in (PIN, CLASSIFY) else []
     aside = [ref.drive_uuid for ref in again]
-    decisions = store.read_decisions(conn, map_name=info.map_name)
+    decisions = store.read_decisions(conn, map_name=at.info.map_name)
     _, replay = replay_of(conn, aside, again, decisions, around=around)
-    return replays.write_replay(conn, info, replay, decided_at), len(again)
+    return replays.write_replay(conn, at.info, replay, at.decided_at), len(again)
 
 
 def _judge_drive(
