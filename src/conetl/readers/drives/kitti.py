@@ -296,7 +296,8 @@ def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.
         raise PairError(RejectionReason.POSE_INVALID, f"{name}: {bad[number]}", path=name, text=text)
     if number not in track.rows:
         raise PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
-    apart = abs(captured - track.times_ns.get(number, captured))
+    pose_at = track.times_ns[track.rows[number]]
+    apart = 0 if pose_at is None else abs(captured - pose_at)
     if apart > MAX_CLOCK_DIFFERENCE_NS:
         raise PairError(
             RejectionReason.TIMESTAMP_INVALID,

@@ -23,16 +23,14 @@ MAX_GAP_NS = 500_000_000
 class OxtsTrajectory(NamedTuple):
     """Poses of the IMU by frame number, and their times where they are known."""
 
-    numbers: list[int]
-    """Rising, of the valid records."""
+    rows: dict[int, int]
+    """Row of the arrays by frame number, both rising; of the valid records."""
     map_SE3_body: Floats
     """(N, 4, 4)"""
     sigma: Floats
     """(N, 6): easting, northing, height (m), roll, pitch, yaw (rad)."""
-    times_ns: dict[int, int]
-    """By frame number; frames without a time are missing."""
-    rows: dict[int, int]
-    """Row of the arrays by frame number."""
+    times_ns: list[int | None]
+    """By row; None where the time is unknown."""
 
 
 def trajectory(
@@ -49,19 +47,15 @@ def trajectory(
     poses = se3.se3(se3.rotation_from_rpy(table[:, 3], table[:, 4], grid_yaw), positions)
     recorded = np.full((len(numbers), 6), np.nan)
     recorded[:, :2] = table[:, [6]]
-    return OxtsTrajectory(
-        numbers, poses, stated_sigmas(recorded, sigmas),
-        {number: times_ns[number] for number in numbers if number in times_ns},
-        {number: k for k, number in enumerate(numbers)},
-    )  # fmt: skip
+    rows = {number: row for row, number in enumerate(numbers)}
+    return OxtsTrajectory(rows, poses, stated_sigmas(recorded, sigmas), [times_ns.get(number) for number in numbers])
 
 
 def wild_records(track: OxtsTrajectory) -> dict[int, str]:
     """Frame numbers whose position cannot be true, and why (`wild_fixes`)."""
-    timed = [i for i, number in enumerate(track.numbers) if number in track.times_ns]
-    numbers = [track.numbers[i] for i in timed]
-    wild = wild_fixes([track.times_ns[number] for number in numbers], track.map_SE3_body[timed, :3, 3])
-    return {numbers[k]: text for k, text in wild.items()}
+    timed = [(number, row, t) for number, row in track.rows.items() if (t := track.times_ns[row]) is not None]
+    wild = wild_fixes([t for _, _, t in timed], track.map_SE3_body[[row for _, row, _ in timed], :3, 3])
+    return {timed[k][0]: text for k, text in wild.items()}
 
 
 def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int]) -> dict[int, Pose]:
@@ -76,27 +70,28 @@ def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int]) -> dict[int
     if not exposures_ns:
         return {}
     rows = [track.rows[number] for number in exposures_ns]
-    late_ns = [time_ns - track.times_ns.get(number, time_ns) for number, time_ns in exposures_ns.items()]
-    ends, weights, apart_m = zip(*map(partial(_neighbour, track), rows, late_ns), strict=True)
+    ends, weights, apart_m = zip(*map(partial(_neighbour, track), rows, exposures_ns.values()), strict=True)
     poses = se3.interpolate_each([*track.map_SE3_body[rows]], [*track.map_SE3_body[[*ends]]], weights)
     sigma = track.sigma[rows]
     sigma[:, :3] = np.hypot(sigma[:, :3], np.array(apart_m)[:, None])
     return {number: se3.to_pose(pose, own) for number, pose, own in zip(exposures_ns, poses, sigma, strict=True)}
 
 
-def _neighbour(track: OxtsTrajectory, row: int, late_ns: int) -> tuple[int, float, float]:
-    """The row to interpolate with from `row`, and its weight so long after `row`: 0 at `row`, 1 at it.
+def _neighbour(track: OxtsTrajectory, row: int, time_ns: int) -> tuple[int, float, float]:
+    """The row to interpolate with from `row`, and its weight at a time: 0 at `row`, 1 at it.
 
     The record beyond the time, else that on the other side with a negative weight, down to -1. Where both are unusable `row`
     itself, and the distance (m) that the body may have driven.
     """
-    if not late_ns:
+    t0, speed = track.times_ns[row], 0.0
+    if t0 is None or t0 == time_ns:
         return row, 0.0, 0.0
-    t0, speed = track.times_ns[track.numbers[row]], 0.0
+    late_ns = time_ns - t0
     for other in (row + 1, row - 1) if late_ns > 0 else (row - 1, row + 1):
-        step_ns = track.times_ns.get(track.numbers[other], t0) - t0 if 0 <= other < len(track.numbers) else 0
-        if not step_ns:
+        t1 = track.times_ns[other] if 0 <= other < len(track.times_ns) else None
+        if t1 is None or t1 == t0:
             continue
+        step_ns = t1 - t0
         if abs(late_ns) <= abs(step_ns) <= MAX_GAP_NS:
             return other, late_ns / step_ns, 0.0
         moved_m = np.linalg.norm(track.map_SE3_body[other, :3, 3] - track.map_SE3_body[row, :3, 3])
