@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 from typing import Literal
 
@@ -17,6 +17,7 @@ import yaml
 
 from conetl.geometry.camera import matrix_k
 from conetl.model.arrays import Floats
+from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.rig import Camera
 from conetl.simulation import trajectory
@@ -35,10 +36,8 @@ DESIGN_SIZE = (960, 320)
 
 def timestamp(start: datetime, seconds: float) -> str:
     """KITTI's time stamp with nanoseconds, UTC."""
-    whole = start.replace(microsecond=0)
-    nanoseconds = round(start.microsecond * 1000 + seconds * 1e9)
-    moment = whole + timedelta(seconds=nanoseconds // 1_000_000_000)
-    return f"{moment:%Y-%m-%d %H:%M:%S}.{nanoseconds % 1_000_000_000:09d}"
+    time_ns = ns_from_utc(start) + round(seconds * 1e9)
+    return f"{utc_from_ns(time_ns):%Y-%m-%d %H:%M:%S}.{time_ns % 10**9:09d}"
 
 
 def write_calibration(folder: Path, camera: Camera, made_on: datetime) -> None:
