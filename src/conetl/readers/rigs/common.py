@@ -134,9 +134,9 @@ class Node(NamedTuple):
             )
         return LENGTH_UNITS[self.value]
 
-    def camera(self, size: Size, lens: Lens, k: Floats | None = None) -> Camera:
-        """Camera of a matrix (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels: this value, unless k is given."""
-        k = self.numbers((3, 3)) if k is None else k
+    def camera(self, size: Size, lens: Lens) -> Camera:
+        """Camera of a matrix (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels."""
+        k = self.numbers((3, 3))
         fx, fy, cx, cy = k[0, 0], k[1, 1], k[0, 2], k[1, 2]
         if not (fx > 0 and fy > 0):
             raise self.bad(f"must have positive focal lengths, found {fx:g} and {fy:g}")
@@ -164,18 +164,18 @@ class Node(NamedTuple):
         lens, kind = Lens(), lenses[bent.value]
         if kind is not None:
             lens = self.at(coefficients).lens(fisheye=kind == "fisheye")
-        intrinsics = self.at("intrinsics")
-        return intrinsics.camera(self.at("resolution").size(), lens, matrix_of(*intrinsics.numbers((4,))))
+        numbers = self.at("intrinsics")
+        matrix = numbers._replace(value=matrix_of(*numbers.numbers((4,))))
+        return matrix.camera(self.at("resolution").size(), lens)
 
-    def lens(self, coefficients: Sequence[float] | Floats | None = None, *, fisheye: bool = False) -> Lens:
+    def lens(self, *, fisheye: bool = False) -> Lens:
         """The smallest lens model that holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tx, ty]]]].
 
-        coefficients: this value, unless others are given. fisheye: they are k1, k2, k3, k4 of the equidistant model.
+        fisheye: they are k1, k2, k3, k4 of the equidistant model.
         """
         if fisheye:
-            given = self if coefficients is None else self._replace(value=coefficients)
-            return Lens(model="fisheye", coefficients=tuple(given.numbers((4,)).tolist()))
-        values = (self.numbers() if coefficients is None else np.asarray(coefficients, dtype=np.float64)).tolist()
+            return Lens(model="fisheye", coefficients=tuple(self.numbers((4,)).tolist()))
+        values = self.numbers().tolist()
         if len(values) not in (0, 4, 5, 8, 12, 14):
             raise self.bad(f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
         if any(values[8:]):

@@ -92,7 +92,7 @@ def _resolution(path: Path, sections: Sections, image_size: Size | None) -> str:
 def _zed_camera(path: Path, sections: Sections, side: str, name: str) -> Camera:
     camera = Node(path, sections[f"{side}_CAM_{name}"], f"{side}_CAM_{name}")
     k = matrix_of(*(camera.at(key).number() for key in ("fx", "fy", "cx", "cy")))
-    return camera.camera(RESOLUTIONS[name], _zed_lens(camera, sections, f"{side}_DISTO"), k)
+    return camera._replace(value=k).camera(RESOLUTIONS[name], _zed_lens(camera, sections, f"{side}_DISTO"))
 
 
 def _zed_lens(camera: Node, sections: Sections, disto: str) -> Lens:
@@ -107,7 +107,7 @@ def _zed_lens(camera: Node, sections: Sections, disto: str) -> Lens:
     lens = Node(camera.path, dict.fromkeys(_POLYNOMIAL, "0") | given, found[0])
     if "k4" in given and "p1" not in given:
         raise lens.at("k4").bad("without p1 and p2 is a fisheye lens, whose meaning in ZED files conetl does not know")
-    return lens._replace(key=f"{lens.key}.k1 to k6").lens([lens.at(key).number() for key in _POLYNOMIAL])
+    return Node(lens.path, [lens.at(key).number() for key in _POLYNOMIAL], f"{lens.key}.k1 to k6").lens()
 
 
 def read_oak_rig(path: Path, *, pair: Pair | None = None) -> Rig:

@@ -103,7 +103,7 @@ def _rectified_camera(path: Path, cameras: dict[str, Floats], number: int) -> tu
     """A rectified camera and its pose (4, 4) in the rectified frame of camera 0."""
     key, size = f"P_rect_{number:02d}", f"S_rect_{number:02d}"
     p = cameras[key].reshape(3, 4)
-    camera = Node(path, p, key).camera(Node(path, cameras[size], size).size(), Lens(), p[:, :3])
+    camera = Node(path, p[:, :3], key).camera(Node(path, cameras[size], size).size(), Lens())
     return camera, se3.se3(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
 
 

@@ -75,7 +75,7 @@ def _camera(camera: Node, image_size: Size | None) -> Camera:
         raise key.bad(f"must be 2 or 3 numbers, found {radial.size}")
     if _given(camera.get("TangentialDistortion")):
         tangential = camera.at("TangentialDistortion").numbers((2,))
-    lens = key.lens([*radial[:2], *tangential, radial[2] if radial.size == 3 else 0.0])
+    lens = key._replace(value=[*radial[:2], *tangential, radial[2] if radial.size == 3 else 0.0]).lens()
     if image_size is None:
         size = camera.get("ImageSize")
         if not _given(size):
@@ -84,7 +84,7 @@ def _camera(camera: Node, image_size: Size | None) -> Camera:
             )
         rows, columns = size.size()
         image_size = columns, rows
-    return matrix.camera(image_size, lens, k - _ORIGIN)
+    return matrix._replace(value=k - _ORIGIN).camera(image_size, lens)
 
 
 def _given(node: Node) -> bool:

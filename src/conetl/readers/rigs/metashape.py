@@ -106,7 +106,7 @@ def _camera(path: Path, sensor: Element, name: str) -> Camera:
     k = np.array([
         [v["f"] + v["b1"], v["b2"], size[0] / 2 + v["cx"] - 0.5], [0.0, v["f"], size[1] / 2 + v["cy"] - 0.5], [0.0, 0.0, 1.0],
     ])  # fmt: skip
-    return node.camera(size, _lens(node, v, fisheye=kind in _FISHEYES), k)
+    return node._replace(value=k).camera(size, _lens(node, v, fisheye=kind in _FISHEYES))
 
 
 def _lens(node: Node, v: dict[str, float], *, fisheye: bool) -> Lens:
@@ -114,6 +114,5 @@ def _lens(node: Node, v: dict[str, float], *, fisheye: bool) -> Lens:
         if v[key] != 0.0:
             text = f"is {v[key]:g}, which conetl's lenses do not have; calibrate with {key} fixed to 0"
             raise node.get(key).bad(text)
-    if fisheye:
-        return node.get("k1").lens([v["k1"], v["k2"], v["k3"], v["k4"]], fisheye=True)
-    return node.get("k1").lens([v["k1"], v["k2"], v["p2"], v["p1"], v["k3"]])
+    names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p2", "p1", "k3")
+    return node.get("k1")._replace(value=[v[name] for name in names]).lens(fisheye=fisheye)
