@@ -30,24 +30,32 @@ _TURN_RAD, _TURN_ACCELERATION, _NEIGHBOURS = np.radians(0.3), 1.0, 4
 #: Jumps that a filter spreads span this many intervals, and are at least this many sigmas: good drives have up to 7.6.
 #: Shares of the distance that all motions have in common are computed from longer ones than this (m).
 _SPANS, _SLOW_SIGMAS, _LEAST_STEP_M = (5, 10, 20), 9.0, 0.05
+#: In this time a vehicle may drive any step: only the images show which.
+_PAUSE_S = 5.0
 #: Least time between two frame pairs.
 _LEAST_STEP_S = 1e-3
 
 
 def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools) -> HealthCheck:
-    """Intervals that no accepted motion confirms, and in which the log does not move like their neighbours."""
+    """Intervals that no accepted motion confirms, and in which the log does not move like their neighbours, nor, across a pause,
+    like the images.
+    """
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
     times_s = np.maximum.accumulate(times_s + _LEAST_STEP_S * np.arange(len(times_s)))
     left = np.array([map_SE3_left(pair.pose, rig) for pair in frame_pairs])
     steps_m, speeds = np.diff(left[:, :3, 3], axis=0), np.full((len(left) - 1, 3), np.nan)
-    start = measured.start[good]
-    moved = se3.compose(left[start], se3.invert(measured.next_SE3_first[good]))[:, :3, 3] - left[start, :3, 3]
-    speeds[start] = moved / np.diff(times_s)[start, None]
+    start, in_images_m, step_s = measured.start, np.full_like(steps_m, np.nan), np.diff(times_s)
+    in_images_m[start] = se3.compose(left[start], se3.invert(measured.next_SE3_first))[:, :3, 3] - left[start, :3, 3]
+    speeds[start[good]] = (in_images_m / step_s[:, None])[start[good]]
     sigma_m = np.array([(max(pair.pose.sigma_enu_m[:2]), pair.pose.sigma_enu_m[2]) for pair in frame_pairs])
     worst_m, worst = 0.0, 0
     for k in np.flatnonzero(np.isnan(speeds[:, 0])).tolist():
         errors_m = np.maximum(_LEAST_M, _JUMP_SIGMAS * sigma_m[k : k + 2].max(axis=0))
-        if (off_m := unexplained_step_m(steps_m, speeds, times_s, k, errors_m)) > worst_m:
+        off_m = unexplained_step_m(steps_m, speeds, times_s, k, errors_m)
+        east_m, north_m, up_m = steps_m[k] - in_images_m[k]
+        if step_s[k] > _PAUSE_S and ((np.hypot(east_m, north_m), abs(up_m)) > errors_m).any():
+            off_m = float(np.hypot(np.hypot(east_m, north_m), up_m))
+        if off_m > worst_m:
             worst_m, worst = off_m, k
     detail = "The poses do not jump."
     if worst_m:
