@@ -78,6 +78,7 @@ LOSSES: dict[str, tuple[Callable[[Path], object], str, R]] = {
     "zero sigma": (edit("trajectory.csv", "0.02,0.03", "0,0.03"), "a10", R.POSE_INVALID),
     "a wild fix at the start": (edit("trajectory.csv", "151.2,", "151.25,"), "a10", R.POSE_INVALID),
     "two rows of one stem": (add_row(row(9, "a20")), "a20", R.POSE_INVALID),
+    "no image on either side": (lambda d: [(d / s / "a20.jpg").unlink() for s in ("left", "right")], "a20", R.IMAGE_MISSING),
     "bad time": (edit("trajectory.csv", row(1, "a20"), row(1, "a20", "yesterday")), "a20", R.TIMESTAMP_INVALID),
 }  # fmt: skip
 

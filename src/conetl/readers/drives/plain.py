@@ -124,12 +124,12 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     path, root, settings, content = source[:4]
     rig = read_plain_rig(root, settings, content)
     left, right = _images(root / "left", path), _images(root / "right", path)
-    stems = sorted(left.keys() | right.keys())
-    if not stems:
+    if not left and not right:
         raise InputError(f"{path}: there are no images (*.jpg, *.png) in left and right")
     found = Rows(path / TRAJECTORY)
     found.add(_trajectory_file(path, content).decode("utf-8-sig", errors="replace"))
     rows, numbers = found.by_stem, found.numbers
+    stems = sorted(left.keys() | right.keys() | rows.keys())
     good = [row for row in rows.values() if isinstance(row, Row)]
     if not good:
         first = next((str(row) for row in rows.values()), "the file has no rows")
