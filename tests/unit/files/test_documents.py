@@ -9,8 +9,17 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from conetl.files.documents import MAX_DEPTH, MAX_SHOWN, MAX_YAML_BYTES, read_json, read_yaml, read_yaml_model, shown
-from conetl.model.errors import InputError
+from conetl.files.documents import (
+    MAX_DEPTH,
+    MAX_SHOWN,
+    MAX_YAML_BYTES,
+    library_errors,
+    read_json,
+    read_yaml,
+    read_yaml_model,
+    shown,
+)
+from conetl.model.errors import InputError, StorageError
 from conetl.model.params import IngestParams
 
 BOMB = "\n".join(f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9) if n else 'x'}]" for n in range(10))
@@ -105,3 +114,25 @@ def test_what_is_wrong_with_a_model_is_named(tmp_path: Path, text: str | None, m
         path.write_text(text)
     with pytest.raises(InputError, match=message):
         read_yaml_model(path, IngestParams, "parameters")
+
+
+@pytest.mark.parametrize(
+    ("raised", "message"),
+    [
+        (ValueError("line 1\n  column 2."), "run.bag is damaged (line 1 column 2)"),
+        (PermissionError(13, "Permission denied", "run.bag"), "run.bag is damaged (Permission denied)"),
+        (KeyError(), "run.bag is damaged (KeyError)"),
+        (RuntimeError("x" * 5000), f"run.bag is damaged ({'x' * MAX_SHOWN})"),
+    ],
+)
+def test_an_error_of_a_library_becomes_one_line_of_ours(raised: Exception, message: str) -> None:
+    with pytest.raises(InputError) as found, library_errors("run.bag is damaged"):
+        raise raised
+    assert (str(found.value), found.value.__cause__) == (message, raised)
+
+
+def test_other_errors_than_those_of_the_library_pass() -> None:
+    for kinds, raised in (((), StorageError("full")), ((ValueError,), TypeError("a bug")), ((), KeyboardInterrupt())):
+        with pytest.raises(type(raised)) as found, library_errors("run.bag is damaged", *kinds):
+            raise raised
+        assert found.value is raised
