@@ -52,9 +52,9 @@ def next_day(name: str, folder: Path) -> Path:
     """
     files = SECOND_DRIVE[name]
     assert files is not None
-    for image in copy_drive(SAMPLES[0], folder).glob("image_0*/data/*"):
-        if int(image.stem) % 2:
-            image.unlink()
+    for file in copy_drive(SAMPLES[0], folder).glob("*/data/*"):
+        if int(file.stem) % 2:
+            file.unlink()
     files(folder)
     for path in folder.glob("*/timestamps.txt"):
         stamps = np.array(path.read_text().replace("2026-03-02", "2026-03-03").split("\n")[:-1], "datetime64[ns]")
