@@ -133,7 +133,11 @@ def _jumps() -> list[WrongRecording]:
         WrongRecording("a minute without images", paused(20, 60.0)),
         WrongRecording(
             "GNSS jumps 0.4 m in a minute without images", in_turn(jump(0.4), paused(20, 60.0)),
-            cause="jumps by 0.4 m between frame pairs 19", fast=True,
+            cause="jumps by 0.4 m between frame pairs 19",
+        ),
+        WrongRecording(
+            "GNSS jumps 3 m in a minute without images", in_turn(jump(3.0), paused(20, 60.0)),
+            cause="jumps by 3.0 m between frame pairs 19", fast=True,
         ),
         WrongRecording("GNSS jumps 5 m in 8 pairs", in_turn(jump(5.0, 4), without(8, 10**6)), cause="jumps by 5", fast=True),
     ]  # fmt: skip

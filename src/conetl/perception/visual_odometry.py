@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.motion.stereo_motion import StereoCameras, project, triangulate
-from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, expected_motions
+from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, motions_to_try
 from conetl.model.arrays import Bools, Floats, Image
 from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
@@ -48,11 +48,12 @@ def follow_drive(
     """
     cameras, working = cameras_of(rig), working_size(rig, params.max_width_px)
     previous: WorkingImages | NoMeasurement | None = None
-    guesses = expected_motions(frame_pairs, rig)
+    guesses = motions_to_try(frame_pairs, rig)
     for k, pair in enumerate(frame_pairs):
         images = read_working_images(pair, read, working)
         if previous is not None:
-            found = _follow_pair(previous, images, working, cameras, guesses[k - 1], params)
+            every = [_follow_pair(previous, images, working, cameras, guess, params) for guess in guesses[k - 1]]
+            found = max(every, key=lambda one: len(one[0]))
             tracks = _tracks(frame_pairs[k - 1], pair, *found)
             if not isinstance(previous, NoMeasurement) and not isinstance(images, NoMeasurement):
                 changes = [row_changes(previous.left, images.left), row_changes(previous.right, images.right)]

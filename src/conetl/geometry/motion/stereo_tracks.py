@@ -31,6 +31,9 @@ from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 
+#: During a longer pause without images (s) GNSS may jump, and a vehicle may drive any step: only the images show which.
+PAUSE_S = 5.0
+
 
 class NoMeasurement(StrEnum):
     """Why no points were followed between two frame pairs."""
@@ -101,6 +104,14 @@ def expected_motions(frame_pairs: Sequence[FramePair], rig: Rig) -> list[Floats]
     return [se3.compose(se3.invert(second), first) for first, second in pairwise(poses)]
 
 
+def motions_to_try(frame_pairs: Sequence[FramePair], rig: Rig) -> list[list[Floats]]:
+    """Of each interval the expected motion and, across a pause without images, also that of the interval before."""
+    expected = expected_motions(frame_pairs, rig)
+    pauses = np.diff([pair.captured_at_ns for pair in frame_pairs]) > 1e9 * PAUSE_S
+    before = [*expected[:1], *expected[:-1]]
+    return [[one, other] if pause else [one] for one, other, pause in zip(expected, before, pauses, strict=True)]
+
+
 def motions_between(frame_pairs: Sequence[FramePair], motions: Iterable[RelativeMotion]) -> list[RelativeMotion | None]:
     """The motion of every interval between neighbouring frame pairs; None where it is not among `motions`."""
     by_frames = {(motion.first_frame_index, motion.second_frame_index): motion for motion in motions}
@@ -125,15 +136,18 @@ def motions_of(
     """
     cameras = cameras_of(rig)
     before: Floats | None = None
-    for points, expected in zip(tracks, expected_motions(frame_pairs, rig), strict=True):
+    for points, to_try in zip(tracks, motions_to_try(frame_pairs, rig), strict=True):
         motion = None
         if points.missing is None:
             first_px, second_px, sigma_px = points.points()
-            motion = estimate_motion(
-                cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, params, seed=points.first_frame_index,
-                guess=before,
-            )  # fmt: skip
-            before = motion.next_SE3_first if motion.status is MotionStatus.OK else None
+            for expected in to_try:
+                motion = estimate_motion(
+                    cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, params, seed=points.first_frame_index,
+                    guess=before,
+                )  # fmt: skip
+                if motion.status is MotionStatus.OK:
+                    break
+            before = motion.next_SE3_first if motion is not None and motion.status is MotionStatus.OK else None
         yield relative_motion(points, motion)
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.geometry.motion.steps import unexplained_step_m
-from conetl.geometry.motion.stereo_tracks import expected_motions
+from conetl.geometry.motion.stereo_tracks import PAUSE_S, expected_motions
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Bools, Floats
 from conetl.model.drive import FramePair
@@ -30,8 +30,6 @@ _TURN_RAD, _TURN_ACCELERATION, _NEIGHBOURS = np.radians(0.3), 1.0, 4
 #: Jumps that a filter spreads span this many intervals, and are at least this many sigmas: good drives have up to 7.6.
 #: Shares of the distance that all motions have in common are computed from longer ones than this (m).
 _SPANS, _SLOW_SIGMAS, _LEAST_STEP_M = (5, 10, 20), 9.0, 0.05
-#: In this time a vehicle may drive any step: only the images show which.
-_PAUSE_S = 5.0
 #: Least time between two frame pairs.
 _LEAST_STEP_S = 1e-3
 
@@ -53,7 +51,7 @@ def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMo
         errors_m = np.maximum(_LEAST_M, _JUMP_SIGMAS * sigma_m[k : k + 2].max(axis=0))
         off_m = unexplained_step_m(steps_m, speeds, times_s, k, errors_m)
         east_m, north_m, up_m = steps_m[k] - in_images_m[k]
-        if step_s[k] > _PAUSE_S and ((np.hypot(east_m, north_m), abs(up_m)) > errors_m).any():
+        if step_s[k] > PAUSE_S and ((np.hypot(east_m, north_m), abs(up_m)) > errors_m).any():
             off_m = float(np.hypot(np.hypot(east_m, north_m), up_m))
         if off_m > worst_m:
             worst_m, worst = off_m, k
