@@ -72,19 +72,22 @@ def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
 
 
 def infinity_homography(rig: Rig) -> Floats:
-    """(3, 3) from image points of infinitely far points in the left image to those in the right one. Cameras without a lens."""
+    """(3, 3) from image points of infinitely far points in the left image to those in the right one. Cameras without a lens.
+
+    Also from a right camera with the left one's interior orientation and axes to the right one.
+    """
     right_R_left = left_SE3_right(rig)[:3, :3].T
     return np.asarray(cameras.matrix_k(rig.right) @ right_R_left @ np.linalg.inv(cameras.matrix_k(rig.left)))
 
 
-def infinity_shift_px(rig: Rig, left_uv_px: Floats, homography: Floats | None = None) -> Floats:
+def infinity_shift_px(rig: Rig, left_uv_px: Floats) -> Floats:
     """(..., 2) left minus right image point of an infinitely far point, at points (..., 2) of the left image.
 
     The difference of the principal points where the axes of a rectified rig are parallel; where the right camera is turned a
-    little, as after self-calibration, it depends on the image point. homography: of this rig, where it is known.
+    little, as after self-calibration, it depends on the image point.
     """
     uv = np.asarray(left_uv_px, dtype=np.float64)
-    matrix = infinity_homography(rig) if homography is None else homography
+    matrix = infinity_homography(rig)
     in_right = uv @ matrix[:, :2].T + matrix[:, 2]
     return np.asarray(uv - in_right[..., :2] / in_right[..., 2:])
 

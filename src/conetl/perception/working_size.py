@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from conetl.geometry.motion.stereo_tracks import NoMeasurement
-from conetl.geometry.rig import camera_of, infinity_homography, infinity_shift_px
+from conetl.geometry.rig import camera_of, infinity_shift_px
 from conetl.model.arrays import Floats, Image
 from conetl.model.drive import FramePair
 from conetl.model.rig import Rig, Side
@@ -46,10 +46,6 @@ class WorkingSize:
         """(2,) working pixels per stored pixel along u and v; they differ a little because sizes are whole numbers."""
         return np.asarray(np.array(self.size_px) / np.array(self.common_px))
 
-    @cached_property
-    def _homography(self) -> Floats:
-        return infinity_homography(self.rig)
-
     def seen_px(self, side: Side) -> Floats:
         """(2,) working pixels of an image without its padding, along u and v; infinite where it has none."""
         own = np.array(_stored_size(self.rig, side))
@@ -65,7 +61,7 @@ class WorkingSize:
 
     def infinity_shift(self, left_px: ArrayLike) -> Floats:
         """(..., 2) working pixels: left minus right image point of an infinitely far point, at points (..., 2) of the left."""
-        shift = infinity_shift_px(self.rig, self.to_stored(left_px), self._homography) * self.scale
+        shift = infinity_shift_px(self.rig, self.to_stored(left_px)) * self.scale
         return np.asarray(shift.round(_SHIFT_DECIMALS) + 0.0)
 
 

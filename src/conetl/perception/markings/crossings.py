@@ -15,12 +15,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.rig import infinity_homography
 from conetl.geometry.small_arrays import nearest_index
 from conetl.model.arrays import Floats, Image, Ints
 from conetl.model.params import MarkingParams
 from conetl.model.rig import Rig
 from conetl.perception.markings.points import MarkingPoints, PointColumns
-from conetl.perception.markings.road_plane import RoadPlane, find_road, right_from_parallel
+from conetl.perception.markings.road_plane import RoadPlane, find_road
 
 Grid = NDArray[np.float32]
 
@@ -110,7 +111,7 @@ def find_points(frame_index: int, left: Image, right: Image, rig: Rig, params: M
     u = np.float32(cx) + offsets * grid.columns_px[:, None].astype(np.float32)
     by_u, by_v, constant = road.plane.astype(np.float32)
     parallel = u * (1 - by_u) - (rows * by_v + constant)
-    turn = right_from_parallel(rig).astype(np.float32)
+    turn = infinity_homography(rig).astype(np.float32)
     ahead = turn[2, 0] * parallel + (turn[2, 1] * rows + turn[2, 2])
     u_right, v_right = ((one[0] * parallel + (one[1] * rows + one[2])) / ahead for one in turn[:2])
     sides = [_resampled(left, u, np.broadcast_to(rows, u.shape)), _resampled(right, u_right, v_right)]

@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.camera import first_road_row, matrix_k, rays
-from conetl.geometry.rig import left_SE3_right, up_in_left_camera
+from conetl.geometry.camera import first_road_row, rays
+from conetl.geometry.rig import infinity_homography, up_in_left_camera
 from conetl.model.arrays import Floats
 from conetl.model.rig import Rig
 
@@ -66,13 +66,6 @@ class RoadPlane(NamedTuple):
         return np.where(inside, self.measured_px[np.clip(v, 0, rows - 1), np.clip(u, 0, columns - 1)], np.nan)
 
 
-def right_from_parallel(rig: Rig) -> Floats:
-    """(3, 3) homography from pixels of a right camera with the left one's interior orientation and axes to those of the right
-    image: the identity, apart from the rotation by which self-calibration corrected the right camera."""
-    turn = left_SE3_right(rig)[:3, :3]
-    return np.asarray(matrix_k(rig.right) @ turn.T @ np.linalg.inv(matrix_k(rig.left)))
-
-
 def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
     """The road plane of one frame pair of grey images (H, W); None where too little of it is seen."""
     camera = rig.left
@@ -87,7 +80,7 @@ def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
     images = [
         left[first_row:],
         cv2.warpPerspective(
-            right, right_from_parallel(rig) @ shift, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+            right, infinity_homography(rig) @ shift, size, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
         ),
     ]
     if scale < 1:
