@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import os
 import threading
-from collections import OrderedDict
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
@@ -21,6 +21,7 @@ from av.container import InputContainer
 from av.video.frame import VideoFrame
 from av.video.plane import VideoPlane
 from av.video.reformatter import Interpolation, VideoReformatter
+from cachetools import LRUCache
 
 from conetl.model.arrays import Image
 from conetl.model.errors import InputError, StorageError
@@ -230,8 +231,7 @@ class _Decoders:
         """A frame was decoded, or a decoder is not used any more."""
         self._idle: list[_Decoder] = []
         self._busy: list[_Decoder] = []
-        self._kept: OrderedDict[tuple[_File, int], _Decoded] = OrderedDict()
-        self._kept_bytes = 0
+        self._kept: LRUCache[tuple[_File, int], _Decoded] = LRUCache(_KEPT_BYTES, getsizeof=_bytes_of)
 
     def read(self, frame: FrameRef) -> _Decoded:
         """A decoded frame. Raises ImageFileError."""
@@ -280,7 +280,6 @@ class _Decoders:
                     break
                 self._changed.wait()
             if kept is not None:
-                self._kept.move_to_end((file, pts))
                 return kept
             me = threading.current_thread()
             own = (d for d in idle if d.thread is me or not d.thread.is_alive())
@@ -307,13 +306,9 @@ class _Decoders:
         self._reset()
 
     def _keep(self, key: tuple[_File, int], decoded: _Decoded) -> None:
-        with self._changed:
+        with self._changed, suppress(ValueError):  # larger than all of it
             self._changed.notify_all()
-            if key not in self._kept:
-                self._kept[key] = decoded
-                self._kept_bytes += _bytes_of(decoded.frame)
-            while self._kept_bytes > _KEPT_BYTES and len(self._kept) > 1:
-                self._kept_bytes -= _bytes_of(self._kept.popitem(last=False)[1].frame)
+            self._kept.setdefault(key, decoded)
 
 
 def _reached(decoder: _Decoder) -> int:
@@ -321,8 +316,8 @@ def _reached(decoder: _Decoder) -> int:
     return -(2**63) if decoder.at is None else decoder.at
 
 
-def _bytes_of(frame: VideoFrame) -> int:
-    return sum(plane.buffer_size for plane in frame.planes)
+def _bytes_of(decoded: _Decoded) -> int:
+    return sum(plane.buffer_size for plane in decoded.frame.planes)
 
 
 _decoders = _Decoders()
