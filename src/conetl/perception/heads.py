@@ -110,13 +110,11 @@ class SideDistributionHead(_Head):
         return 4 * self.side_bins + (4 if self.foot_and_tip else 0) + self.class_count
 
 
-YoloHead = Annotated[
-    YoloV3Head | YoloV5Head | YoloV8Head | YoloXHead | EndToEndHead,
-    Field(discriminator="kind"),
-]
+YoloHead = YoloV3Head | YoloV5Head | YoloV8Head | YoloXHead | EndToEndHead
+Head = SideDistributionHead | YoloHead
 
 
-def expected_shapes(head: YoloHead | SideDistributionHead) -> list[tuple[int | str, ...]]:
+def expected_shapes(head: Head) -> list[tuple[int | str, ...]]:
     """Shapes of the outputs that the head reads, in their order; a dimension of any size is a name."""
     match head:
         case YoloV3Head():
@@ -134,7 +132,7 @@ def expected_shapes(head: YoloHead | SideDistributionHead) -> list[tuple[int | s
             return [("cells", head.channels), ("cells",)] * len(head.strides_px)
 
 
-def check_outputs(head: YoloHead | SideDistributionHead, shapes: Sequence[Shape]) -> None:
+def check_outputs(head: Head, shapes: Sequence[Shape]) -> None:
     """Check that a network's outputs have the shapes that the head reads.
 
     shapes: of the outputs in their order, as onnxruntime reports them; None or a name where a dimension is not fixed.

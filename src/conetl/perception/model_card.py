@@ -6,7 +6,7 @@ import ast
 import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Self
 
 from pydantic import Field, PositiveInt, ValidationError, model_validator
 
@@ -14,7 +14,7 @@ from conetl.files.documents import MAX_JSON_BYTES, first_message, read_limited
 from conetl.model.base import Record
 from conetl.model.detector_evidence import DetectorEvidence, Share
 from conetl.model.errors import InputError, ModelFileError
-from conetl.perception.heads import SideDistributionHead, YoloHead
+from conetl.perception.heads import Head, SideDistributionHead
 
 DEFAULT_MODEL = "conetl-road-10.onnx"
 _ULTRALYTICS_LAYOUT = "RGB float32 NCHW 0..1"
@@ -69,10 +69,7 @@ class ModelCard(Record):
     sha256: str = Field(pattern="^[0-9a-f]{64}$")
     input_layout: str = Field(pattern=r"^(RGB|BGR) (float32 (NCHW|NHWC) 0\.\.(1|255)|uint8 (NCHW|NHWC) 0\.\.255)$")
     """For instance "RGB float32 NCHW 0..1"."""
-    head: Annotated[
-        SideDistributionHead | YoloHead,
-        Field(discriminator="kind"),
-    ]
+    head: Head = Field(discriminator="kind")
     pad_multiple_px: int = Field(ge=1)
     """Both sides of the input are padded to a multiple of it; ignored where the network's input has a fixed size."""
     closer_look: ReScoringPass | None = None
