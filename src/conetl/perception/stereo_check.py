@@ -35,7 +35,6 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.lens_check import check_distortion
 from conetl.perception.rectified_image import read_pair_image, rectify_image
 from conetl.perception.torn_images import MOST_OTHERS, check_seams, thinned
-from conetl.perception.video import frame_of
 
 TRIGGER = "trigger of both cameras"
 _PAIRS, _FEATURES, _MIN_MATCHES = 5, 1000, 50
@@ -88,7 +87,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     chosen = np.unique(np.linspace(0, count - 1, _PAIRS).astype(int)).tolist()
     features, points, offsets = _matching(drive)
     # Of a video in two files much is decoded for one frame: both at once.
-    with ThreadPoolExecutor(1 if in_one_file(drive.frame_pairs[0]) else 2) as pool:
+    with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda side: [features(k, side) for k in chosen], SIDES))
     found = offsets(chosen, 0)
     near = found[np.abs(found[:, 1]) <= _MAX_ROWS_PX]
@@ -177,12 +176,6 @@ def _matching(drive: Drive) -> _Matching:
         return np.concatenate([np.empty((0, 2)), *parts])
 
     return _Matching(features, points, offsets)
-
-
-def in_one_file(pair: FramePair) -> bool:
-    """Whether both images are regions of the frames of one video."""
-    left, right = frame_of(pair.left_path), frame_of(pair.right_path)
-    return left is not None and right is not None and left.path == right.path
 
 
 def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck:
