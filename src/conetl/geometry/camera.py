@@ -51,12 +51,8 @@ def rays(camera: Camera, uv_px: ArrayLike) -> Floats:
     x and y are NaN where the lens has no such image point (see `lens.undistort`); a camera without a lens has no NaN.
     """
     uv = np.asarray(uv_px, dtype=np.float64)
-    x = (uv[..., 0] - camera.cx_px) / camera.fx_px
-    y = (uv[..., 1] - camera.cy_px) / camera.fy_px
-    if camera.lens.model != "none":
-        xy = lenses.undistort(camera.lens, np.stack([x, y], axis=-1))
-        x, y = xy[..., 0], xy[..., 1]
-    return np.stack([x, y, np.ones_like(x)], axis=-1)
+    xy = lenses.undistort(camera.lens, (uv - (camera.cx_px, camera.cy_px)) / (camera.fx_px, camera.fy_px))
+    return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
 
 
 def horizon_row_px(camera: Camera, map_R_cam: ArrayLike, u_px: float | None = None) -> float:
