@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
-from conetl.geometry.small_arrays import apply_steps, cross_matrix, inverse_of_symmetric, median, pose_distance
+from conetl.geometry.small_arrays import apply_steps, cross_matrix, inverse_of_symmetric, pose_distance
 from conetl.model.arrays import Bools, Floats
 from conetl.model.base import Matrix4, Record
 from conetl.model.params import TrajectoryParams
@@ -190,7 +190,7 @@ def estimate_motion(
     if len(chosen) < params.min_points:
         return result(MotionStatus.TOO_FEW_POINTS, expected, np.zeros(len(chosen), dtype=bool))
     # A residual is expected to grow with the point's own errors: near points magnify them.
-    reach = params.inlier_px * _spread_px(cameras, points, d_points, sigma_px, expected) / median(sigma_px) / 2**0.5
+    reach = params.inlier_px * _spread_px(cameras, points, d_points, sigma_px, expected) / np.median(sigma_px) / 2**0.5
     points, d_points, second_px, sigma_px, reach = (a[chosen] for a in (points, d_points, second_px, sigma_px, reach))
 
     def best_of(poses: Floats) -> tuple[Floats, Bools]:
@@ -272,7 +272,7 @@ def _refine(
         spread.reshape(9, -1)[::4] += 1.0  # the diagonals
         information = inverse_of_symmetric(var * spread)
         misfit2 = np.einsum("in,ijn,jn->n", r, information, r) / 3
-        factor2 = max(median(misfit2) / 0.7887, 1e-6)  # median of chi-square(3) / 3
+        factor2 = max(float(np.median(misfit2)) / 0.7887, 1e-6)  # median of chi-square(3) / 3
         information *= 1 / (1 + misfit2 / factor2 / _CAUCHY_SIGMAS**2)
         # By (w, d): the rows' cross products with the turned point, and the rows.
         design = np.empty((6, 3, turned.shape[1]))

@@ -21,7 +21,6 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion, StereoCameras, 
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_of, shifts_between
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import left_SE3_right
-from conetl.geometry.small_arrays import median
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair, Track
 from conetl.model.health import HealthCheck, hold_if
@@ -64,7 +63,7 @@ def right_camera_ahead(cameras: StereoCameras, spans: Sequence[Floats]) -> tuple
     for _ in range(_ROUNDS):
         estimate = np.linalg.lstsq(effects[kept], rows[kept], rcond=None)[0]
         rest = np.abs(rows - effects @ estimate)
-        kept = rest <= _OUTLIER_SIGMAS * 1.4826 * median(rest[kept])
+        kept = rest <= _OUTLIER_SIGMAS * 1.4826 * np.median(rest[kept])
     parts = [(effects[kept & (span == k)], rows[kept & (span == k)]) for k in range(len(spans))]
     normals, sides = np.array([a.T @ a for a, _ in parts]), np.array([a.T @ r for a, r in parts])
     without = normals.sum(axis=0) - normals
@@ -86,7 +85,7 @@ def check_exposures(ahead: tuple[float, ...], rig: Rig, frame_pairs: Sequence[Fr
     if wrong:
         path = np.array([pair.pose.map_t_body_m for pair in frame_pairs])
         seconds = np.diff([pair.captured_at_ns for pair in frame_pairs]) / 1e9
-        speed_m_s = max(median(np.linalg.norm(np.diff(path, axis=0), axis=1) / seconds), 1e-3)
+        speed_m_s = max(float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1) / seconds)), 1e-3)
         detail = (
             f"The right camera is {abs(off_m):.3f} +- {sigma_m:.3f} m {'ahead of' if off_m > 0 else 'behind'} its calibrated "
             f"position: at {speed_m_s:.1f} m/s it exposes {abs(off_m) / speed_m_s * 1e3:.1f} ms too "
