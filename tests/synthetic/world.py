@@ -11,7 +11,8 @@ from uuid import NAMESPACE_URL, uuid5
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.calibration.covariance import as_rows, with_covariance
+from conetl.geometry.calibration.covariance import with_covariance
+from conetl.geometry.packing import as_rows
 from conetl.mapping.history import DriveEvidence
 from conetl.model.drive import Detection, Drive, FramePair, Pose, Position, StereoMatch, Track
 from conetl.model.params import IngestParams, MatchParams, PositionParams, ReconcileParams

@@ -17,6 +17,11 @@ def vec3(values: Floats) -> Vec3:
     return x, y, z
 
 
+def as_rows(matrix: Floats) -> tuple[tuple[float, ...], ...]:
+    """(N, K) -> tuples."""
+    return tuple(map(tuple, matrix.tolist()))
+
+
 def cov3(matrix: Floats) -> Cov3:
     """Symmetric (3, 3) -> upper triangle xx, xy, xz, yy, yz, zz."""
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix.tolist()

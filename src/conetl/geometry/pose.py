@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from conetl.geometry.packing import vec3
+from conetl.geometry.packing import as_rows, vec3
 from conetl.model.arrays import Floats
 from conetl.model.base import Matrix3, Matrix4
 from conetl.model.drive import Pose
@@ -126,19 +126,12 @@ def interpolate_each(a: Sequence[Floats], b: Sequence[Floats], weights: Sequence
 
 def to_matrix3(rotation: ArrayLike) -> Matrix3:
     """Nested tuple of a (3, 3) array, as the records want it."""
-    return cast(Matrix3, _nested(rotation, 3))
+    return cast(Matrix3, as_rows(np.asarray(rotation, dtype=np.float64)))
 
 
 def to_matrix4(pose: ArrayLike) -> Matrix4:
     """Nested tuple of a (4, 4) array, as the records want it."""
-    return cast(Matrix4, _nested(pose, 4))
-
-
-def _nested(matrix: ArrayLike, size: int) -> tuple[tuple[float, ...], ...]:
-    m = np.asarray(matrix, dtype=np.float64)
-    if m.shape != (size, size):
-        raise ValueError(f"expected a ({size}, {size}) array, found shape {m.shape}")
-    return tuple(map(tuple, m.tolist()))
+    return cast(Matrix4, as_rows(np.asarray(pose, dtype=np.float64)))
 
 
 def map_SE3_body(pose: Pose) -> Floats:

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import camera as cameras
 from conetl.geometry import pose as se3
+from conetl.geometry.packing import as_rows
 from conetl.model.arrays import Floats
 from conetl.model.drive import Pose
 from conetl.model.rig import Camera, Rig, Side
@@ -65,8 +66,8 @@ def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
     covariance = rig.calibration_covariance
     if covariance is not None:
         scale = np.array([factors.get(name, 1.0) for name in covariance.names])
-        matrix = np.array(covariance.matrix) * np.outer(scale, scale)
-        covariance = covariance.model_copy(update={"matrix": tuple(map(tuple, matrix.tolist()))})
+        matrix = as_rows(np.array(covariance.matrix) * np.outer(scale, scale))
+        covariance = covariance.model_copy(update={"matrix": matrix})
     names = {"rig_id": f"{rig.rig_id}-{width_px}x{height_px}", "calibration_covariance": covariance}
     return rig.model_copy(update={**resized_cameras, **names})
 

@@ -17,16 +17,10 @@ import numpy as np
 from pydantic import Field
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.covariance import (
-    as_rows,
-    calibration_id,
-    known_covariance,
-    square_root,
-    with_covariance,
-)
+from conetl.geometry.calibration.covariance import calibration_id, known_covariance, square_root, with_covariance
 from conetl.geometry.calibration.self_calibration import SpanPoints, equivalent_camera, estimate_right_camera
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
-from conetl.geometry.packing import vec3
+from conetl.geometry.packing import as_rows, vec3
 from conetl.geometry.rig import body_SE3_camera, right_camera_turned
 from conetl.model.arrays import Floats
 from conetl.model.base import Record, Vec3

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.calibration.covariance import (
-    as_rows,
     calibration_id,
     calibration_jacobian,
     jacobian_of,
@@ -19,6 +18,7 @@ from conetl.geometry.calibration.covariance import (
     unpack_jacobians,
     with_covariance,
 )
+from conetl.geometry.packing import as_rows
 from conetl.model.rig import CalibrationCovariance, Rig
 from tests.synthetic.world import make_rig
 

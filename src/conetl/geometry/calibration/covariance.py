@@ -31,6 +31,7 @@ from numpy.typing import ArrayLike
 from conetl.geometry import rig as rigs
 from conetl.geometry.calibration.stereo_bundle import BundleError, Reduced
 from conetl.geometry.camera import project_with_jacobian
+from conetl.geometry.packing import as_rows
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Floats
 from conetl.model.base import SharedErrorJacobian
@@ -150,11 +151,6 @@ def square_root(covariance: ArrayLike) -> Floats:
     result = np.zeros((len(matrix), int(kept.sum())))
     result[kept] = sigmas[kept, None] * root
     return result
-
-
-def as_rows(matrix: Floats) -> tuple[tuple[float, ...], ...]:
-    """(N, K) -> tuples."""
-    return tuple(tuple(row) for row in matrix.tolist())
 
 
 def jacobian_of(jacobian: Floats, rig: Rig, others: Sequence[tuple[UUID, Floats]] = ()) -> SharedErrorJacobian | None:

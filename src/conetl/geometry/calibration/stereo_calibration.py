@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.covariance import RigCovariance, as_rows, rig_covariance
+from conetl.geometry.calibration.covariance import RigCovariance, rig_covariance
 from conetl.geometry.calibration.stereo_bundle import (
     BoardView,
     Bundle,
@@ -23,6 +23,7 @@ from conetl.geometry.calibration.stereo_bundle import (
     stereo_pairs,
 )
 from conetl.geometry.lens import distort, distort_jacobian, undistort
+from conetl.geometry.packing import as_rows
 from conetl.model.arrays import Floats
 from conetl.model.rig import LENS_COEFFICIENTS, SIDES, CalibrationCovariance, Camera, Lens, LensModel, Rig, Side
 
