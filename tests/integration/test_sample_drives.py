@@ -17,11 +17,12 @@ from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
 from conetl.mapping.visibility import check_visibility, observations_of_drive
+from conetl.model.base import Record
 from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.errors import DriveFolderError
 from conetl.model.feature_classes import CONE
 from conetl.model.map_records import DeltaKind
-from conetl.model.params import DetectionParams, IngestParams, MatchParams, Params, ReconcileParams, TrackParams
+from conetl.model.params import DetectionParams, IngestParams, MatchParams, ReconcileParams, TrackParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.chunks import Chunk
@@ -125,7 +126,7 @@ def test_a_drive_without_a_whole_right_image_looks_at_nothing(
 
 
 def test_detections_are_known_by_all_that_says_what_is_searched(tmp_path: Path, results: AnalysedDrive) -> None:
-    changes: tuple[dict[str, Params], ...] = (
+    changes: tuple[dict[str, Record], ...] = (
         {},
         {"reconcile": ReconcileParams(removal_min_frames=4)},
         {"reconcile": ReconcileParams(visible_min_height_px=30.0)},

@@ -19,11 +19,7 @@ from conetl.model.feature_classes import CONE, FEATURE_CLASSES, known_classes
 _SIGN_MARGIN_RAD = 0.3
 
 
-class Params(Record):
-    """Base of all parameter groups."""
-
-
-class DetectionParams(Params):
+class DetectionParams(Record):
     categories: tuple[str, ...] = (CONE,)
     """Classes of objects that are searched for. A drive is not evidence that an object of another class is gone."""
     score_threshold: Fraction = 0.3
@@ -51,7 +47,7 @@ class DetectionParams(Params):
         return known_classes(categories)  # in one order: they are part of a hash
 
 
-class MatchParams(Params):
+class MatchParams(Record):
     epipolar_tolerance_px: Positive = 3.0
     """Allowed row difference of a stereo match, added to `epipolar_tolerance_relative` times the box height."""
     epipolar_tolerance_relative: Positive = 0.12
@@ -65,7 +61,7 @@ class MatchParams(Params):
     """Refine the left-right correspondence by area-based matching where the images allow it."""
 
 
-class PositionParams(Params):
+class PositionParams(Record):
     convergence_m2: Positive = 1e-10
     """Stop when the sum of squares of the correction is below this (the paper's criterion)."""
     max_iterations: int = Field(default=20, ge=1)
@@ -75,7 +71,7 @@ class PositionParams(Params):
     max_residual_px: Positive = 6.0
 
 
-class TrackParams(Params):
+class TrackParams(Record):
     gate_chi2: Positive = 16.0
     """Gate on the squared Mahalanobis distance of (u, v, disparity) against the prediction."""
     max_gap_frames: int = Field(default=12, ge=1)
@@ -113,7 +109,7 @@ class TrackParams(Params):
         return FEATURE_CLASSES[category].heights_m
 
 
-class ReconcileParams(Params):
+class ReconcileParams(Record):
     gate_chi2: Positive = 16.0
     """Gate on the squared Mahalanobis distance between track and feature, after the drive's common offset."""
     min_gate_m: Positive = 0.5
@@ -167,7 +163,7 @@ class ReconcileParams(Params):
     """Nothing is in view beyond the depth at which images blur edges on the road by this sigma, a fifth of the paint width."""
 
 
-class TrajectoryParams(Params):
+class TrajectoryParams(Record):
     refine: bool = True
     """Refine the logged poses by visual odometry."""
     self_calibrate: bool = True
@@ -235,7 +231,7 @@ class TrajectoryParams(Params):
     """Largest squared shift of a pose in its stated sigmas: 3 sigma of a GNSS/INS that states half its sigmas."""
 
 
-class MarkingParams(Params):
+class MarkingParams(Record):
     """Detection of lane markings; only used if they are searched for (`DetectionParams.categories`)."""
 
     pair_spacing_m: Positive = 1.0
@@ -261,7 +257,7 @@ class MarkingParams(Params):
     vertex_spacing_m: Positive = 2.5
 
 
-class IngestParams(Params):
+class IngestParams(Record):
     """All parameters of one ingest."""
 
     detection: DetectionParams = DetectionParams()
@@ -277,7 +273,7 @@ class IngestParams(Params):
     """With a larger share of rejected frame pairs the command ends with exit code 1."""
 
 
-class ImportParams(Params):
+class ImportParams(Record):
     """Assumptions about an imported map where its file states nothing, and parameters of its comparison with the map."""
 
     sigma_m: Positive = 0.5
@@ -293,7 +289,7 @@ class ImportParams(Params):
     reconcile: ReconcileParams = ReconcileParams()
 
 
-class WorkZoneParams(Params):
+class WorkZoneParams(Record):
     """How cones become work zones."""
 
     min_cones: int = Field(default=3, ge=2)
@@ -346,7 +342,7 @@ class WorkZoneParams(Params):
     """How long an ended work zone stays in the feed, as completed."""
 
 
-class LayoutParams(Params):
+class LayoutParams(Record):
     """Rules of the layout check. The numbers of standards, and their sources, are in `workzones/rules`; None: no such rule."""
 
     taper_spacing_ft_per_mph: Positive | None = None
@@ -370,7 +366,7 @@ class LayoutParams(Params):
     """By the names above: standard with section or table. Only rules with a source can be violated."""
 
 
-def params_sha256(params: Params) -> str:
+def params_sha256(params: Record) -> str:
     """Hash of a parameter group: equal values give equal hashes in any order."""
     text = json.dumps(params.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
