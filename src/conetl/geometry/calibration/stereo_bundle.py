@@ -13,16 +13,15 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import intrinsics, project, project_with_jacobian
 from conetl.geometry.small_arrays import apply_steps, cross_matrix
-from conetl.model.arrays import Bools, Floats
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.rig import INTERIOR, LENS_COEFFICIENTS, RELATIVE, SIDES, Camera, Lens, LensModel, Side
 
-Ints = NDArray[np.int64]
 PairSystem = tuple[Floats, Floats, Floats]
 #: Prior sigmas of a free board's shape, as a share of its diagonal: paper and plates buckle, but are printed well. Without them
 #: the aspect ratios of a board that is always upright and of the pixels could not be separated.

@@ -14,15 +14,11 @@ from typing import Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from conetl.geometry.calibration.stereo_calibration import MIN_CORNERS
-from conetl.model.arrays import Floats, Image
+from conetl.model.arrays import Floats, Image, Ints
 from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
-
-Ints = NDArray[np.int64]
-Grey = Image
 
 #: A blurred edge is at most this wide (contrast over steepest slope, px); what is wider is refused.
 MAX_EDGE_WIDTH_PX = 6.0
@@ -113,7 +109,7 @@ def parse_board(text: str) -> Board:
     return Board("aprilgrid", cols, rows, size_m, spacing=spacing)
 
 
-def find_board(image: Grey, board: Board) -> Found | NotFound:
+def find_board(image: Image, board: Board) -> Found | NotFound:
     """Corners of the board in a grey image (height, width), or why there are none."""
     if board.kind == "chessboard":
         corners = _find_chessboard(image, (board.cols, board.rows))
@@ -154,7 +150,7 @@ def matched_orientation(left: Found, right: Found, board: Board) -> Found:
     return Found(right.point_ids, right.uv_px[orders[int(np.argmin(misses))]])
 
 
-def edge_width_px(image: Grey, uv_px: Floats) -> float:
+def edge_width_px(image: Image, uv_px: Floats) -> float:
     """Median over corners of contrast divided by steepest slope around them: how many pixels an edge takes."""
     widths = []
     for u, v in uv_px:
@@ -173,7 +169,7 @@ def edge_width_px(image: Grey, uv_px: Floats) -> float:
 # --------------------------------------------------------------------------- chessboard
 
 
-def _find_chessboard(image: Grey, size: tuple[int, int]) -> Floats | None:
+def _find_chessboard(image: Image, size: tuple[int, int]) -> Floats | None:
     """(cols rows, 2) corners row by row, or None: found with ever more effort, then measured in an enlarged copy."""
     accurate = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     attempts: tuple[tuple[int, int], ...] = (
@@ -201,7 +197,7 @@ def _find_chessboard(image: Grey, size: tuple[int, int]) -> Floats | None:
     return _right_handed(np.asarray(fine + top), size)
 
 
-def _sectors(image: Grey, size: tuple[int, int], flags: int, scale: int) -> Floats | None:
+def _sectors(image: Image, size: tuple[int, int], flags: int, scale: int) -> Floats | None:
     enlarged = image if scale == 1 else cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_CUBIC)
     found, corners = cv2.findChessboardCornersSB(enlarged, size, flags=flags)
     if not found:
@@ -223,7 +219,7 @@ def _right_handed(corners: Floats, size: tuple[int, int]) -> Floats:
     return np.ascontiguousarray(grid.reshape(-1, 2))
 
 
-def _why_no_chessboard(image: Grey, board: Board) -> NotFound:
+def _why_no_chessboard(image: Image, board: Board) -> NotFound:
     """A smaller search distinguishes a board that is cut off from one that is missing or has another size."""
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
     found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
@@ -260,23 +256,23 @@ def _length_m(text: str, spec: str) -> float:
 # --------------------------------------------------------------------------- boards with markers
 
 
-def _find_charuco(image: Grey, board: Board) -> tuple[Ints, Floats]:
+def _find_charuco(image: Image, board: Board) -> tuple[Ints, Floats]:
     """Numbers (n,) and places (n, 2) px of the inner corners of a ChArUco board.
 
     Boards made before OpenCV 4.6 begin with another colour in their first corner; both kinds are tried.
     """
     words = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{board.dictionary}"))
-    best: tuple[Ints, Floats] = (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    best: tuple[Ints, Floats] = (np.zeros(0, dtype=np.intp), np.zeros((0, 2)))
     for legacy in (False, True):
         pattern = cv2.aruco.CharucoBoard((board.cols, board.rows), board.size_m, board.marker_m, words)
         pattern.setLegacyPattern(legacy)
         corners, ids, _, _ = cv2.aruco.CharucoDetector(pattern).detectBoard(image)
         if ids is not None and len(ids) > len(best[0]):
-            best = ids.ravel().astype(np.int64), corners.reshape(-1, 2).astype(np.float64)
+            best = ids.ravel().astype(np.intp), corners.reshape(-1, 2).astype(np.float64)
     return best
 
 
-def _find_april_grid(image: Grey, board: Board) -> tuple[Ints, Floats]:
+def _find_april_grid(image: Image, board: Board) -> tuple[Ints, Floats]:
     """Numbers (n,) and places (n, 2) px of the tag corners of an AprilGrid (tag36h11, Kalibr's layout).
 
     Tags are numbered row by row from the lower left; corner 4 t + k is the lower left, lower right, upper right, upper left one
@@ -285,10 +281,10 @@ def _find_april_grid(image: Grey, board: Board) -> tuple[Ints, Floats]:
     words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     # By outline, not by OpenCV's AprilTag detector: that one loses tags whose corners touch the black squares between them.
     quads, ids, _ = cv2.aruco.ArucoDetector(words, cv2.aruco.DetectorParameters()).detectMarkers(image)
-    none: tuple[Ints, Floats] = (np.zeros(0, dtype=np.int64), np.zeros((0, 2)))
+    none: tuple[Ints, Floats] = (np.zeros(0, dtype=np.intp), np.zeros((0, 2)))
     if ids is None:
         return none
-    tags = ids.ravel().astype(np.int64)
+    tags = ids.ravel().astype(np.intp)
     once = np.array([(tags == tag).sum() == 1 and tag < board.cols * board.rows for tag in tags])
     if once.sum() < 2:
         return none
