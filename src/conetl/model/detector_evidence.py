@@ -144,7 +144,9 @@ def class_evidence(evidence: DetectorEvidence, category: str) -> DetectorEvidenc
     if category == CONE:
         return evidence
     false_boxes = (evidence.false_boxes_by_class or {}).get(category)
-    return UNMEASURED_CLASS if false_boxes is None else _of_other_class(false_boxes)
+    if false_boxes is None:
+        return UNMEASURED_CLASS
+    return UNMEASURED_CLASS.model_copy(update={"false_boxes_per_picture": ((false_boxes,),)})
 
 
 def absence_log_ratio(
@@ -302,12 +304,6 @@ UNMEASURED = DetectorEvidence(
 )
 #: For the boxes of other classes than cones: one box in two images, so that several drives must miss an object before it is gone.
 UNMEASURED_CLASS = UNMEASURED.model_copy(update={"detected": (((0.5,),),), "found_again": (0.5,)})
-
-
-@lru_cache(maxsize=32)
-def _of_other_class(false_boxes: float) -> DetectorEvidence:
-    return UNMEASURED_CLASS.model_copy(update={"false_boxes_per_picture": ((false_boxes,),)})
-
 
 #: `UNMEASURED` with the default threshold of `DetectionParams`.
 UNMEASURED_ABSENCE = AbsenceFigures(evidence=UNMEASURED, score_threshold=0.3)
