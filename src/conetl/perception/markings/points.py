@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -10,8 +10,6 @@ from pydantic import Field, model_validator
 from conetl.geometry.motion.stereo_tracks import PackedPoints
 from conetl.model.arrays import Floats
 from conetl.model.base import Record
-
-_NONE: Final = b""
 
 
 class PointColumns(NamedTuple):
@@ -46,9 +44,9 @@ class MarkingPoints(Record):
     """Points of lane markings in one frame pair, and the rows that were searched for them."""
 
     frame_index: int = Field(ge=0)
-    points: PackedPoints = _NONE
+    points: PackedPoints = b""
     """(N, 12) numbers, the columns of `PointColumns`."""
-    rows: PackedPoints = _NONE
+    rows: PackedPoints = b""
     """(R, 2): row of the left image (px) and depth of the road there (m), the nearest first."""
 
     @model_validator(mode="after")
