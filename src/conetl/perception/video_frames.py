@@ -36,7 +36,6 @@ _MAX_DECODERS, _KEPT_BYTES = 8, 256 * 2**20
 _NEAR_S = 0.5
 #: Without these the library rounds down, by more than one grey level.
 _EXACT = Interpolation.BILINEAR | Interpolation.ACCURATE_RND | Interpolation.FULL_CHR_H_INT
-_reformatters: list[VideoReformatter] = []
 
 
 def read_frame(frame: FrameRef, sha256: str = "", *, grey: bool = False) -> Image:
@@ -89,14 +88,9 @@ def _pixels(frame: VideoFrame, region: Region | None, *, grey: bool) -> Image:
 
 def _converted(frame: VideoFrame, *, grey: bool) -> Image:
     """The brightness (height, width) of a frame, or its red, green and blue (height, width, 3)."""
-    # A frame's own reformatter is not safe where two threads read the same frame. One with threads of its own, or one that is
-    # freed with its thread, would hang a process that is forked from this one: they are kept, each used by one thread at a time.
-    try:
-        own = _reformatters.pop()
-    except IndexError:
-        own = VideoReformatter()
-    converted = own.reformat(frame, format="gray" if grey else "gbrp", interpolation=_EXACT, threads=1)
-    _reformatters.append(own)
+    # A frame's own reformatter is not safe where two threads read the same frame; one with threads of its own, or one that is
+    # freed with its thread, would hang a process that is forked from this one.
+    converted = VideoReformatter().reformat(frame, format="gray" if grey else "gbrp", interpolation=_EXACT, threads=1)
     return np.asarray(converted.to_ndarray(), dtype=np.uint8)
 
 
