@@ -7,19 +7,17 @@ Labayrade, Aubert & Tarel 2002).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
+from cv2.typing import MatLike
 from numpy.typing import NDArray
 
 from conetl.geometry.camera import first_road_row, rays
 from conetl.geometry.rig import infinity_homography, up_in_left_camera
 from conetl.model.arrays import Floats
 from conetl.model.rig import Rig
-
-#: As OpenCV returns them: of 8 bits.
-Image = NDArray[np.integer[Any] | np.floating[Any]]
 
 #: Wider images are reduced for the dense disparities.
 _MAX_WIDTH_PX = 800
@@ -66,7 +64,7 @@ class RoadPlane(NamedTuple):
         return np.where(inside, self.measured_px[np.clip(v, 0, rows - 1), np.clip(u, 0, columns - 1)], np.nan)
 
 
-def find_road(left: Image, right: Image, rig: Rig) -> RoadPlane | None:
+def find_road(left: MatLike, right: MatLike, rig: Rig) -> RoadPlane | None:
     """The road plane of one frame pair of grey images (H, W); None where too little of it is seen."""
     camera = rig.left
     focal_base = camera.fx_px * rig.baseline_m
