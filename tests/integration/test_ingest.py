@@ -484,7 +484,7 @@ def every_other_pair(folder: Path, first: int, *, days: int = 0, east_m: float =
                 str(np.datetime64(line) + np.timedelta64(days, "D")) for line in times.read_text().split("\n") if line
             )
             (folder / times.parent.name / "timestamps.txt").write_text("\n".join(moved).replace("T", " ") + "\n")
-    for record in (KITTI / "oxts" / "data").iterdir():
+    for record in sorted((KITTI / "oxts" / "data").iterdir())[40 + first : 124 : 2]:
         lat, lon, *rest = record.read_text().split()
         lat_deg = float(lat) + north_m / 111_195.0
         lon_deg = float(lon) + east_m / (111_320.0 * np.cos(np.radians(lat_deg)))
