@@ -122,8 +122,8 @@ def input_errors(source: object) -> Iterator[None]:
 
 
 @contextmanager
-def library_errors(problem: str, *kinds: type[Exception]) -> Iterator[None]:
-    """Turn errors of a library or the system into InputErrors: `problem (their message in one line, or their type)`.
+def library_errors(problem: str, *kinds: type[Exception], hint: str = "") -> Iterator[None]:
+    """Turn errors of a library or the system into InputErrors: `problem (their message in one line, or their type)hint`.
 
     kinds: their types; without any all errors except conetl's own, as many libraries raise anything for a damaged file.
     """
@@ -133,7 +133,7 @@ def library_errors(problem: str, *kinds: type[Exception]) -> Iterator[None]:
         if isinstance(error, ConetlError) or not isinstance(error, kinds or Exception):
             raise
         words = str(getattr(error, "strerror", None) or error).split() or [type(error).__name__]
-        raise InputError(f"{problem} ({' '.join(words)[:MAX_SHOWN].rstrip('.')})") from error
+        raise InputError(f"{problem} ({' '.join(words)[:MAX_SHOWN].rstrip('.')}){hint}") from error
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:

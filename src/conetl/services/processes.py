@@ -117,7 +117,7 @@ def start_service(
 
 def is_running(service: Service) -> bool:
     """Whether the service still runs."""
-    return any(process.pid == service.pid for process in _processes_with(service.token))
+    return _has_token(service.pid, service.token)
 
 
 def stop_service(service: Service, *, grace_s: float = 15.0) -> bool:
@@ -179,13 +179,12 @@ def _die_with_parent() -> None:
 
 def _processes_with(token: str) -> set[psutil.Process]:
     """Processes that were started with this token, without zombies and processes of other users."""
-    others = (process for process in psutil.process_iter() if process.pid != os.getpid())
-    return {process for process in others if _has_token(process, token)}
+    return {one for one in psutil.process_iter() if one.pid != os.getpid() and _has_token(one.pid, token)}
 
 
-def _has_token(process: psutil.Process, token: str) -> bool:
+def _has_token(pid: int, token: str) -> bool:
     try:
-        return bool(process.environ().get(TOKEN) == token)
+        return bool(psutil.Process(pid).environ().get(TOKEN) == token)
     except psutil.Error:
         return False
 

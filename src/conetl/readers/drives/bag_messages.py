@@ -143,7 +143,7 @@ def bag_errors(path: Path) -> AbstractContextManager[None]:
     """All errors of the bag libraries in a damaged file as InputError."""
     of_ros1 = path.suffix == ROS1_SUFFIX
     repair = f"'rosbag reindex {path.name}'" if of_ros1 else "'mcap recover' (MCAP) or 'ros2 bag reindex'"
-    return library_errors(f"{path}: the bag cannot be read: a recording that was cut off is repaired by {repair}")
+    return library_errors(f"{path}: the bag cannot be read: it is damaged or cut off", hint=f". {repair} repairs it")
 
 
 def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:

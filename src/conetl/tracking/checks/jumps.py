@@ -35,9 +35,8 @@ _LEAST_STEP_S = 1e-3
 
 
 def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools) -> HealthCheck:
-    """Intervals that no accepted motion confirms, and in which the log does not move like their neighbours, nor, across a pause,
-    like the images.
-    """
+    """Intervals that no accepted motion confirms, and in which the log moves unlike their neighbours or, across a pause, unlike
+    the images."""
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
     times_s = np.maximum.accumulate(times_s + _LEAST_STEP_S * np.arange(len(times_s)))
     left = np.array([map_SE3_left(pair.pose, rig) for pair in frame_pairs])
