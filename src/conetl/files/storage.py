@@ -75,7 +75,9 @@ def as_path(text: str | Path) -> Path:
     if found is None:
         return Path(text)
     address = f"{found[1]}://{str(text)[found.end() :]}"
-    with library_errors(f"{address}: objects of this kind cannot be read: pip install 'conetl[s3]'", ImportError):
+    with library_errors(
+        f"{address}: objects of this kind cannot be read", ImportError, hint="; pip install 'conetl[s3]'"
+    ):
         return cast(Path, UPath(address))
 
 

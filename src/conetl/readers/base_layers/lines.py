@@ -74,7 +74,7 @@ def full_kind(kind: str, attributes: Mapping[str, Any]) -> str:
 def read_lanelet2(path: Path) -> LineFile:
     """Boundaries of a Lanelet2 file. Raises InputError where it is not one or has none."""
     refused: list[str] = []
-    not_xml = library_errors(f"{path}: is not OSM XML; expected a Lanelet2 map", ElementTree.ParseError)
+    not_xml = library_errors(f"{path}: is not OSM XML", ElementTree.ParseError, hint="; expected a Lanelet2 map")
     with not_xml, input_errors(path), XmlFile(path) as file:
         nodes, ways, bounding = _read(file, path, refused)
     lines: list[Line] = []

@@ -157,7 +157,7 @@ def param_poly3(unit_m: float, u: Sequence[float], v: Sequence[float], ds: Float
 
 def read_opendrive(path: Path) -> LineFile:
     """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
-    not_xml = library_errors(f"{path}: is not XML; expected an OpenDRIVE file", ElementTree.ParseError)
+    not_xml = library_errors(f"{path}: is not XML", ElementTree.ParseError, hint="; expected an OpenDRIVE file")
     with not_xml, input_errors(path), XmlFile(path) as file:
         root = ElementTree.parse(file).getroot()
     if root.tag != "OpenDRIVE":

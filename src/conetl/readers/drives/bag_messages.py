@@ -277,10 +277,8 @@ def unpack(data: bytes, suffix: str, folder: Path) -> Path:
     """Path of the image in the folder, written unless it exists. Raises InputError where it cannot be written."""
     digest = hashlib.sha256(data).hexdigest()
     path = (folder / digest[:2] / f"{digest}{suffix}").absolute()
-    unwritable = (
-        f"{path}: an image of the bag cannot be unpacked there; free space or set CONETL_HOME to a folder with more"
-    )
-    with library_errors(unwritable, OSError):
+    free_space = "; free space or set CONETL_HOME to a folder with more"
+    with library_errors(f"{path}: an image of the bag cannot be unpacked there", OSError, hint=free_space):
         if path.is_file() and path.stat().st_size == len(data):
             path.touch()  # in use: `old_images` checks its age
             return path

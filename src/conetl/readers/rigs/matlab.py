@@ -113,8 +113,8 @@ def _read_mat(path: Path) -> Mapping[str, Any]:
     data = read_bytes(path)
     if data[124:128] in (b"\0\2IM", b"\2\0MI"):
         raise InputError(f"{path}: this is a version 7.3 file (HDF5), which is not read. {_HOW}")
-    not_mat = f"{path}: this is not a .mat file (version 5 to 7), or it is damaged. {_HOW}"
-    with library_errors(not_mat, ValueError, KeyError, struct.error, zlib.error):
+    not_mat = f"{path}: this is not a .mat file (version 5 to 7), or it is damaged"
+    with library_errors(not_mat, ValueError, KeyError, struct.error, zlib.error, hint=f". {_HOW}"):
         variables = _variables(data)
     if structure(variables) is None:
         names = shown([*variables]) if variables else "only objects"
