@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -72,6 +74,7 @@ def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
     return rig.model_copy(update={**resized_cameras, **names})
 
 
+@lru_cache(maxsize=8)  # of a drive's one rig, or of a few while it is calibrated, for every frame pair
 def infinity_homography(rig: Rig) -> Floats:
     """(3, 3) from image points of infinitely far points in the left image to those in the right one. Cameras without a lens.
 

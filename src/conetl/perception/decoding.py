@@ -53,10 +53,11 @@ def decode_cells(
     best = np.ascontiguousarray(numbers[:, -class_count:].T).max(axis=0)
     scores = 1.0 / (1.0 + np.exp(-best.astype(np.float64)))
     number, height_px, width_px = images_and_size
-    omitted = 0.0
-    for of_stride, stride_px in zip(np.split(scores, np.cumsum(counts)[:-1]), strides_px, strict=True):
-        if 0 < len(of_stride) < number * (height_px // stride_px) * (width_px // stride_px):
-            omitted = max(omitted, float(of_stride.min()))
+    omitted, first = 0.0, 0
+    for count, stride_px in zip(counts, strides_px, strict=True):
+        if 0 < count < number * (height_px // stride_px) * (width_px // stride_px):
+            omitted = max(omitted, float(scores[first : first + count].min()))
+        first += count
     kept = np.flatnonzero(scores >= score_threshold)
     scores, cells_at, strides = scores[kept], cells_at[kept], np.repeat(strides_px, counts)[kept]
     numbers = numbers[kept].astype(np.float64).T
