@@ -24,6 +24,7 @@ from conetl.mapping.displacement import (
     check_classes,
     check_heights,
     check_part,
+    check_parts,
     check_positions,
 )
 from conetl.mapping.marking_deltas import line_drive, lines_on_map
@@ -64,7 +65,7 @@ def check_agreement(
     )
     check = check_positions(sure, features, kinds, params) if sure and features else None
     check = check or check_arrangement(sure, features, params) or check_classes(sure, features, params)
-    check = check or check_part(deltas, params)
+    check = check or check_parts(sure, features, params) or check_part(deltas, params)
     return check or _check_moves(kinds, "cones", "the zone was set up again") or _check_removals(kinds, params)
 
 

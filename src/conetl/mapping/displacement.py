@@ -34,6 +34,8 @@ LEAST_OFFSET_M = 0.1
 LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 #: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
 _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
+#: Rotation of two cones of a part of a drive by their errors.
+_MAX_PART_TURN = np.radians(0.5)
 #: No road connects two cones this near in plan with such a height difference; bridges are lower.
 _BESIDE_M, _CLIFF_M = 30.0, 20.0
 #: The fold compares everything on the map within this distance.
@@ -158,6 +160,26 @@ def check_arrangement(
     return _match_arrangement(tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
 
 
+def check_parts(tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams) -> HealthCheck | None:
+    """A hold if the arrangement of a part of the drive matches the map elsewhere. No cone was observed both before and in it.
+
+    GNSS may get another fix while the vehicle waits or drives on without recording; it does not turn the positions.
+    """
+    parts: list[list[Track]] = []
+    end_ns = 0
+    for track in sorted(tracks, key=lambda track: (track.first_seen_ns, track.xyz_m)):
+        if track.first_seen_ns > end_ns:
+            parts.append([])
+        parts[-1].append(track)
+        end_ns = max(end_ns, track.last_seen_ns)
+    for part in parts if features and len(parts) > 1 else ():
+        found = len(_same_positions(_located(part), _located(features), np.zeros(3), params))
+        check = _match_arrangement(part, features, found, params, LEAST_PAIRS, _MAX_DISPLACEMENT_M, _MAX_PART_TURN)
+        if check is not None:
+            return _of_part(check, len(part))
+    return None
+
+
 def check_part(deltas: Sequence[Delta], params: ReconcileParams) -> HealthCheck | None:
     """A hold if the cones that a drive moves, or misses and adds elsewhere, have one common displacement.
 
@@ -171,6 +193,10 @@ def check_part(deltas: Sequence[Delta], params: ReconcileParams) -> HealthCheck 
         check = _match_arrangement(came, gone, 0, params, _LEAST_AGREEING) if came and gone else None
     if check is None:
         return None
+    return _of_part(check, count)
+
+
+def _of_part(check: HealthCheck, count: int) -> HealthCheck:
     few = f"{check.detail} Only {count} of its cones are: did its position jump where no images were taken?"
     return check.model_copy(update={"detail": few})
 
@@ -226,10 +252,13 @@ def _match_arrangement(
     found: int,
     params: ReconcileParams,
     least_same: int,
+    within_m: float = FARTHEST_M,
+    max_turn: float = _MAX_TURN,
 ) -> HealthCheck | None:
     """A hold if the cones are displaced against cones of the map in the same arrangement.
 
-    found: how many stand at a cone of the map; twice as many must fit elsewhere, and at least least_same.
+    found: how many stand at a cone of the map; twice as many must fit elsewhere, and at least least_same. within_m, max_turn: see
+    `_best_fit`.
     """
     t, f = xyz_of(cones), xyz_of(features)
     near = _with_near_features(t, f)
@@ -241,7 +270,7 @@ def _match_arrangement(
     spacing_m = np.asarray(cKDTree(t[near, :2]).query(t[some, :2], 2)[0])[:, 1]
     if spacing_m.std() < 2 * _SAME_ZONE_M:
         return None
-    fit = _best_fit(t[some, :2], f[:, :2], 2 * _SAME_ZONE_M, FARTHEST_M)
+    fit = _best_fit(t[some, :2], f[:, :2], 2 * _SAME_ZONE_M, within_m, max_turn)
     if fit is None or fit.agreeing < least or not fit.distinct or fit.residual_m > _SAME_ZONE_M:
         return None
     covs = cov_matrices([one.cov_m2 for one in cones]), cov_matrices([one.cov_m2 for one in features])
@@ -330,11 +359,11 @@ class _Fit(NamedTuple):
     """Whether no other displacement fits nearly as well, as along a row of equal distances."""
 
 
-def _best_fit(t: Floats, f: Floats, gate_m: float, within_m: float) -> _Fit | None:
+def _best_fit(t: Floats, f: Floats, gate_m: float, within_m: float, max_turn: float = _MAX_TURN) -> _Fit | None:
     """The displacement with which most tracks fit, of all that put two tracks onto two features; of several the smallest.
 
-    t (N, 2), f (M, 2): tracks and features; gate_m: of a fit; within_m: farthest displacement. Two tracks far from each other are
-    tried with all features at their distance.
+    t (N, 2), f (M, 2): tracks and features; gate_m: of a fit; within_m, max_turn: largest displacement (m) and rotation (rad).
+    Two tracks far from each other are tried with all features at their distance.
     """
     along = np.linalg.svd(t - t.mean(axis=0), full_matrices=False)[2][0]
     extent_m = float(np.ptp(t @ along))
@@ -350,7 +379,7 @@ def _best_fit(t: Floats, f: Floats, gate_m: float, within_m: float) -> _Fit | No
         turns = np.arctan2(others[:, 1], others[:, 0]) - np.arctan2(base[1], base[0])
         turns = (turns + np.pi) % (2 * np.pi) - np.pi
         alike = np.abs(np.hypot(*others.T) - lengths[j]) <= _LENGTH_TOLERANCE_M
-        candidates = np.flatnonzero(alike & (np.abs(turns) <= _MAX_TURN) & (lengths[j] > 0))
+        candidates = np.flatnonzero(alike & (np.abs(turns) <= max_turn) & (lengths[j] > 0))
         for k in candidates[:: 1 + len(candidates) // _MAX_TRIED]:
             rotation = Rotation.from_rotvec((0, 0, turns[k])).as_matrix()[:2, :2]
             placed = (t - t[i]) @ rotation.T + f[a[k]]

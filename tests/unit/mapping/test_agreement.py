@@ -50,10 +50,26 @@ def tracks_at(places: Floats, sigma_m: float = 0.03, seed: int = 0) -> list[Trac
 
 
 def finding(
-    places: Floats, before: Floats = ZONE, *, sigma_m: float = 0.03, seed: int = 0, in_view: bool = True
+    places: Floats,
+    before: Floats = ZONE,
+    *,
+    sigma_m: float = 0.03,
+    seed: int = 0,
+    in_view: bool = True,
+    waits_after: int | None = None,
 ) -> str | None:
-    """What a drive that sees cones at `places` (N, 3) finds against a map with cones at `before`."""
+    """What a drive that sees cones at `places` (N, 3) finds against a map with cones at `before`.
+
+    waits_after: the drive waits for a minute after so many cones.
+    """
     tracks, known = tracks_at(places, sigma_m, seed), features_at(before, sigma_m)
+    if waits_after is not None:
+        tracks[waits_after:] = [
+            track.model_copy(
+                update={name: getattr(track, name) + 60 * 10**9 for name in ("first_seen_ns", "last_seen_ns")}
+            )
+            for track in tracks[waits_after:]
+        ]
     unseen = NotObserved(20, START_NS + DAY_NS, -6.0) if in_view else None
     deltas = reconcile(tracks, known, lambda *_: unseen, ReconcileContext(PARAMS, "d"))
     found = check_agreement(tracks, known, deltas, PARAMS)
@@ -143,6 +159,26 @@ def test_a_part_of_a_drive_that_lies_aside_is_found(shift: tuple[float, float], 
         detail = finding(places, UNEVEN, seed=seed) or ""
         assert f"{np.hypot(*shift):.1f} m from those of the map" in detail
         assert f"Only {9 - first} of its cones" in detail
+
+
+@pytest.mark.parametrize("in_view", [True, False], ids=("the old cones in view", "out of view"))
+@pytest.mark.parametrize("shift", [(1.5, 1.5), (7.0, 0.2), (22.0, -3.0)])
+@pytest.mark.parametrize("first", [3, 4, 6])
+def test_a_displaced_part_behind_a_pause_is_found(first: int, shift: tuple[float, float], in_view: bool) -> None:
+    """Its first part is right, three cones or more stand in its second part, and a new one beside them."""
+    places = np.vstack([UNEVEN, UNEVEN[-1:] + np.array((2.0, 1.4, 0.0))])
+    for seed in range(3):
+        assert finding(places, UNEVEN, seed=seed, in_view=in_view, waits_after=first) is None
+        aside = np.vstack([places[:first], places[first:] + np.array((*shift, 0.0))])
+        detail = finding(aside, UNEVEN, seed=seed, in_view=in_view, waits_after=first) or ""
+        assert f"{np.hypot(*shift):.1f} m from those of the map" in detail
+
+
+def test_another_zone_behind_a_pause_is_none() -> None:
+    """It begins where the map's one ends, with distances like those."""
+    for seed in range(20, 40):
+        other = ZONE[:5] + np.array((50.0, 0.0, 0.0)) + np.random.default_rng(seed).normal(0, 0.3, (5, 3)) * (1, 1, 0)
+        assert finding(np.vstack([UNEVEN, other]), UNEVEN, seed=seed, waits_after=len(UNEVEN)) is None
 
 
 def test_cones_that_people_moved_in_one_direction_are_none() -> None:
