@@ -41,7 +41,8 @@ RequestInstants = Annotated[Instants, Depends(read_instants)]
 
 
 async def prepare(request: Request) -> None:
-    """Raise BadParameterError for a parameter that the API definition does not list (requirement query-param-unknown)."""
+    """Raise BadParameterError for a parameter that the API definition does not list (requirement query-param-unknown), or that
+    is repeated (query-param-invalid)."""
     request.scope["app_root_path"] = request.scope.get("root_path", "")  # links start where the application is mounted
     path = request.scope["route"].path
     defined = request.app.openapi()["paths"].get(path, {}).get("get", {}).get("parameters", ())
@@ -49,6 +50,8 @@ async def prepare(request: Request) -> None:
     for name, value in request.query_params.multi_items():
         if name not in known:
             raise BadParameterError(f"Unknown parameter {name!r}; known are: {', '.join(sorted(known))}.")
+        if (times := len(request.query_params.getlist(name))) > 1:  # the standard's parameters have one value
+            raise BadParameterError(f"The parameter {name} is given {times} times: expected is one value.")
         if not value.isprintable():
             raise BadParameterError(f"The parameter {name} contains control characters: {value!r}.")
         if name == "limit" and value.strip("+0") == "":
