@@ -127,10 +127,9 @@ order by v.feature_id, lower(v.valid_period);
 -- name: misses_around
 -- Every current miss (a drive to which the feature was visible did not observe it) of features that ever stood around
 -- the paths of some drives. Parameters: drive_uuids (uuid[], of one map).
--- Columns: as MissedObservation, then drive_uuid and the drive's fold key: captured_from_ns, content_sha256, idempotency_key.
+-- Columns: as MissSummary, then drive_uuid and the drive's fold key: captured_from_ns, content_sha256, idempotency_key.
 select
-    x.feature_id, x.changeset_id, x.old_version as version, x.existence_after as existence_probability,
-    x.changed_at_ns as first_missed_ns,
+    x.feature_id, x.existence_after as existence_probability, x.changed_at_ns as first_missed_ns,
     d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key
 from conetl.delta x
 join conetl.changeset c on c.changeset_id = x.changeset_id

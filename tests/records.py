@@ -285,9 +285,7 @@ def write(conn: Any, records: DriveRecords, made: Changeset, *, map_name: str = 
     placed = add_drive(conn, records.drive, made.idempotency_key, map_name=map_name)
     stored, _ = read_versions(conn, [placed])
     standing = {one.feature_id: (one, row_id) for one, row_id in stored.items() if one.valid_to_ns is None}
-    replay = replay_of_newest(
-        standing, MapUpdate(list(made.deltas), versions_of(made, standing), []), made.changeset_id
-    )
+    replay = replay_of_newest(standing, MapUpdate(list(made.deltas), versions_of(made, standing)), made.changeset_id)
     return commit_changeset(conn, records, made, map_name=map_name, replay=replay, drive_uuid=placed, **options)
 
 

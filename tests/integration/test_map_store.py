@@ -237,7 +237,7 @@ def test_a_stale_reading_of_the_map_is_refused(conn, samples):
     newer = samples.changed("confirmed", feature, samples.START_NS + 1, observation_count=9)
     samples.commit(conn, newer, key="2")
     late = samples.changeset(samples.removed(feature, samples.START_NS + samples.DAY_NS), key="3")
-    update = MapUpdate([*late.deltas], samples.versions_of(late, standing), [])
+    update = MapUpdate([*late.deltas], samples.versions_of(late, standing))
     with pytest.raises(MapMismatchError, match="map default changed since"), store.map_transaction(conn):
         replay_store.write_replay(
             conn, store.find_map(conn), replay_of_newest(standing, update, late.changeset_id), datetime.now(UTC)

@@ -16,7 +16,7 @@ from uuid import UUID
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from conetl.mapping.existence_update import summarize_miss
+from conetl.mapping.existence_update import miss_of, summarize_miss
 from conetl.mapping.history import DriveEvidence, MapUpdate, apply_drive
 from conetl.mapping.visibility import DriveObservations, check_visibility, observations_of_drive, pairs_in_view
 from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence, detect_probability
@@ -276,9 +276,8 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
 
 def take(extension: MapUpdate, standing: dict[UUID, FeatureVersion], summaries: dict[UUID, MissSummary]) -> None:
     """Bring the map up to what a drive made of it."""
-    for miss in extension.misses:
-        earlier = summaries.get(miss.feature_id)
-        summaries[miss.feature_id] = summarize_miss(earlier, miss.existence_probability, miss.first_missed_ns)
+    for miss in (miss_of(delta) for delta in extension.deltas if delta.kind is DeltaKind.MISSED):
+        summaries[miss.feature_id] = summarize_miss(summaries.get(miss.feature_id), miss)
     for version in extension.versions:
         summaries.pop(version.feature.feature_id, None)
         standing.pop(version.feature.feature_id, None)

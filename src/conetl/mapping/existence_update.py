@@ -12,7 +12,7 @@ from math import exp, log
 
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
-from conetl.model.map_records import ExistenceEvidence, MapFeature, MissSummary
+from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature, MissSummary
 from conetl.model.params import ReconcileParams
 
 #: Limit of the log-odds, so that later drives can still change them.
@@ -61,10 +61,20 @@ def is_gone(evidence: ExistenceEvidence, params: ReconcileParams, *, moved: bool
     return evidence.frames_empty >= params.removal_min_frames and evidence.existence_probability < below
 
 
-def summarize_miss(summary: MissSummary | None, existence_probability: float, first_missed_ns: int) -> MissSummary:
+def miss_of(delta: Delta) -> MissSummary:
+    """A miss by one drive, alone."""
+    assert delta.evidence is not None  # every miss has it
+    return MissSummary(
+        feature_id=delta.feature_id,
+        existence_probability=delta.evidence.existence_probability,
+        first_missed_ns=delta.changed_at_ns,
+    )
+
+
+def summarize_miss(summary: MissSummary | None, miss: MissSummary) -> MissSummary:
     """The summary after one more miss."""
-    first = first_missed_ns if summary is None else min(summary.first_missed_ns, first_missed_ns)
-    return MissSummary(existence_probability=existence_probability, first_missed_ns=first)
+    first_ns = min(one.first_missed_ns for one in (summary, miss) if one is not None)
+    return miss.model_copy(update={"first_missed_ns": first_ns})
 
 
 def log_odds(value: float) -> float:

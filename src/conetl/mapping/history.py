@@ -20,7 +20,7 @@ from conetl.mapping.agreement import check_agreement, check_marking_agreement, i
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
-from conetl.mapping.existence_update import summarize_miss
+from conetl.mapping.existence_update import miss_of, summarize_miss
 from conetl.mapping.imported_maps import reconcile_imported
 from conetl.mapping.markings import reconcile_markings
 from conetl.mapping.visibility import NotObserved, ViewCheck, VisibilityCheck, empty_view
@@ -37,7 +37,6 @@ from conetl.model.map_records import (
     ImportedFeature,
     Location,
     MapFeature,
-    MissedObservation,
     MissSummary,
 )
 from conetl.model.markings import MarkingTrack
@@ -78,7 +77,6 @@ class MapUpdate:
     deltas: list[Delta]
     versions: list[FeatureVersion]
     """One per delta that changes a feature, open."""
-    misses: list[MissedObservation]
     hold: HealthCheck | None = None
     """Why the drive contradicts the map and changes nothing until a person accepts it; None where it counts."""
 
@@ -89,8 +87,6 @@ class MapHistory:
 
     chains: dict[UUID, list[FeatureVersion]] = field(default_factory=dict)
     """The versions of each feature, oldest first; the last one is open."""
-    misses: list[MissedObservation] = field(default_factory=list)
-    """In the order of the drives."""
     updates: dict[UUID, MapUpdate] = field(default_factory=dict)
     """By changeset, of the drives that were compared."""
 
@@ -104,28 +100,29 @@ def replay_drives(
     drives: Iterable[DriveEvidence],
     decisions: Decisions = Decisions(),  # noqa: B008 -- frozen
     *,
-    given: Iterable[tuple[DriveOrder, FeatureVersion | MissedObservation]] = (),
+    given: Iterable[tuple[DriveOrder, FeatureVersion | MissSummary]] = (),
 ) -> MapHistory:
     """The map made by the drives; their order does not matter.
 
-    given: versions and misses of other drives, which are not compared again, with the keys of these drives. Their valid periods
-    and suppression are recomputed.
+    given: versions and single misses of other drives, which are not compared again, with the keys of these drives. Their valid
+    periods and suppression are recomputed.
     """
     history = MapHistory()
     current: dict[UUID, FeatureVersion] = {}
     summaries: dict[UUID, MissSummary] = {}
-    events: list[tuple[DriveOrder, str, FeatureVersion | MissedObservation | DriveEvidence]] = [
+    events: list[tuple[DriveOrder, str, FeatureVersion | MissSummary | DriveEvidence]] = [
         *((key, str(state.feature_id), state) for key, state in given),
         *((drive.key, "", drive) for drive in drives),
     ]
     for _, _, event in sorted(events, key=lambda event: event[:2]):
         versions: list[FeatureVersion] = []
-        misses: list[MissedObservation] = []
+        misses: list[MissSummary] = []
         if isinstance(event, DriveEvidence):
             update = apply_drive(current, event, decisions, summaries, known=history.chains.keys())
             history.updates[event.changeset_id] = update
-            versions, misses = update.versions, update.misses
-        elif isinstance(event, MissedObservation):
+            versions = update.versions
+            misses = [miss_of(delta) for delta in update.deltas if delta.kind is DeltaKind.MISSED]
+        elif isinstance(event, MissSummary):
             misses = [event]
         else:
             suppressed = event.present and is_within(event.feature, decisions.suppressed)
@@ -137,11 +134,8 @@ def replay_drives(
                 current[version.feature_id] = version
             else:
                 del current[version.feature_id]
-        history.misses += misses
         for miss in misses:
-            summaries[miss.feature_id] = summarize_miss(
-                summaries.get(miss.feature_id), miss.existence_probability, miss.first_missed_ns
-            )
+            summaries[miss.feature_id] = summarize_miss(summaries.get(miss.feature_id), miss)
     for chain in history.chains.values():
         ends: list[int | None] = [after.valid_from_ns for _, after in pairwise(chain)]
         chain[:] = [
@@ -183,7 +177,7 @@ def apply_drive(
             hold = hold or check_agreement(drive.tracks, points, deltas, drive.params)
             hold = hold or check_marking_agreement(drive.markings, lines, line_deltas, drive.params)
         if hold is not None:
-            return MapUpdate([], [], [], hold)
+            return MapUpdate([], [], hold)
         if line_deltas:
             deltas = sorted([*deltas, *line_deltas], key=attrgetter("changed_at_ns", "feature_id.int"))
     versions = []
@@ -204,8 +198,7 @@ def apply_drive(
                 valid_to_ns=None,
             )
         )
-    misses = [_miss(delta, drive.changeset_id) for delta in deltas if delta.kind is DeltaKind.MISSED]
-    return MapUpdate(deltas, versions, misses)
+    return MapUpdate(deltas, versions)
 
 
 def _apply_classes(drive: DriveEvidence, decided: Sequence[Classification]) -> DriveEvidence:
@@ -237,18 +230,6 @@ def is_within(feature: MapFeature | Track, locations: Sequence[Location]) -> boo
     return any(
         one.of_line == is_line and float(np.hypot(x - one.xy_m[0], y - one.xy_m[1])) <= one.radius_m
         for one in locations
-    )
-
-
-def _miss(delta: Delta, changeset_id: UUID) -> MissedObservation:
-    if delta.evidence is None:
-        raise ValueError(f"the delta 'missed' of feature {delta.feature_id} has no evidence")
-    return MissedObservation(
-        feature_id=delta.feature_id,
-        changeset_id=changeset_id,
-        version=delta.state_after.version,
-        existence_probability=delta.evidence.existence_probability,
-        first_missed_ns=delta.changed_at_ns,
     )
 
 

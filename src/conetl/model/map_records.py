@@ -171,19 +171,10 @@ class FeatureVersion(Record):
         return self.feature.feature_id
 
 
-class MissedObservation(Record):
-    """A drive did not observe a feature although it was visible, and the feature stays on the map."""
+class MissSummary(Record):
+    """State of a feature after some misses: drives to which it was visible did not observe it, and it stays on the map."""
 
     feature_id: UUID
-    changeset_id: UUID
-    version: int
-    existence_probability: Probability
-    first_missed_ns: int
-
-
-class MissSummary(Record):
-    """State of a feature after all misses since its last version."""
-
     existence_probability: Probability
     first_missed_ns: int
     """The earliest of them: the cone may have been gone since then."""

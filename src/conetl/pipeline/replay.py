@@ -113,7 +113,7 @@ def merge_drive(
     )  # fmt: skip
     if isinstance(near, CommittedChangeset):  # another ingest of the same drive finished first
         return near
-    extension, replay = MapUpdate([], [], []), NOTHING
+    extension, replay = MapUpdate([], []), NOTHING
     changeset = with_free_id(conn, changeset, near.drive_uuid)
     affected, held_before = [ref.changeset_id for ref in near.affected], held_drives(conn, map_name=map_name)
     by_map = not hold

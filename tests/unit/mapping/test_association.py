@@ -14,7 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from conetl.mapping.association import Comparison, assign, common_offset, match_unmoved, near_pairs
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
-from conetl.mapping.existence_update import summarize_miss
+from conetl.mapping.existence_update import miss_of, summarize_miss
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from tests.unit.mapping.test_changes import NO_FIX, PARAMS, RTK, NotObserved, changes, feature, track
@@ -135,7 +135,7 @@ def test_misses_of_several_drives_remove_from_the_first_miss_on() -> None:
         assert delta.evidence is not None
         if delta.kind is DeltaKind.REMOVED:
             break
-        summary = summarize_miss(summary, delta.evidence.existence_probability, delta.changed_at_ns)
+        summary = summarize_miss(summary, miss_of(delta))
     assert drive == 2
     assert delta.kind is DeltaKind.REMOVED
     assert delta.changed_at_ns == cone.last_seen_ns + first_ns

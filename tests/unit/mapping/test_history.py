@@ -12,24 +12,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conetl.geometry.packing import vec3
+from conetl.mapping.existence_update import miss_of
 from conetl.mapping.history import DriveEvidence, MapHistory, apply_drive, replay_drives
 from conetl.mapping.visibility import NotObserved
-from conetl.model.map_records import (
-    Decisions,
-    DeltaKind,
-    DriveOrder,
-    FeatureVersion,
-    Location,
-    MissedObservation,
-    MissSummary,
-)
+from conetl.model.map_records import Decisions, DeltaKind, DriveOrder, FeatureVersion, Location, MissSummary
 from tests.synthetic.changing_road import take
 from tests.synthetic.painted_road import random_painted_drives
 from tests.synthetic.road import HOUR_NS, SECOND_NS, random_drive, random_world
 from tests.synthetic.world import START_NS
 
 Chains = dict[UUID, list[FeatureVersion]]
-State = tuple[Chains, list[MissedObservation], dict[UUID, str]]
+Misses = dict[UUID, list[MissSummary]]
+State = tuple[Chains, Misses, dict[UUID, str]]
 DAYS = 5
 EVERYTHING = {DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED}
 
@@ -79,20 +73,20 @@ class Ingest:
         self.decisions = decisions
         self.drives: dict[DriveOrder, DriveEvidence] = {}
         self.chains: Chains = {}
-        self.misses: list[MissedObservation] = []
+        self.misses: Misses = {}
         self.holds: dict[UUID, str] = {}
         self.compared = 0
 
     @property
     def state(self) -> State:
         """The map, the misses that made no version, and the drives on hold."""
-        return self.chains, sorted(self.misses, key=lambda miss: (miss.changeset_id, miss.feature_id)), self.holds
+        return self.chains, self.misses, self.holds
 
     def copy(self) -> Ingest:
         """An independent copy."""
         twin = Ingest(self.decisions)
         twin.drives, twin.compared = dict(self.drives), self.compared
-        twin.chains, twin.misses, twin.holds = dict(self.chains), list(self.misses), dict(self.holds)
+        twin.chains, twin.misses, twin.holds = dict(self.chains), dict(self.misses), dict(self.holds)
         return twin
 
     def add(self, drive: DriveEvidence) -> None:
@@ -110,13 +104,17 @@ class Ingest:
             if any(key > earlier and meet(self.drives[key], drive) for earlier, drive in affected.items()):
                 affected[key] = self.drives[key]
         keys = {drive.changeset_id: drive.key for drive in [*self.drives.values(), *seeds]}
-        states = [*self.misses, *(version for chain in self.chains.values() for version in chain)]
-        rest = [(keys[s.changeset_id], s) for s in states if keys[s.changeset_id] not in affected]
+        states: list[tuple[UUID, FeatureVersion | MissSummary]] = [
+            *((changeset_id, miss) for changeset_id, own in self.misses.items() for miss in own),
+            *((version.changeset_id, version) for chain in self.chains.values() for version in chain),
+        ]
+        rest = [(keys[changeset_id], one) for changeset_id, one in states if keys[changeset_id] not in affected]
         again = [drive for key, drive in affected.items() if key in self.drives]
         self.compared += len(again)
         history = replay_drives(again, self.decisions, given=rest)
-        self.chains, self.misses = history.chains, history.misses
+        self.chains = history.chains
         affected_ids = {drive.changeset_id for drive in affected.values()}
+        self.misses = {key: own for key, own in self.misses.items() if key not in affected_ids} | misses(history)
         self.holds = {key: why for key, why in self.holds.items() if key not in affected_ids} | holds(history)
 
 
@@ -124,8 +122,17 @@ def holds(history: MapHistory) -> dict[UUID, str]:
     return {key: update.hold.detail for key, update in history.updates.items() if update.hold is not None}
 
 
+def misses(history: MapHistory) -> Misses:
+    """By changeset, of the drives that missed anything."""
+    found = {
+        key: [miss_of(delta) for delta in update.deltas if delta.kind is DeltaKind.MISSED]
+        for key, update in history.updates.items()
+    }
+    return {key: own for key, own in found.items() if own}
+
+
 def state(history: MapHistory) -> State:
-    return history.chains, sorted(history.misses, key=lambda miss: (miss.changeset_id, miss.feature_id)), holds(history)
+    return history.chains, misses(history), holds(history)
 
 
 @settings(max_examples=8, deadline=None)

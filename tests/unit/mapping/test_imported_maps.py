@@ -32,8 +32,8 @@ def deltas_of(imported, present, **options):
 
 def test_an_import_adds_to_the_probability_after_misses():
     """As for an observation, the prior is the probability after all misses."""
-    summary = MissSummary(existence_probability=0.3, first_missed_ns=4)
     feature = cone(1, 0.0)
+    summary = MissSummary(feature_id=feature.feature_id, existence_probability=0.3, first_missed_ns=4)
     for summaries, before in (({}, 0.9), ({feature.feature_id: summary}, 0.3)):
         [delta] = deltas_of([cone(2, 0.05, exists=0.8)], [feature], summaries=summaries).values()
         assert delta.kind is DeltaKind.CONFIRMED

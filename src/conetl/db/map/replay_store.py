@@ -26,7 +26,7 @@ from conetl.db.map.results import CommittedChangeset, DriveRef, MapInfo, Replay,
 from conetl.db.map.rows import Row, version_of
 from conetl.model.drive import Drive
 from conetl.model.errors import MapMismatchError
-from conetl.model.map_records import DriveOrder, FeatureVersion, Location, MissedObservation, MissSummary
+from conetl.model.map_records import DriveOrder, FeatureVersion, Location, MissSummary
 
 #: A town is a few regions, a drive of 100 km about a hundred.
 REGION_M = 2048.0
@@ -103,10 +103,10 @@ def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, MissSum
 
 def read_misses(
     conn: Connection, drive_uuids: Sequence[UUID], *, without: Collection[UUID]
-) -> list[tuple[DriveOrder, MissedObservation]]:
-    """Every current miss of features that ever stood around the drives, by drives that are not in `without`."""
+) -> list[tuple[DriveOrder, MissSummary]]:
+    """Every single current miss of features that ever stood around the drives, by drives that are not in `without`."""
     rows = db.stream(conn, _UNREAD, "replay.misses_around", drive_uuids=list(drive_uuids))
-    return [(_key(row), map_rows.record_of(MissedObservation, row)) for row in rows if row["drive_uuid"] not in without]
+    return [(_key(row), map_rows.record_of(MissSummary, row)) for row in rows if row["drive_uuid"] not in without]
 
 
 def _key(row: Row) -> DriveOrder:
