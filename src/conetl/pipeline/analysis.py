@@ -125,8 +125,8 @@ def analyse(
         errors = pose_cov(trajectory, params.trajectory)
         tracks, refused_tracks = fused(matches, positions)
         if trajectory.covariance is not None:
-            # What sightings state by themselves made these tracks; what the tracks say of that makes the next ones, and what
-            # these say of single sightings the last.
+            # These tracks have the sigmas of single frame pairs. Their residuals correct the sigmas of each class for the next
+            # tracks, and the residuals of those the sigmas of single observations.
             weighed, positions, _ = executor.run(estimate_variances, drive, matches, tracks, params, errors)
             tracks, _ = fused(weighed, positions)
             matches, positions, refused_positions = executor.run(
@@ -134,7 +134,7 @@ def analyse(
             )
             tracks, refused_tracks = fused(matches, positions)
             # Observations of an object that moves contradict each other: sigmas that cover it would hide that.
-            tracks, moving = executor.run(without_moving, tracks, weighed, drive.frame_pairs, drive.rig, errors)
+            tracks, moving = executor.run(without_moving, drive, weighed, tracks, errors)
             refused_tracks = [*refused_tracks, *moving]
         points = [part.marking_points for part in found.parts if part.marking_points is not None]
         markings = executor.run(mark, drive, points, params.marking, errors) if points else []
@@ -237,7 +237,7 @@ def estimate_variances(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, errors: PoseCov
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
     """Matches of the whole drive with sigmas estimated from its tracks, and their positions; see `estimate_variance_factors`."""
-    factors = estimate_variance_factors(tracks, matches, drive.rig, drive.frame_pairs, errors)
+    factors = estimate_variance_factors(drive, matches, tracks, errors)
     weighed = with_variance_factors(matches, factors)
     return weighed, *locate_positions(weighed, drive.frame_pairs, drive.rig, params.position)
 
@@ -246,5 +246,5 @@ def inflate_outliers(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, errors: PoseCov
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
     """Matches of the whole drive with larger sigmas if they contradict their tracks, and positions; see `with_contradictions`."""
-    compared = with_contradictions(matches, tracks, drive.rig, drive.frame_pairs, errors)
+    compared = with_contradictions(drive, matches, tracks, errors)
     return compared, *locate_positions(compared, drive.frame_pairs, drive.rig, params.position)

@@ -13,12 +13,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from conetl.model.arrays import Floats, Ints
-from conetl.model.drive import FramePair, StereoMatch, Track
+from conetl.model.drive import Drive, StereoMatch, Track
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import PoseCov
 from conetl.tracking.tracks import rejected_track
-from conetl.tracking.variance_components import ObservedCone, adjusted, observed_cone, usable_pairs
+from conetl.tracking.variance_components import ObservedCone, adjusted, observed_cones
 
 #: Stationary objects in four rendered worlds and on a real street have chi-squares of up to 15 (146 tracks); observations
 #: moved by 0.3 m/s exceed 25 in nine of ten of these tracks. Slower motion (m/s) only blurs the position.
@@ -29,25 +28,17 @@ _LEAST_PAIRS = 3
 
 
 def without_moving(
-    tracks: Sequence[Track],
-    matches: Sequence[StereoMatch],
-    frame_pairs: Sequence[FramePair],
-    rig: Rig,
-    pose_cov: PoseCov,
+    drive: Drive, matches: Sequence[StereoMatch], tracks: Sequence[Track], pose_cov: PoseCov
 ) -> tuple[list[Track], list[Rejection]]:
     """The tracks of stationary objects, renumbered, and rejections of the others.
 
-    frame_pairs: with refined poses; pose_cov: of these poses. matches: with their final sigmas.
+    drive: with refined poses; pose_cov: of these poses. matches: with their final sigmas.
     """
-    match_of = {(m.frame_index, m.match_index): m for m in matches}
-    poses = {pair.frame_index: pair.pose for pair in frame_pairs}
-    at_ns = {pair.frame_index: pair.captured_at_ns for pair in frame_pairs}
-    found = {}
-    for track in tracks:
-        pairs = usable_pairs(track, match_of)
-        if len(pairs) >= _LEAST_PAIRS:
-            cone = observed_cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov)
-            found[track.track_index] = _velocity(cone, np.array([at_ns[m.frame_index] for m in pairs], dtype=np.int64))
+    at_ns = {pair.frame_index: pair.captured_at_ns for pair in drive.frame_pairs}
+    found = {
+        track.track_index: _velocity(cone, np.array([at_ns[m.frame_index] for m in pairs], dtype=np.int64))
+        for track, pairs, cone in observed_cones(drive, matches, tracks, pose_cov, _LEAST_PAIRS)
+    }
     common = np.zeros(2)
     if len(found) >= _LEAST_TRACKS:
         common = np.median([velocity for velocity, _ in found.values()], axis=0)

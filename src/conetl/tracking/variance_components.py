@@ -15,7 +15,7 @@ two objects (`with_contradictions`).
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,7 @@ from conetl.geometry.intersection import pair_jacobian
 from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.rig import map_SE3_left, map_SE3_right
 from conetl.model.arrays import Floats
-from conetl.model.drive import FramePair, Pose, StereoMatch, Track
+from conetl.model.drive import Drive, Pose, StereoMatch, Track
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov
@@ -75,27 +75,17 @@ class ObservedCone(NamedTuple):
 
 
 def estimate_variance_factors(
-    tracks: Sequence[Track],
-    matches: Sequence[StereoMatch],
-    rig: Rig,
-    frame_pairs: Iterable[FramePair],
-    pose_cov: PoseCov,
+    drive: Drive, matches: Sequence[StereoMatch], tracks: Sequence[Track], pose_cov: PoseCov
 ) -> dict[str, VarianceFactors]:
     """Factors for the observations of one drive, from all its tracks, by their classes.
 
     Detectors show the edges of some classes better than those of others, and the shape assumed in matching fits some better: each
-    class has its own factors. frame_pairs: with refined poses; pose_cov: of their errors. Only matches refined in the images,
-    whose shared errors are known, count; with few of them the factors stay near 1.
+    class has its own factors. drive: with refined poses; pose_cov: of their errors. Only matches refined in the images, whose
+    shared errors are known, count; with few of them the factors stay near 1.
     """
-    match_of = {(m.frame_index, m.match_index): m for m in matches}
-    poses = {pair.frame_index: pair.pose for pair in frame_pairs}
-    cones: list[tuple[int, ObservedCone]] = []
     classes = sorted({track.category for track in tracks})
-    for track in tracks:
-        pairs = usable_pairs(track, match_of)
-        if len(pairs) > 1:
-            cone = observed_cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov)
-            cones.append((classes.index(track.category), cone))
+    seen = observed_cones(drive, matches, tracks, pose_cov, 2)
+    cones = [(classes.index(track.category), cone) for track, _, cone in seen]
     factors = np.ones((len(classes), 3))
     for _ in range(_MAX_ITERATIONS):
         squares, freedom = np.zeros_like(factors), np.zeros_like(factors)
@@ -112,10 +102,17 @@ def estimate_variance_factors(
     return {category: VarianceFactors(*own) for category, own in zip(classes, factors.tolist(), strict=True)}
 
 
-def usable_pairs(track: Track, match_of: Mapping[tuple[int, int], StereoMatch]) -> list[StereoMatch]:
-    """Matches of a track whose shared errors are known, not too many. match_of: by (frame_index, match_index)."""
-    usable = [match_of[member] for member in track.members if _is_usable(match_of[member])]
-    return evenly_spaced(usable, _MOST_PAIRS)
+def observed_cones(
+    drive: Drive, matches: Sequence[StereoMatch], tracks: Sequence[Track], pose_cov: PoseCov, least: int
+) -> Iterator[tuple[Track, list[StereoMatch], ObservedCone]]:
+    """The tracks with at least so many matches whose shared errors are known, with these matches, not too many."""
+    match_of = {(m.frame_index, m.match_index): m for m in matches}
+    poses = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
+    for track in tracks:
+        usable = [match_of[member] for member in track.members if _is_usable(match_of[member])]
+        if len(usable) >= least:
+            pairs = evenly_spaced(usable, _MOST_PAIRS)
+            yield track, pairs, _observed_cone(track, pairs, drive.rig, poses, pose_cov)
 
 
 def with_variance_factors(
@@ -140,11 +137,7 @@ def _weighed(match: StereoMatch, variances: VarianceFactors) -> StereoMatch:
 
 
 def with_contradictions(
-    matches: Sequence[StereoMatch],
-    tracks: Sequence[Track],
-    rig: Rig,
-    frame_pairs: Iterable[FramePair],
-    pose_cov: PoseCov,
+    drive: Drive, matches: Sequence[StereoMatch], tracks: Sequence[Track], pose_cov: PoseCov
 ) -> list[StereoMatch]:
     """The matches of one drive, with larger sigmas where they contradict their tracks; never with smaller ones.
 
@@ -152,14 +145,14 @@ def with_contradictions(
     `estimate_variance_factors` does not use. The other arguments are as there.
     """
     match_of = {(m.frame_index, m.match_index): m for m in matches}
-    poses = {pair.frame_index: pair.pose for pair in frame_pairs}
+    poses = {pair.frame_index: pair.pose for pair in drive.frame_pairs}
     for track in tracks:
         members = [match_of[member] for member in track.members]
         parts = -(-len(members) // _MOST_PAIRS)
         for pairs in (members[part::parts] for part in range(parts)):
             if len(pairs) < _LEAST_COMPARED:
                 continue
-            doubts = _doubts_px2(observed_cone(np.array(track.xyz_m), pairs, rig, poses, pose_cov))
+            doubts = _doubts_px2(_observed_cone(track, pairs, drive.rig, poses, pose_cov))
             for match, own_px2 in zip(pairs, doubts.tolist(), strict=True):
                 if any(own_px2):
                     match_of[match.frame_index, match.match_index] = _doubted(match, *own_px2)
@@ -207,10 +200,11 @@ def _disparity_px(match: StereoMatch) -> float:
     return 2**0.5 * match.sigma_u_px
 
 
-def observed_cone(
-    xyz_m: Floats, pairs: Sequence[StereoMatch], rig: Rig, poses: Mapping[int, Pose], pose_cov: PoseCov
+def _observed_cone(
+    track: Track, pairs: Sequence[StereoMatch], rig: Rig, poses: Mapping[int, Pose], pose_cov: PoseCov
 ) -> ObservedCone:
-    """pairs: matches of a track whose shared errors are known. poses: by frame index; pose_cov: of their errors."""
+    """pairs: matches of the track. poses: by frame index; pose_cov: of their errors."""
+    xyz_m = np.array(track.xyz_m)
     stated_poses = [poses[m.frame_index] for m in pairs]
     left, right = (np.stack([pose_of(p, rig) for p in stated_poses]) for pose_of in (map_SE3_left, map_SE3_right))
     # Coordinates around the cone: millimetre corrections on millions of metres would lose digits.

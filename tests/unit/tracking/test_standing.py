@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from conetl.geometry import pose as se3
-from conetl.model.drive import Track
+from conetl.model.drive import Drive, Track
 from conetl.model.params import TrajectoryParams
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.tracking.error_propagation import pose_cov
@@ -32,7 +32,8 @@ def standing(
     for number, speed in speeds_ms.items():
         speeds[number, :2] = speed
     matches, tracks = drawn(np.random.default_rng(seed), (1.0, 1.0, 1.0), speeds_ms=speeds)
-    return without_moving(tracks, matches, trajectory.frame_pairs, RIG, pose_cov(trajectory, PARAMS))
+    drive = Drive.model_construct(frame_pairs=trajectory.frame_pairs, rig=RIG)
+    return without_moving(drive, matches, tracks, pose_cov(trajectory, PARAMS))
 
 
 def test_cones_that_stand_are_kept(trajectory: RefinedTrajectory) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
-from conetl.model.drive import FramePair, StereoMatch, Track
+from conetl.model.drive import Drive, FramePair, StereoMatch, Track
 from conetl.model.feature_classes import CONE
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import SIDES
@@ -94,6 +94,10 @@ def without_errors(frames: Sequence[int]) -> Floats:
     return np.zeros((6 * len(frames), 6 * len(frames)))
 
 
+def drive_of(pairs: list[FramePair]) -> Drive:
+    return Drive.model_construct(frame_pairs=tuple(pairs), rig=RIG)
+
+
 def found(
     matches: list[StereoMatch],
     tracks: list[Track],
@@ -109,7 +113,7 @@ def by_class(
     pairs: list[FramePair] = PATH,
     pose_cov: PoseCov = without_errors,
 ) -> dict[str, VarianceFactors]:
-    return estimate_variance_factors(tracks, matches, RIG, pairs, pose_cov)
+    return estimate_variance_factors(drive_of(pairs), matches, tracks, pose_cov)
 
 
 @pytest.mark.parametrize("sizes", [(1.0, 1.0, 1.0), (1.5, 0.7, 1.3), (0.7, 1.6, 0.6)])
@@ -201,7 +205,7 @@ def test_only_observations_that_were_used_change() -> None:
 
 
 def compared(matches: list[StereoMatch], tracks: list[Track]) -> list[StereoMatch]:
-    return with_contradictions(matches, tracks, RIG, PATH, without_errors)
+    return with_contradictions(drive_of(PATH), matches, tracks, without_errors)
 
 
 def _moved(match: StereoMatch, columns_px: float, rows_px: float, disparity_px: float) -> StereoMatch:
