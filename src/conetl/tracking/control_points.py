@@ -63,14 +63,9 @@ class _Cones:
         return ControlCone(self.groups[number], np.array(point.xyz_m), cov_m2)
 
 
-@dataclass(frozen=True)
-class _Log:
-    """GNSS/INS where it may be wrong by more than it states."""
-
-    stated_m: Floats
-    """(3,) sigmas of its positions, the median of the drive."""
-    drift_m: Floats
-    """(3,) by how much its positions change against those that the images show."""
+#: GNSS/INS where it may be wrong by more than it states: (3,) m, the median sigmas of its positions, and by how much these
+#: change against those that the images show.
+_Log = tuple[Floats, Floats]
 
 
 @dataclass(frozen=True)
@@ -126,7 +121,7 @@ def refine_with_control(
         adjusted_m, logged_m = (
             np.array([pair.pose.map_t_body_m for pair in pairs]) for pairs in (freely.frame_pairs, freely.logged)
         )
-        free = adjusted(loose, freely, _Log(stated_m, np.ptp(adjusted_m - logged_m, axis=0)))
+        free = adjusted(loose, freely, (stated_m, np.ptp(adjusted_m - logged_m, axis=0)))
         if free.control is not None and (free.control.value or 0) > (found.control.value or 0):
             return free
     return found
@@ -309,14 +304,15 @@ def _check(points: Sequence[SurveyedPoint], tie: _Tie, log: _Log | None) -> Heal
     detail = f"{used} of {count} match a cone and agree: the poses are adjusted to them."
     verdict = Verdict.WARN if wrong else Verdict.PASS
     if log is not None:
+        stated_m, drift_m = log
         mean_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
-        both_m = np.hypot(log.stated_m, np.mean([points[i].sigma_m for i in tie.cone_of], axis=0))
+        both_m = np.hypot(stated_m, np.mean([points[i].sigma_m for i in tie.cone_of], axis=0))
         sigmas = float(np.abs(mean_m / both_m).max())
         off = f"{np.linalg.norm(mean_m):.2f} m"
         if np.hypot(*mean_m[:2]) < _SAME_PLAN_M:
             verdict, off = Verdict.HOLD, f"{off} in height only"
             advice = "were feet surveyed, not tips, with the right pole and height system? If so, accept the drive"
-        elif (log.drift_m < _DRIFT_SIGMAS * both_m).all():
+        elif (drift_m < _DRIFT_SIGMAS * both_m).all():
             verdict, off = Verdict.WARN, f"{off}, all along the drive"
             advice = "one of the two is wrong, and the map uses the points. Check datum and base station of both"
         else:

@@ -92,24 +92,20 @@ def _both_sides(group: Ints, offsets_m: Floats) -> list[Ints]:
 
 def _neighbourhoods(versions: Sequence[FeatureVersion], params: WorkZoneParams) -> list[list[FeatureVersion]]:
     """Versions in groups too far apart ever to be in one zone; by cells, because one location has many versions."""
-    cells: dict[tuple[int, int], int] = {}
-    of_version = []
-    for version in versions:
-        x_m, y_m = version.feature.xyz_m[:2]
-        of_version.append(cells.setdefault((int(x_m // _CELL_M), int(y_m // _CELL_M)), len(cells)))
-    if not cells:
+    if not versions:
         return []
+    xy_m = np.array([version.feature.xyz_m[:2] for version in versions])
+    cells, cell = np.unique(xy_m // _CELL_M, axis=0, return_inverse=True)
     reach_m = float(np.hypot(params.max_link_m, 2 * params.max_path_offset_m)) + _CELL_M * 2**0.5
-    pairs = KDTree(np.array(list(cells)) * _CELL_M).query_pairs(reach_m, output_type="ndarray")
-    # The versions of one feature belong together, however far it was moved.
-    first: dict[UUID, int] = {}
-    same = [(first.setdefault(v.feature.feature_id, cell), cell) for v, cell in zip(versions, of_version, strict=True)]
-    edges = np.concatenate([pairs.reshape(-1, 2), np.array(sorted(set(same)))])
-    graph = coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(cells), len(cells)))
-    labels = connected_components(graph, directed=False)[1]
+    pairs = KDTree(cells * _CELL_M).query_pairs(reach_m, output_type="ndarray")
+    # The versions of one feature belong together, however far it was moved: features are nodes of the graph, too.
+    feature = len(cells) + np.unique([str(version.feature_id) for version in versions], return_inverse=True)[1]
+    a, b = np.concatenate([pairs, np.column_stack([cell, feature])]).T
+    size = int(feature.max()) + 1
+    labels = connected_components(coo_matrix((np.ones(len(a)), (a, b)), shape=(size, size)), directed=False)[1]
     groups: dict[int, list[FeatureVersion]] = defaultdict(list)
-    for cell, version in zip(of_version, versions, strict=True):
-        groups[int(labels[cell])].append(version)
+    for label, version in zip(labels[cell].tolist(), versions, strict=True):
+        groups[label].append(version)
     return list(groups.values())
 
 
@@ -172,23 +168,17 @@ def _assign_chains(
 
     Most shared cones first, then the older zone. A zone without present cones continues in a chain at the same location.
     """
-    shared = [
-        (-len(one.members & cluster), one.zone.start_ns, str(one.zone.zone_id), number, index)
-        for index, one in enumerate(live)
-        for number, cluster in enumerate(found)
-        if one.members & cluster
-    ]
-    # All cones were replaced between two drives: other features at the same location.
-    free = [one for one in live if not any(key in standing for key in one.members)]
-    replaced = [
-        (0, one.zone.start_ns, str(one.zone.zone_id), number, live.index(one))
-        for one in free
-        for number, cluster in enumerate(found)
-        if _nearest_m(one.zone.cones, [standing[key] for key in cluster]) <= params.min_link_m
-    ]
+    ranked = []
+    for index, one in enumerate(live):
+        # Without present cones all were replaced between two drives: other features at the same location.
+        replaced = one.members.isdisjoint(standing)
+        for number, cluster in enumerate(found):
+            near = replaced and _nearest_m(one.zone.cones, [standing[key] for key in cluster]) <= params.min_link_m
+            if (shared := len(one.members & cluster)) or near:
+                ranked.append((-shared, one.zone.start_ns, str(one.zone.zone_id), number, index))
     assigned: set[int] = set()
     given: dict[int, set[UUID]] = {}
-    for _, _, _, number, index in [*sorted(shared), *sorted(replaced)]:
+    for _, _, _, number, index in sorted(ranked):
         if number not in assigned and index not in given:
             assigned.add(number)
             given[index] = found[number]

@@ -171,19 +171,16 @@ def _lane_axis(line: Floats, cones_m: Floats, lanes: Sequence[LaneLine]) -> Floa
     bands = _bands(line, np.sort(s), lanes)
     if bands is None:
         return None
-    best, distance = None, np.inf
-    for k in range(bands.offsets_m.shape[1]):
-        there = np.isfinite(bands.offsets_m[:, k])
-        at = bands.stations_m[there]
-        if at[0] > s.min() or at[-1] < s.max():
-            continue
-        away = float(np.median(np.abs(np.interp(s, at, bands.offsets_m[there, k]) - o)))
-        if away < distance:
-            best, distance = k, away
-    if best is None:
+    beside = []
+    for number, offsets_m in enumerate(bands.offsets_m.T):
+        there = np.isfinite(offsets_m)
+        at, aside_m = bands.stations_m[there], offsets_m[there]
+        if at[0] <= s.min() and at[-1] >= s.max():
+            beside.append((float(np.median(np.abs(np.interp(s, at, aside_m) - o))), number, at, aside_m))
+    if not beside:
         return None
-    there = np.isfinite(bands.offsets_m[:, best])
-    return locate(line, bands.stations_m[there], bands.offsets_m[there, best])
+    _, _, at, aside_m = min(beside)
+    return locate(line, at, aside_m)
 
 
 def _impact(

@@ -96,7 +96,7 @@ def check_trajectory(
         *([_drift(log, trajectory)] if trajectory.outcome is RefinementOutcome.REFINED else []),
         _alignment(log, measured, residual),
         *([] if is_interpolated(frame_pairs) else check_mount(log, measured, good, residual)),
-        *_directions(frame_pairs, log, measured),
+        *_directions(frame_pairs, log, measured, residual),
         hold_if(against, "stated sigmas of the poses", f"{stated[0].upper()}{stated[1:]}.", value=None),
     ]
     return [_with_likely_cause(check, trajectory.clock, params) for check in checks]
@@ -132,7 +132,9 @@ def check_calibration(calibration: SelfCalibration) -> list[HealthCheck]:
     return [HealthCheck(name=CALIBRATION, verdict=verdict, value=None, detail=detail)]
 
 
-def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: MeasuredMotions) -> list[HealthCheck]:
+def _directions(
+    frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: MeasuredMotions, residual: Floats
+) -> list[HealthCheck]:
     """Whether images and course of sparse positions show the same direction; none for a log with more records.
 
     A course that is taken for the heading of a vehicle that reverses is opposite to what its cameras show.
@@ -140,7 +142,7 @@ def _directions(frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: Me
     if not is_interpolated(frame_pairs) or not len(measured.start):
         return []
     observed = measured.next_SE3_first[:, :3, 3]
-    logged = observed - motion_residuals(log, log.rotations, log.positions, measured, 0.0)[0][:, 3:]
+    logged = observed - residual[:, 3:]
     k = measured.start
     noise = log.noise[k] ** 2 + log.noise[k + 1] ** 2 + 2 * log.drift[k] ** 2 * (1 - log.correlation[k])
     least_m = np.maximum(_REVERSED_M, _REVERSED_SIGMAS * np.sqrt(noise[:, :2].max(axis=1)))
