@@ -35,10 +35,6 @@ def read_side(pair: FramePair, side: str) -> np.ndarray:
     return read_image(Path(pair.left_path if side == "left" else pair.right_path))
 
 
-def locate(pairs: list[FramePair], drive: Drive, matches: list[StereoMatch], params: IngestParams) -> list[Position]:
-    return locate_positions(matches, {p.frame_index: p for p in pairs}, drive.rig, params.position)[0]
-
-
 def part_positions(
     group: list[Position], found: dict[tuple[int, int], StereoMatch], drive: Drive, poses: dict[int, FramePair]
 ) -> np.ndarray:
@@ -68,7 +64,9 @@ def part_positions(
 def report(
     name: str, pairs: list[FramePair], drive: Drive, groups: list, matches: list, params: IngestParams
 ) -> dict[str, object]:
-    positions = {(p.frame_index, p.match_index): p for p in locate(pairs, drive, matches, params)}
+    positions = {
+        (p.frame_index, p.match_index): p for p in locate_positions(matches, pairs, drive.rig, params.position)[0]
+    }
     poses, found = {p.frame_index: p for p in pairs}, {(m.frame_index, m.match_index): m for m in matches}
     feet = [
         part_positions([positions[m] for m in members if m in positions], found, drive, poses) for members in groups

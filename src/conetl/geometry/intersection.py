@@ -256,8 +256,6 @@ class JointFit(NamedTuple):
     """(3, 3): what errors of the image points alone make of it."""
     residuals_px: Floats
     """(F, 4): observed minus computed u_left, v_left, u_right, v_right."""
-    weights: Floats
-    """(F,): Huber weight of each pair; 1 where it fits."""
     shares: Floats
     """(F, 3, 3): derivative by each pair's own point; their sum is the identity."""
 
@@ -329,5 +327,5 @@ def fit_point(
         if float(step @ step) < convergence_m2:
             by_image = cov @ weighted
             of_images = (by_image @ noise @ np.swapaxes(by_image, 1, 2)).sum(axis=0)
-            return JointFit(point + shift, (cov + cov.T) / 2, of_images, residual, huber, cov @ normals)
+            return JointFit(point + shift, (cov + cov.T) / 2, of_images, residual, cov @ normals)
     return None

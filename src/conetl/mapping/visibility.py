@@ -59,7 +59,6 @@ class VisiblePair(NamedTuple):
     """Of a cone at the location, left and right."""
     hidden: tuple[float, float]
     """Share of it behind nearer detections, 0 to 1."""
-    boxes: tuple[Box, Box]
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ def visible_pairs(
         )
         if occupied or (drive.shows_absence[row] and clear and max(left, right) <= evidence.hidden_most):
             heights = float(heights_px[k, 0]), float(heights_px[k, 1])
-            visible.append(VisiblePair(row, occupied, heights, (left, right), boxes[k]))
+            visible.append(VisiblePair(row, occupied, heights, (left, right)))
     return visible
 
 

@@ -109,37 +109,38 @@ def analyse(
             chunks = chunks_of(drive, settings, _with_low_thresholds(params))
         found = _run_chunks(drive, chunks, extras, executor, count)
         motions, _ = load_results([part.motions for part in found.parts if part.motions is not None], RelativeMotion)
-        drive, torn, refused_pairs = odometry.drop_torn_pairs(drive.model_copy(update={"rig": found.rig}), motions)
+        drive, torn, rejected_pairs = odometry.drop_torn_pairs(drive.model_copy(update={"rig": found.rig}), motions)
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, found.matches, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-        positions, refused_positions = executor.run(locate, drive, found.matches, params)
-        detections, refused_detections = load_results([part.detections for part in found.parts], Detection)
-        refused_detections = [*refused_detections, *refused_pairs]
-        drive, detections = drop_unread_pairs(drive, detections, refused_detections)
+        positions, rejected_positions = executor.run(locate, drive, found.matches, params)
+        detections, rejected_detections = load_results([part.detections for part in found.parts], Detection)
+        rejected_detections = [*rejected_detections, *rejected_pairs]
+        drive, detections = drop_unread_pairs(drive, detections, rejected_detections)
         details, _ = load_results([detail_path(part.detections) for part in found.parts], ImageDetail)
         drive, without_detail = add_image_detail(drive, details)
         health += [torn] if extras.odometry else []
         health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
-        matches, refused_matches = load_matches(found.matches, drive.frame_pairs)
+        matches, rejected_matches = load_matches(found.matches, drive.frame_pairs)
+        rejections = [*rejections, *rejected_detections, *without_detail, *rejected_matches]
         fused = partial(executor.run, fuse, drive, detections, params, card.evidence, trajectory)
         errors = pose_cov(trajectory, params.trajectory)
-        tracks, refused_tracks = fused(matches, positions)
+        tracks, rejected_tracks = fused(matches, positions)
         if trajectory.covariance is not None:
             # These tracks have the sigmas of single frame pairs. Their residuals correct the sigmas of each class for the next
             # tracks, and the residuals of those the sigmas of single observations.
             weighed, positions, _ = executor.run(estimate_variances, drive, matches, tracks, params, errors)
             tracks, _ = fused(weighed, positions)
-            matches, positions, refused_positions = executor.run(
+            matches, positions, rejected_positions = executor.run(
                 inflate_outliers, drive, weighed, tracks, params, errors
             )
-            tracks, refused_tracks = fused(matches, positions)
+            tracks, rejected_tracks = fused(matches, positions)
             # Observations of an object that moves contradict each other: sigmas that cover it would hide that.
             tracks, moving = executor.run(without_moving, drive, weighed, tracks, errors)
-            refused_tracks = [*refused_tracks, *moving]
+            rejected_tracks = [*rejected_tracks, *moving]
         points = [part.marking_points for part in found.parts if part.marking_points is not None]
         markings = executor.run(mark, drive, points, params.marking, errors) if points else []
-    refused = [*rejections, *refused_detections, *without_detail, *refused_matches, *refused_positions, *refused_tracks]
-    records = DriveRecords(drive, detections, matches, positions, tracks, refused, markings)
+    rejections = [*rejections, *rejected_positions, *rejected_tracks]
+    records = DriveRecords(drive, detections, matches, positions, tracks, rejections, markings)
     health += check_calibration(found.calibration)
     health += check_exposures(found.calibration.right_ahead, drive.rig, drive.frame_pairs)
     health.append(check_doubled(tracks, drive.frame_pairs))
@@ -211,7 +212,7 @@ def locate(drive: Drive, matches: Sequence[Path], params: IngestParams) -> tuple
         locate_positions(load_matches([path], drive.frame_pairs)[0], drive.frame_pairs, drive.rig, params.position)
         for path in matches
     ]
-    return [one for found, _ in located for one in found], [one for _, refused in located for one in refused]
+    return [one for found, _ in located for one in found], [one for _, rejected in located for one in rejected]
 
 
 def fuse(

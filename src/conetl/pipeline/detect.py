@@ -7,7 +7,7 @@ import threading
 from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
-from itertools import islice, zip_longest
+from itertools import chain, islice, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -123,12 +123,10 @@ def _detections(chunk: Chunk, part: int, rig: Rig, read: ImageReader, extras: It
                 seen[k] = _search(chunk, pairs[k], first_rows, rig, read, tick, everywhere=everywhere)
         found += [seen[k] for k in block]
         deque(islice(extras, len(block)), maxlen=0)
-    save_result(chunk.results_folder, _detail_key(key), [d for f in found for d in f.details], [])
-    detected = save_result(
-        chunk.results_folder, key, [d for f in found for d in f.detections], [r for f in found for r in f.rejections]
-    )
-    matches, refused = [m for f in found for m in f.matches], [r for f in found for r in f.refused_matches]
-    save_result(chunk.results_folder, _match_key(chunk, detected, rig), matches, refused)
+    together = _PairFound(*(list(chain.from_iterable(parts)) for parts in zip(*found, strict=True)))
+    save_result(chunk.results_folder, _detail_key(key), together.details, [])
+    detected = save_result(chunk.results_folder, key, together.detections, together.rejections)
+    save_result(chunk.results_folder, _match_key(chunk, detected, rig), together.matches, together.rejected_matches)
     return detected
 
 
@@ -142,13 +140,13 @@ def _detail_key(detections_key: str) -> str:
 
 
 class _PairFound(NamedTuple):
-    """What one frame pair shows."""
+    """What one frame pair shows, or several."""
 
     detections: list[Detection]
     details: list[ImageDetail]
     rejections: list[Rejection]
     matches: list[StereoMatch]
-    refused_matches: list[Rejection]
+    rejected_matches: list[Rejection]
 
 
 def _search(
@@ -173,13 +171,13 @@ def _search(
             region = right_region(by_side["left"], chunk.rig, chunk.params)
             if region is None:
                 continue
-        image, by_side[side], refused = _detect(chunk, pair, side, read, first_rows[side], region)
+        image, by_side[side], rejected = _detect(chunk, pair, side, read, first_rows[side], region)
         if image is not None:
             images[side] = image
             details.append(ImageDetail(frame_index=pair.frame_index, side=side, detail=fine_detail(image)))
-        rejections += refused
-    matches, refused_matches = _match(chunk, pair, by_side, rig, images)
-    return _PairFound([*by_side["left"], *by_side["right"]], details, rejections, matches, refused_matches)
+        rejections += rejected
+    matches, rejected_matches = _match(chunk, pair, by_side, rig, images)
+    return _PairFound([*by_side["left"], *by_side["right"]], details, rejections, matches, rejected_matches)
 
 
 def _detect(
@@ -233,9 +231,9 @@ def _match_part(chunk: Chunk, part: int, detected: Path, rig: Rig) -> Path:
     matches: list[StereoMatch] = []
     rejections: list[Rejection] = []
     for pair in chunk.frame_pairs[parts_of(chunk)[part]]:
-        found, refused = _match(chunk, pair, by_frame[pair.frame_index], rig)
+        found, rejected = _match(chunk, pair, by_frame[pair.frame_index], rig)
         matches += found
-        rejections += refused
+        rejections += rejected
     return save_result(chunk.results_folder, key, matches, rejections)
 
 

@@ -112,7 +112,7 @@ def follow_spans(piece: Chunk) -> Path:
 def self_calibrate(chunk: Chunk, pieces: Sequence[Chunk], followed: Sequence[Path]) -> SelfCalibration:
     """Self-calibration from the points of all pieces. chunk: any of the drive's; followed: one file per piece."""
     params, folder, rig = chunk.params.trajectory, chunk.results_folder, chunk.rig
-    key = result_key(RESULTS_VERSION, "self-calibrate", *(path.stem for path in followed))
+    key = result_key(RESULTS_VERSION, "self-calibration", *(path.stem for path in followed))
     if has_result(folder, key):
         return load_result(result_path(folder, key), SelfCalibration)[0][0]
     spans = [span for piece in pieces for span in _spans(rig, piece.frame_pairs, params)]

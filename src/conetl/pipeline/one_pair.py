@@ -81,19 +81,19 @@ def match_searched(
 
 def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: IngestParams) -> LocatedPair:
     """Objects of one stereo pair in the frame of the left camera. Raises ImageFileError."""
-    searched, matches, refused = match_images(paths, rig, detector, params)
+    searched, matches, rejected = match_images(paths, rig, detector, params)
     detections = [found for _, found in searched]
     located, more = locate_in_camera(matches, rig, params.position)
     located.sort(key=lambda one: one.ground_distance_m)
     # No second pair distinguishes a cone from a sign, but its height must be that of a cone, as in a drive.
     fits = [one for one in located if is_plausible(one, params.track)]
     unmatched = {
-        side: len(found) - len(matches) - sum(r.payload.get("side") == side for r in refused)
+        side: len(found) - len(matches) - sum(r.payload.get("side") == side for r in rejected)
         for side, found in zip(SIDES, detections, strict=True)
     }
     cones, objects = ([one for one in fits if (one.category == CONE) == is_cone] for is_cone in (True, False))
     misfits = [one for one in located if one not in fits]
-    return LocatedPair(detections, matches, cones, objects, misfits, unmatched, [*refused, *more])
+    return LocatedPair(detections, matches, cones, objects, misfits, unmatched, [*rejected, *more])
 
 
 def is_plausible(one: CameraPosition, limits: TrackParams) -> bool:

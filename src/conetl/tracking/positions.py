@@ -184,14 +184,14 @@ def _records(
     records: list[R] = []
     rejections: list[Rejection] = []
     for i, match in enumerate(matches):
-        refused = _refuse(match, located, i, float(ground[i]), params) if posed[i] else _no_pose(match)
-        if refused is None:
+        rejection = _rejection_of(match, located, i, float(ground[i]), params) if posed[i] else _no_pose(match)
+        if rejection is None:
             try:
                 records.append(record_of(i))
                 continue
             except ValidationError as error:
-                refused = _reject(match, RejectionReason.POSITION_INVALID, first_message(error))
-        rejections.append(refused)
+                rejection = _reject(match, RejectionReason.POSITION_INVALID, first_message(error))
+        rejections.append(rejection)
     return records, rejections
 
 
@@ -233,8 +233,10 @@ def _locate(matches: Sequence[StereoMatch], rig: Rig, params: PositionParams) ->
     )
 
 
-def _refuse(match: StereoMatch, located: _Located, i: int, ground_m: float, params: PositionParams) -> Rejection | None:
-    """The rejection of one match, or None for a good position."""
+def _rejection_of(
+    match: StereoMatch, located: _Located, i: int, ground_m: float, params: PositionParams
+) -> Rejection | None:
+    """None for a good position."""
     for point, name in enumerate(_POINTS):
         status = IntersectionStatus(int(located.status[point, i]))
         if status is not IntersectionStatus.OK:

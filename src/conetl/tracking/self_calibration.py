@@ -68,9 +68,6 @@ class SelfCalibration(Record):
     right_ahead: tuple[float, ...] = ()
     """Offset of the right camera forward of its calibrated position, and its sigma (`checks/exposures.py`); empty if unknown."""
     span_count: int = Field(default=0, ge=0)
-    point_count: int = Field(default=0, ge=0)
-    prior_chi2: float = Field(default=0, ge=0)
-    """Squared distance of the estimate from the given calibration, 4 degrees of freedom."""
 
 
 SWITCHED_OFF = SelfCalibration(outcome=SelfCalibrationOutcome.SWITCHED_OFF, detail="self-calibration is switched off")
@@ -150,7 +147,6 @@ def self_calibrate(
     return SelfCalibration(
         outcome=outcome, detail=detail, rotation_rad=vec3(found[:3]), bend=float(found[3]),
         cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(estimate.model_gap.tolist()), span_count=len(points),
-        point_count=estimate.point_count, prior_chi2=prior_chi2,
     )  # fmt: skip
 
 
@@ -212,13 +208,13 @@ def _prior(rig: Rig, params: TrajectoryParams) -> tuple[tuple[str, ...], Floats,
     own_R_camera_rig = body_SE3_camera(rig, "right")[:3, :3].T @ body_SE3_camera(camera_rig, "right")[:3, :3]
     bends = rig.rectified_from is None
     known = known_covariance(rig)
-    if known is None:
-        names = (*_TURN_NAMES, "right.cx_px") if bends else _TURN_NAMES
-        by_parameter = _by_parameter(names, camera_rig, own_R_camera_rig, bends)
-        sigma = params.self_calibration_prior_px / _pixels_per_unit(rig)
-        back = np.linalg.pinv(by_parameter)
-        return names, back @ np.diag(sigma**2) @ back.T, by_parameter
-    return known.names, np.array(known.matrix), _by_parameter(known.names, camera_rig, own_R_camera_rig, bends)
+    assumed = (*_TURN_NAMES, "right.cx_px") if bends else _TURN_NAMES
+    names = assumed if known is None else known.names
+    by_parameter = _by_parameter(names, camera_rig, own_R_camera_rig, bends)
+    if known is not None:
+        return names, np.array(known.matrix), by_parameter
+    sigma, back = params.self_calibration_prior_px / _pixels_per_unit(rig), np.linalg.pinv(by_parameter)
+    return names, back @ np.diag(sigma**2) @ back.T, by_parameter
 
 
 def _by_parameter(names: Sequence[str], camera_rig: Rig, own_R_camera_rig: Floats, bends: bool) -> Floats:

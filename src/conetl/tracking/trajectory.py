@@ -2,7 +2,7 @@
 
 Errors of GNSS/INS are first-order Gauss-Markov processes with the stated sigmas, plus a small white share. Visual odometry
 connects successive frame pairs; `geometry/motion/pose_graph.py` has the adjustment. Motions that contradict GNSS/INS beyond its
-errors are refused.
+errors are rejected.
 """
 
 from __future__ import annotations
@@ -314,10 +314,9 @@ def _medians_beside(rows: Ints, values: Floats, asked: Ints) -> tuple[Floats, In
     table = np.full((int(asked.max(initial=0)) + 2 * _NEIGHBOURS + 1, values.shape[1]), np.nan)
     table[rows + _NEIGHBOURS] = values
     windows = np.lib.stride_tricks.sliding_window_view(table, 2 * _NEIGHBOURS + 1, axis=0)[asked]
-    beside = np.sort(np.delete(windows, _NEIGHBOURS, axis=2), axis=2)  # NaN come last
-    counts = np.isfinite(beside[:, 0]).sum(axis=1)
-    middle = np.stack([np.maximum(counts - 1, 0) // 2, counts // 2], axis=1).clip(max=2 * _NEIGHBOURS - 1)
-    return np.take_along_axis(beside, middle[:, None], axis=2).mean(axis=2), counts
+    beside = np.ma.masked_invalid(np.delete(windows, _NEIGHBOURS, axis=2))
+    medians = np.ma.median(beside, axis=2)  # type: ignore[no-untyped-call]
+    return medians.filled(np.nan), beside[:, 0].count(axis=1)
 
 
 def _sightings(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Position]]) -> list[LandmarkObservation]:

@@ -68,7 +68,6 @@ class RightCameraError(NamedTuple):
     """(4, 4), from the scatter between spans."""
     model_gap: Floats
     """(4,): change of the estimate if disparities may also follow a fourth-order field."""
-    point_count: int
 
 
 def corrected(cameras: StereoCameras, turn_and_bend: Floats) -> StereoCameras:
@@ -114,7 +113,7 @@ def estimate_right_camera(
                 break
         else:
             return None
-    return RightCameraError(state[:_SKEW], cov[:_SKEW, :_SKEW], gap[:_SKEW], len(joint.points))
+    return RightCameraError(state[:_SKEW], cov[:_SKEW, :_SKEW], gap[:_SKEW])
 
 
 @dataclass(frozen=True)

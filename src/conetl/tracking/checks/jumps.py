@@ -117,10 +117,10 @@ def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: Measu
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
     step_s = np.maximum(np.diff(times_s), _LEAST_STEP_S)
     logged = Rotation.from_matrix([motion[:3, :3] for motion in expected_motions(frame_pairs, rig)]).as_rotvec()
-    accepted, refused = np.full_like(logged, np.nan), np.full_like(logged, np.nan)
+    accepted, rejected = np.full_like(logged, np.nan), np.full_like(logged, np.nan)
     if len(measured.start):
         turns = Rotation.from_matrix(measured.next_SE3_first[:, :3, :3]).as_rotvec()
-        accepted[measured.start[good]], refused[measured.start[~good]] = turns[good], turns[~good]
+        accepted[measured.start[good]], rejected[measured.start[~good]] = turns[good], turns[~good]
     known = ~np.isnan(accepted[:, 0])
     worst, first = 0.0, 0
     for k in np.flatnonzero(~known).tolist():
@@ -130,12 +130,12 @@ def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: Measu
             continue
         usual = np.median(accepted[near] / step_s[near, None], axis=0) * step_s[k]
         limit = np.maximum(_TURN_RAD, _JUMP_SIGMAS * sigma[k : k + 2].max(axis=0))
-        if np.isnan(refused[k, 0]):
+        if np.isnan(rejected[k, 0]):
             off = np.abs(logged[k] - usual)
             limit = limit + _TURN_ACCELERATION * step_s[k] * (times_s[end] - times_s[begin]) / 8
         else:
-            log_is_odd = np.abs(logged[k] - usual) > np.abs(refused[k] - usual)
-            off = np.abs(logged[k] - refused[k]) * log_is_odd
+            log_is_odd = np.abs(logged[k] - usual) > np.abs(rejected[k] - usual)
+            off = np.abs(logged[k] - rejected[k]) * log_is_odd
         beyond = off[off > limit]
         if len(beyond) and beyond.max() > worst:
             worst, first = float(beyond.max()), k

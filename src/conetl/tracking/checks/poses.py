@@ -33,7 +33,7 @@ ALIGNMENT, DISTANCES = "alignment of cameras and GNSS/INS", "distances by images
 _NOT_OF_CLOCKS = (JUMPS, DISTANCES)
 #: A drive of fewer intervals has too little evidence, except for jumps.
 _LEAST_INTERVALS = 8
-_MAX_REFUSED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
+_MAX_REJECTED_SHARE, _LEAST_MEASURED_SHARE = 0.1, 0.5
 #: The scale of the motions may be off by this many of its prior sigmas, and of its own.
 _MAX_SCALE_SIGMAS = 3.2
 #: Cameras look aside by more than this much (rad), and by this many of its sigmas: sample drives and KITTI by up to 0.27 degrees.
@@ -141,8 +141,7 @@ def _directions(
     """
     if not is_interpolated(frame_pairs) or not len(measured.start):
         return []
-    observed = measured.next_SE3_first[:, :3, 3]
-    logged = observed - residual[:, 3:]
+    observed, logged = _shifts_m(measured, residual)
     k = measured.start
     noise = log.noise[k] ** 2 + log.noise[k + 1] ** 2 + 2 * log.drift[k] ** 2 * (1 - log.correlation[k])
     least_m = np.maximum(_REVERSED_M, _REVERSED_SIGMAS * np.sqrt(noise[:, :2].max(axis=1)))
@@ -159,6 +158,12 @@ def _directions(
         )
     held, limit = count > _MAX_REVERSED, float(_MAX_REVERSED)
     return [hold_if(held, "driving direction", detail, value=float(count), limit=limit)]
+
+
+def _shifts_m(measured: MeasuredMotions, residual: Floats) -> Floats:
+    """(2, M, 3) motions in the left camera's frame: in the images, and by the log, from which they differ by (M, 6)."""
+    observed = measured.next_SE3_first[:, :3, 3]
+    return np.stack([observed, observed - residual[:, 3:]])
 
 
 def _measured(frame_pairs: Sequence[FramePair], rig: Rig, starts: Ints) -> HealthCheck:
@@ -227,27 +232,24 @@ def _agreement(
     frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools, residual: Floats
 ) -> HealthCheck:
     """Whether the motions agree with the log within the errors of both."""
-    refused = int((~good).sum())
-    share = refused / max(len(good), 1)
-    held = refused > 1 and share > _MAX_REFUSED_SHARE
-    observed = measured.next_SE3_first[:, :3, 3]
-    logged = observed - residual[:, 3:]
-    detail = f"{len(good) - refused} of {len(good)} measured motions agree with GNSS/INS."
+    rejected = int((~good).sum())
+    share = rejected / max(len(good), 1)
+    held = rejected > 1 and share > _MAX_REJECTED_SHARE
+    detail = f"{len(good) - rejected} of {len(good)} measured motions agree with GNSS/INS."
     if held:
         metres, degrees = (
             np.median(np.linalg.norm(part[~good], axis=1)) for part in (residual[:, 3:], np.degrees(residual[:, :3]))
         )
         detail = (
-            f"{refused} of {len(good)} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} degrees in the "
-            f"median.{_against_itself(frame_pairs, rig) or _in_common(observed, logged, degrees, share)}"
+            f"{rejected} of {len(good)} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} degrees in the "
+            f"median.{_against_itself(frame_pairs, rig) or _in_common(_shifts_m(measured, residual), degrees, share)}"
         )
-    return hold_if(held, "visual odometry against GNSS/INS", detail, value=share, limit=_MAX_REFUSED_SHARE)
+    return hold_if(held, "visual odometry against GNSS/INS", detail, value=share, limit=_MAX_REJECTED_SHARE)
 
 
 def _not_adjusted(measured: MeasuredMotions, residual: Floats) -> HealthCheck:
     """Of poses that no adjustment fits to the images: each motion may agree with an inaccurate log that all contradict."""
-    observed = measured.next_SE3_first[:, :3, 3]
-    images_m, log_m = (float(np.linalg.norm(part, axis=1).sum()) for part in (observed, observed - residual[:, 3:]))
+    images_m, log_m = np.linalg.norm(_shifts_m(measured, residual), axis=2).sum(axis=1).tolist()
     detail = (
         f"No poses fit both images and GNSS/INS: the path is {images_m:.0f} m long in the images and {log_m:.0f} m in GNSS/INS. "
         "Check the time stamps of the images (beginning and frame rate; a video can state a wrong rate), the log and the "
@@ -256,10 +258,10 @@ def _not_adjusted(measured: MeasuredMotions, residual: Floats) -> HealthCheck:
     return hold("adjustment of the poses", detail, value=None)
 
 
-def _in_common(observed: Floats, logged: Floats, degrees: float, share: float) -> str:
-    """What all motions have in common, and what to check. observed, logged: (N, 3), m, in the left camera's frame; degrees: by
-    how much those turn otherwise that contradict the log, a share of all."""
-    lengths_m = np.linalg.norm([observed, logged], axis=2)
+def _in_common(shifts_m: Floats, degrees: float, share: float) -> str:
+    """What all motions have in common, and what to check. shifts_m: as of `_shifts_m`; degrees: by how much those turn otherwise
+    that contradict the log, a share of all."""
+    lengths_m = np.linalg.norm(shifts_m, axis=2)
     far = lengths_m.min(axis=0) > _DRIVEN_M
     if far.sum() >= _LEAST_INTERVALS:
         ratio = lengths_m[0, far] / lengths_m[1, far] - 1
@@ -351,8 +353,7 @@ def _alignment(log: LoggedPoses, measured: MeasuredMotions, residual: Floats) ->
     Cameras that look aside and positions that drift at a constant rate are the same to them. The adjustment turns the poses, and
     leaves the drift in the positions.
     """
-    observed = measured.next_SE3_first[:, :3, 3]
-    both = np.stack([observed, observed - residual[:, 3:]])
+    both = _shifts_m(measured, residual)
     both = both[:, (np.linalg.norm(both, axis=2) > _DRIVEN_M).all(axis=0)]
     count, lengths_m = both.shape[1], np.linalg.norm(both, axis=2, keepdims=True)
     if count < _LEAST_INTERVALS:

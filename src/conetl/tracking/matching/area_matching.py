@@ -64,8 +64,6 @@ class AreaMatch:
     sigma_px: float
     """Standard deviation of the disparity."""
     correlation: float
-    row_offset_px: float
-    """How much lower the cone is in the right image; 0 for perfectly rectified images with equal principal points."""
 
 
 def match_area(
@@ -196,7 +194,7 @@ def _least_squares(
         place=(pixels.rows, pixels.columns), prior=_DESIGN_EFFECT * _PRIOR, prior_variance=_PRIOR_VARIANCE,
     )  # fmt: skip
     sigma = np.hypot(cov[0, 0] ** 0.5, SHARED_DISPARITY_PX)
-    return AreaMatch(float(unknown[0]), float(sigma), step_of.correlation, float(unknown[1]))
+    return AreaMatch(float(unknown[0]), float(sigma), step_of.correlation)
 
 
 def _by_unknown(along: Floats, slope_u: Floats, slope_v: Floats) -> Floats:
