@@ -100,7 +100,6 @@ class _Watch:
     folder: Path
     settings: Settings
     report: WatchReport
-    stop: threading.Event
     progress: Callable[[WatchReport], None]
     max_behind_s: float
     patience_s: float
@@ -152,7 +151,7 @@ def watch_drive(
         detectors = stack.enter_context(live.open_detectors(settings, params))
         changes = stack.enter_context(_watch_folder(folder.resolve(), poll=poll))
         watch = _Watch(
-            conn, detectors, folder, settings, report, stop, progress, max_behind_s, patience_s, time.time_ns(), changes
+            conn, detectors, folder, settings, report, progress, max_behind_s, patience_s, time.time_ns(), changes
         )
         processor_s, heard_s, list_s, took = time.process_time(), time.monotonic(), -np.inf, False
         progress(report)

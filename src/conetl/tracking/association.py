@@ -243,12 +243,8 @@ def _within_reach(one: Position, other: Position, camera: CameraMotion) -> bool:
     and all pairs are compared.
     """
     params = camera.params
-    start, end = camera.map_SE3_left[one.frame_index], camera.map_SE3_left[other.frame_index]
-    apart_m = dist(
-        (start[:3, :3] @ one.camera_xyz_m + start[:3, 3]).tolist(),
-        (end[:3, :3] @ other.camera_xyz_m + end[:3, 3]).tolist(),
-    )
-    driven_m2 = dist(start[:3, 3].tolist(), end[:3, 3].tolist()) ** 2
+    start, end = (camera.map_SE3_left[p.frame_index][:3, 3].tolist() for p in (one, other))
+    driven_m2 = dist(start, end) ** 2
     own_m2 = one.camera_cov_m2[0] + one.camera_cov_m2[3] + one.camera_cov_m2[5] + 3 * params.motion_sigma_m**2
     shares = params.motion_sigma_relative**2 + 2 * params.motion_sigma_aside**2
-    return apart_m <= _reach_m(own_m2 + shares * driven_m2, params) + _ROUNDING_M
+    return dist(one.xyz_m, other.xyz_m) <= _reach_m(own_m2 + shares * driven_m2, params) + _ROUNDING_M

@@ -106,16 +106,16 @@ def estimate_clock(
     # the log have more noise, and would make the sigma of the offset too small.
     centre_s = smoothed(middle_s[:, None], known)[:, 0]
     there = known > 0
-    told = slice(3 if by_speeds else 0, 6)
+    shown = slice(3 if by_speeds else 0, 6)
     signal, at_s, target = CubicSpline(middle_s, logged), centre_s[used], measured[used]
-    by = _derivatives(target, CubicSpline(centre_s[there], measured[there])(at_s, 1))[:, told]
+    by = _derivatives(target, CubicSpline(centre_s[there], measured[there])(at_s, 1))[:, shown]
     # Of few intervals, the residuals of one column may all be small by chance: it would outweigh the others.
     stated = np.sqrt(np.median(np.diagonal(motions.cov, axis1=1, axis2=2), axis=0)) / np.median(steps_s)
-    least = (_NOISE_SHARE * stated)[told]
+    least = (_NOISE_SHARE * stated)[shown]
     prior = np.diag([0.0, *[_BORESIGHT_RAD**-2] * 3, *(sigma**-2 for sigma in (_SCALE, *_SCALE_CHANGES))])
 
     def misfit(offset_s: float) -> Floats:
-        return np.asarray((target - signal(at_s - offset_s))[:, told])
+        return np.asarray((target - signal(at_s - offset_s))[:, shown])
 
     fits = {float(tried): robust_fit(misfit(tried), by, prior, 3, held=True, least_sigma=least) for tried in _TRIED_S}
     offset_s = min(fits, key=lambda tried: float(np.log(fits[tried].sigma).sum()))
@@ -129,7 +129,7 @@ def estimate_clock(
     others = [_misfit2(other.left_over, fit) for tried, other in fits.items() if abs(tried - offset_s) >= _APART_S]
     if min(others) - best < _LEAST_GAIN:
         return None
-    by_log = _derivatives(signal(at_s - offset_s), signal(at_s - offset_s, 1))[:, told]
+    by_log = _derivatives(signal(at_s - offset_s), signal(at_s - offset_s, 1))[:, shown]
     weighted = (by * fit.weight[..., None]).reshape(-1, _UNKNOWNS)
     back = np.linalg.inv(weighted.T @ by_log.reshape(-1, _UNKNOWNS) + prior)
     return ClockOffset(offset_s, _UNDERSTATED * float((back @ fit.normal @ back.T)[0, 0] ** 0.5))

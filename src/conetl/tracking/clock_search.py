@@ -224,7 +224,7 @@ def _refined(
     target: Floats, at_s: Floats, signal: Floats, grid_s: Floats, offset_s: float, alike: int
 ) -> tuple[float, float, Floats] | None:
     """The offset by least squares from a start, its sigma, and of each column (2,) how many successive values count as one; None
-    where it escapes."""
+    where it does not converge."""
     there, known = np.isfinite(signal).all(axis=1), np.isfinite(target).all(axis=1)
     curve, own = CubicSpline(grid_s[there], signal[there]), CubicSpline(at_s[known], target[known])
     covered: Floats = np.asarray(there, dtype=np.float64)

@@ -126,15 +126,15 @@ def refine_trajectory(
         detail = f"all {len(good)} measured motions contradict GNSS/INS or each other"
         return as_logged(RefinementOutcome.NO_MEASUREMENT, detail)
     kept = MeasuredMotions(measured.start[good], measured.next_SE3_first[good], measured.cov[good])
-    sightings = _sightings(frame_pairs, [*(cone.positions for cone in control), *cones])
+    observed = _observations(frame_pairs, [*(cone.positions for cone in control), *cones])
     priors = [LandmarkPrior(k, cone.xyz_m, np.asarray(np.linalg.inv(cone.cov_m2))) for k, cone in enumerate(control)]
     sparse = is_interpolated(frame_pairs)
     common_sigmas = [params.scale_sigma, _TURN_RAD_PER_M] if sparse else [params.scale_sigma]
-    solved = adjust(log, kept, sightings, params.robust_sigmas, common_sigmas, priors)
+    solved = adjust(log, kept, observed, params.robust_sigmas, common_sigmas, priors)
     if solved is not None and sparse:
         share = _white_share(log, log.positions - solved[1], frame_pairs, params)
         log = read_log(frame_pairs, rig, params.model_copy(update={"gnss_white_share": share}))
-        solved = adjust(log, kept, sightings, params.robust_sigmas, common_sigmas, priors)
+        solved = adjust(log, kept, observed, params.robust_sigmas, common_sigmas, priors)
     if solved is None:
         return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
     rotations, places, scale, normal = solved
@@ -319,7 +319,7 @@ def _medians_beside(rows: Ints, values: Floats, asked: Ints) -> tuple[Floats, In
     return medians.filled(np.nan), beside[:, 0].count(axis=1)
 
 
-def _sightings(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Position]]) -> list[LandmarkObservation]:
+def _observations(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Position]]) -> list[LandmarkObservation]:
     rank = {pair.frame_index: k for k, pair in enumerate(frame_pairs)}
     return [
         LandmarkObservation(

@@ -93,7 +93,7 @@ def _gaps(check: _Check, row: ConeRow) -> Iterator[Finding]:
     s, sigma = layout.stations_m[members], layout.sigmas_s_m[members]
     gaps = np.hypot(*np.diff([layout.cones[k].xyz_m[:2] for k in members], axis=0).T)
     shares = np.array([_taper_share(row.tapers, a, b) for a, b in pairwise(s)]).reshape(-1, 2)
-    # Crews set a cone at the end of a taper: a gap measured from there deserves a notice if lane lines locate it.
+    # Crews set a cone at the end of a taper: a gap measured from there gets a notice if lane lines locate it.
     at_cones = np.array([[_share_at_cones(row.tapers, a, b), 0.0] for a, b in pairwise(s)]).reshape(-1, 2)
     limits = allowed_spacing_m(speed_kmh, rules)
     on_lanes = layout.axis_source == "lanes"

@@ -203,8 +203,8 @@ def _end(
         if one.members:
             continue
         left = {cone.feature_id for cone in one.zone.cones if cone.feature_id in standing}
-        heir = next((other.zone.zone_id for other in going if other.members & left), None)
+        successor = next((other.zone.zone_id for other in going if other.members & left), None)
         ends = [gone[cone.feature_id] for cone in one.zone.cones if cone.feature_id in gone]
         end_ns = instant_ns if left or not ends else max(ends)
-        over.append(replace(one.zone, end_ns=end_ns, merged_into=heir))
+        over.append(replace(one.zone, end_ns=end_ns, merged_into=successor))
     return going, over

@@ -90,7 +90,10 @@ def test_the_reach_is_that_of_the_covariance(seed, share):
     reach_m = _reach_m(float(np.trace(carried)), PARAMS)
     away = rng.normal(size=3)
     place = mean + share * reach_m * away / np.linalg.norm(away)
-    other = other.model_copy(update={"camera_xyz_m": tuple(place)})
+    one, other = (
+        p.model_copy(update={"xyz_m": tuple(se3.apply(poses[p.frame_index], np.array(seen)))})
+        for p, seen in ((one, one.camera_xyz_m), (other, place))
+    )
     if abs(share - 1) * reach_m > 1e-5:
         assert _within_reach(one, other, camera) == (share < 1)
 

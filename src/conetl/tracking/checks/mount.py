@@ -70,7 +70,7 @@ def _check_heights(log: LoggedPoses, measured: MeasuredMotions, by: Floats, resi
     climbs_m = gaussian_filter1d(-np.einsum("mj,mj->m", map_R_left[:, 2], moves), _SMOOTHED, mode="nearest")
     columns = np.concatenate([(map_R_left[:, 2] * climbs_m[:, None])[..., None], by[:, 3:]], axis=2)
     fit = robust_fit(residual[:, 3:], columns, np.diag(np.array([_HEIGHTS_PRIOR, *_PRIOR]) ** -2), _ROUNDS)
-    # Errors of the attitudes look like slopes of which GNSS/INS knows nothing: the factor is too small by their share.
+    # Errors of the attitudes look like slopes that GNSS/INS does not have: the factor is too small by their share.
     lengths_m = np.linalg.norm(moves, axis=1)
     slopes = climbs_m[lengths_m > _DRIVEN_M] / lengths_m[lengths_m > _DRIVEN_M]
     wrong = float(np.median(log.drift[:, 3:5].max(axis=1))) ** 2 / max(

@@ -130,7 +130,7 @@ def _whole_pixel_disparity(
 def _least_squares(
     pixels: BodyPixels, right: Image, start: float, at_infinity_px: float, row_offset_px: float
 ) -> AreaMatch | None:
-    """Gauss-Newton on all unknowns; gain and offset of each colour are eliminated in stacked step."""
+    """Gauss-Newton on all unknowns; gain and offset of each colour are eliminated in every step."""
     beyond = pixels.beyond
     reach = np.concatenate(
         [part.columns - at_infinity_px - (start - at_infinity_px) / part.depth for part in (pixels, beyond)]
