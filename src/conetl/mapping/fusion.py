@@ -39,23 +39,16 @@ _LEAST_INDEPENDENT_M2 = 1e-12
 _COVERED_CHI2 = 10.0
 
 
-class Fusion(NamedTuple):
-    """Gains and fused values of N pairs of estimates."""
-
-    gain: Floats
-    """(N, 3, 3) gain of the new estimate; that of the old one is I less it."""
-    cov_m2: Floats
-    """(N, 3, 3), symmetric."""
-    shared_jacobian: list[SharedErrorJacobian | None]
-
-
 def fuse(
     old_cov: Sequence[Cov3],
     old_jacobian: Sequence[SharedErrorJacobian | None],
     new_cov: Sequence[Cov3],
     new_jacobian: Sequence[SharedErrorJacobian | None],
-) -> Fusion:
-    """Gains, covariances and shared-error Jacobians of N pairs of estimates of one position each; covariances in m^2."""
+) -> tuple[Floats, Floats, list[SharedErrorJacobian | None]]:
+    """Gains, covariances and shared-error Jacobians of N pairs of estimates of one position each; covariances in m^2.
+
+    Gains (N, 3, 3) are those of the new estimates; those of the old ones are I less it. Covariances (N, 3, 3) are symmetric.
+    """
     old, new = cov_matrices(old_cov), cov_matrices(new_cov)
     gain = old @ np.linalg.inv(old + new)
     cov = (np.eye(3) - gain) @ old
@@ -71,7 +64,7 @@ def fuse(
         gain[rows], cov[rows], moved = _fuse_correlated(old[rows], a, new[rows], b)
         for k, fused in zip(rows, pack_jacobians(ids, moved, most=MOST_CALIBRATIONS), strict=True):
             shared_jacobian[k] = fused
-    return Fusion(gain, cov, shared_jacobian)
+    return gain, cov, shared_jacobian
 
 
 def birge_ratios(apart_m: Floats, cov_m2: Floats) -> Floats:

@@ -303,18 +303,14 @@ def empty_view(vertices_m: Floats) -> MarkingView:
     return MarkingView(np.empty(0, np.int64), np.empty((len(vertices_m), 0), bool))
 
 
-def median_blur_px(markings: Sequence[MarkingTrack]) -> float:
-    """Median sigma (px) by which a drive's images blur the edges of its markings; 0 without any."""
-    return float(np.median([track.blur_px for track in markings])) if markings else 0.0
-
-
 def markings_in_view(
     vertices_m: Floats, drive: DriveObservations, blur_px: float, params: ReconcileParams
 ) -> MarkingView:
     """Where vertices (n, 3), in the drive's map frame, lie inside both images at the ranges in which markings are searched.
 
-    blur_px: by `median_blur_px`; blurred images show absence at a shorter range only. Empty for a drive that did not search for
-    markings. A vertex inside the box of a detection is hidden. Images without detail show no absence.
+    blur_px: sigma by which the images blur the edges of markings; it limits the range at which they show absence. Empty for a
+    drive that did not search for markings. A vertex inside the box of a detection is hidden. Images without
+    detail show no absence.
     """
     rows = np.flatnonzero(drive.shows_absence) if LANE_MARKING in drive.figures.categories else np.empty(0, np.int64)
     middle_m = vertices_m.mean(axis=0)
@@ -356,7 +352,7 @@ def visibility_checks(
     view: Callable[[], DriveObservations], markings: Sequence[MarkingTrack], params: ReconcileParams
 ) -> tuple[VisibilityCheck, ViewCheck]:
     """For cones and for lane markings; view: of the drive, read on demand; markings: those that it observed."""
-    blur_px = median_blur_px(markings)
+    blur_px = float(np.median([track.blur_px for track in markings])) if markings else 0.0
     return (
         lambda feature, offset_m, others_m: check_visibility(feature, offset_m, others_m, view(), params),
         lambda vertices_m: markings_in_view(vertices_m, view(), blur_px, params),

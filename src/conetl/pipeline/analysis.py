@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
-from typing import NamedTuple
 
 from conetl.files.parquet_store import load_results
 from conetl.geometry.motion.stereo_motion import RelativeMotion
@@ -107,20 +106,20 @@ def analyse(
         drive, health = check_stereo(drive)
         if drive.rig != given:
             chunks = chunks_of(drive, settings, _with_low_thresholds(params))
-        found = _run_chunks(drive, chunks, extras, executor, count)
-        motions, _ = load_results([part.motions for part in found.parts if part.motions is not None], RelativeMotion)
-        drive, torn, rejected_pairs = odometry.drop_torn_pairs(drive.model_copy(update={"rig": found.rig}), motions)
-        trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, found.matches, params)
+        parts, matched, calibration, rig = _run_chunks(drive, chunks, extras, executor, count)
+        motions, _ = load_results([part.motions for part in parts if part.motions is not None], RelativeMotion)
+        drive, torn, rejected_pairs = odometry.drop_torn_pairs(drive.model_copy(update={"rig": rig}), motions)
+        trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, matched, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-        positions, rejected_positions = executor.run(locate, drive, found.matches, params)
-        detections, rejected_detections = load_results([part.detections for part in found.parts], Detection)
+        positions, rejected_positions = executor.run(locate, drive, matched, params)
+        detections, rejected_detections = load_results([part.detections for part in parts], Detection)
         rejected_detections = [*rejected_detections, *rejected_pairs]
         drive, detections = drop_unread_pairs(drive, detections, rejected_detections)
-        details, _ = load_results([detail_path(part.detections) for part in found.parts], ImageDetail)
+        details, _ = load_results([detail_path(part.detections) for part in parts], ImageDetail)
         drive, without_detail = add_image_detail(drive, details)
         health += [torn] if extras.odometry else []
         health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
-        matches, rejected_matches = load_matches(found.matches, drive.frame_pairs)
+        matches, rejected_matches = load_matches(matched, drive.frame_pairs)
         rejections = [*rejections, *rejected_detections, *without_detail, *rejected_matches]
         fused = partial(executor.run, fuse, drive, detections, params, card.evidence, trajectory)
         errors = pose_cov(trajectory, params.trajectory)
@@ -137,14 +136,14 @@ def analyse(
             # Observations of an object that moves contradict each other: sigmas that cover it would hide that.
             tracks, moving = executor.run(without_moving, drive, weighed, tracks, errors)
             rejected_tracks = [*rejected_tracks, *moving]
-        points = [part.marking_points for part in found.parts if part.marking_points is not None]
+        points = [part.marking_points for part in parts if part.marking_points is not None]
         markings = executor.run(mark, drive, points, params.marking, errors) if points else []
     rejections = [*rejections, *rejected_positions, *rejected_tracks]
     records = DriveRecords(drive, detections, matches, positions, tracks, rejections, markings)
-    health += check_calibration(found.calibration)
-    health += check_exposures(found.calibration.right_ahead, drive.rig, drive.frame_pairs)
+    health += check_calibration(calibration)
+    health += check_exposures(calibration.right_ahead, drive.rig, drive.frame_pairs)
     health.append(check_doubled(tracks, drive.frame_pairs))
-    return AnalysedDrive(records, trajectory, found.calibration, params, tuple(health))
+    return AnalysedDrive(records, trajectory, calibration, params, tuple(health))
 
 
 def _with_low_thresholds(params: IngestParams) -> IngestParams:
@@ -153,20 +152,11 @@ def _with_low_thresholds(params: IngestParams) -> IngestParams:
     return params.model_copy(update={"trajectory": params.trajectory.model_copy(update=small)})
 
 
-class _ChunkResults(NamedTuple):
-    """Parquet files of the steps that read images, in the order of the drive; the self-calibration, and the corrected rig."""
-
-    parts: list[Detected]
-    matches: list[Path]
-    """Of each chunk."""
-    calibration: SelfCalibration
-    rig: Rig
-
-
 def _run_chunks(
     drive: Drive, chunks: Sequence[Chunk], extras: ExtraSteps, executor: Executor, count: ProgressCount
-) -> _ChunkResults:
-    """Run all steps that read images. extras: what to compute from the images while they are searched.
+) -> tuple[list[Detected], list[Path], SelfCalibration, Rig]:
+    """Run all steps that read images: their Parquet files in the order of the drive (matches by chunk), the self-calibration, and
+    the corrected rig. extras: what to compute from the images while they are searched.
 
     Matches and markings need the calibration, which needs points of some pieces of the drive: these come first. Once the rig is
     known, the rest is computed together with the detections, from images that are decoded once.
@@ -179,7 +169,7 @@ def _run_chunks(
         if following is not None:  # in this order, so that matching waits for nothing
             detected.append(_detect_parts(following, rig, extras, executor, count))
         matched.append(executor.submit(match, chunk, rig, *detected[len(matched)]))
-    return _ChunkResults(results([step for steps in detected for step in steps]), results(matched), calibration, rig)
+    return results([step for steps in detected for step in steps]), results(matched), calibration, rig
 
 
 def _detect_parts(

@@ -11,7 +11,7 @@ from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, up_in_l
 from conetl.model.arrays import Image
 from conetl.model.drive import Detection, FramePair, StereoMatch
 from conetl.model.feature_classes import CONE
-from conetl.model.params import DetectionParams, IngestParams, TrackParams
+from conetl.model.params import DetectionParams, IngestParams
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.detections import to_detections
@@ -86,7 +86,8 @@ def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: 
     located, more = locate_in_camera(matches, rig, params.position)
     located.sort(key=lambda one: one.ground_distance_m)
     # No second pair distinguishes a cone from a sign, but its height must be that of a cone, as in a drive.
-    fits = [one for one in located if is_plausible(one, params.track)]
+    limits_m = [params.track.heights_m(one.category) for one in located]
+    fits = [one for one, (least, most) in zip(located, limits_m, strict=True) if least <= one.cone_height_m <= most]
     unmatched = {
         side: len(found) - len(matches) - sum(r.payload.get("side") == side for r in rejected)
         for side, found in zip(SIDES, detections, strict=True)
@@ -94,9 +95,3 @@ def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: 
     cones, objects = ([one for one in fits if (one.category == CONE) == is_cone] for is_cone in (True, False))
     misfits = [one for one in located if one not in fits]
     return LocatedPair(detections, matches, cones, objects, misfits, unmatched, [*rejected, *more])
-
-
-def is_plausible(one: CameraPosition, limits: TrackParams) -> bool:
-    """Whether its height is plausible for its category."""
-    lowest_m, highest_m = limits.heights_m(one.category)
-    return lowest_m <= one.cone_height_m <= highest_m

@@ -43,8 +43,8 @@ def estimate(own: Floats, moved_m: dict[UUID, Floats]) -> Estimate:
 
 
 def fused(old: Estimate, new: Estimate) -> tuple[Floats, Floats, Estimate]:
-    result = fuse([old[0]], [old[1]], [new[0]], [new[1]])
-    return result.gain[0], result.cov_m2[0], (cov3(result.cov_m2[0]), result.shared_jacobian[0])
+    [gain], [cov_m2], [jacobian] = fuse([old[0]], [old[1]], [new[0]], [new[1]])
+    return gain, cov_m2, (cov3(cov_m2), jacobian)
 
 
 def by_formula(old: Estimate, new: Estimate) -> tuple[Floats, Floats]:
@@ -135,13 +135,15 @@ def test_rows_do_not_depend_on_the_rows_beside_them() -> None:
     for k in range(20):
         moved = [{one: rounded(rng.normal(0, 0.05, (3, 5))) for one in CALIBRATIONS[: k % n]} for n in (3, 4)]
         rows.append((estimate(spd(rng, 0.02), moved[0]), estimate(spd(rng, 0.02), moved[1])))
-    whole = fuse([o[0] for o, _ in rows], [o[1] for o, _ in rows], [n[0] for _, n in rows], [n[1] for _, n in rows])
+    gains, covs_m2, jacobians = fuse(
+        [o[0] for o, _ in rows], [o[1] for o, _ in rows], [n[0] for _, n in rows], [n[1] for _, n in rows]
+    )
     for k, (old, new) in enumerate(rows):
-        alone = fuse([old[0]], [old[1]], [new[0]], [new[1]])
-        np.testing.assert_array_equal(alone.gain[0], whole.gain[k])
-        np.testing.assert_array_equal(alone.cov_m2[0], whole.cov_m2[k])
-        assert alone.shared_jacobian[0] == whole.shared_jacobian[k]
-    assert whole.shared_jacobian[0] is None
+        [gain], [cov_m2], [jacobian] = fuse([old[0]], [old[1]], [new[0]], [new[1]])
+        np.testing.assert_array_equal(gain, gains[k])
+        np.testing.assert_array_equal(cov_m2, covs_m2[k])
+        assert jacobian == jacobians[k]
+    assert jacobians[0] is None
 
 
 ONE, OTHER = UUID(int=1), UUID(int=2)

@@ -137,18 +137,14 @@ def _import_drive(job: FileImport) -> ImportedFile:
     warnings = [] if poses else [f"{path.name}: is not on the map: georeferenced by its logged poses. {advice}"]
     refusals: list[str] = []
     read = [0]
-    pairs = {pair.frame_index: _with_pose(pair, poses.get(pair.frame_index)) for pair in drive.frame_pairs}
+    pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
+    for index in pairs.keys() & poses.keys():
+        rotation, place = poses[index][:3, :3], poses[index][:3, 3]
+        pairs[index] = pairs[index].with_pose(map_R_body=se3.to_matrix3(rotation), map_t_body_m=vec3(place))
     clouds = _drive_clouds(job, drive, pairs, scans, velo, refusals, read)
     done = _write_cloud(job, file, clouds, warnings, read)
     done.refusals += refusals
     return done
-
-
-def _with_pose(pair: FramePair, map_SE3_body: Any | None) -> FramePair:
-    """The pair with another pose (4, 4), or as it is."""
-    if map_SE3_body is None:
-        return pair
-    return pair.with_pose(map_R_body=se3.to_matrix3(map_SE3_body[:3, :3]), map_t_body_m=vec3(map_SE3_body[:3, 3]))
 
 
 def _drive_clouds(

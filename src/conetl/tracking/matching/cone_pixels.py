@@ -94,9 +94,10 @@ def cone_pixels(left: Image, outline: Outline, camera: Camera, up: Floats) -> Bo
     surface = _cone_surface(outline, camera, up, v[i].astype(np.float64), u[j].astype(np.float64))
     if surface is None:
         return None
+    depth, limb, above_foot = surface
     # At the edge the blurred outline is visible, not the surface.
     inner = radius[i] - np.abs(aside[i, j]) > edge_px
-    nearer = (surface.limb - surface.depth) * inner
+    nearer = (limb - depth) * inner
     values, *slopes = (part[i, j] for part in smooth(left, v, u))
     right_half = aside[i, j] > 0
     cover = ndtr((np.abs(aside[i, j]) - radius[i]) / _BLUR_PX)
@@ -105,7 +106,7 @@ def cone_pixels(left: Image, outline: Outline, camera: Camera, up: Floats) -> Bo
         return None
     at_edge = ~inner[:, None] & (right_half[:, None] == np.array([False, True]))
     return BodyPixels(
-        v[i], u[j], values, np.stack(slopes), surface.limb - nearer, nearer, surface.height, at_edge.astype(np.float64),
+        v[i], u[j], values, np.stack(slopes), limb - nearer, nearer, above_foot, at_edge.astype(np.float64),
         2 * i + right_half, cover, beyond,
     )  # fmt: skip
 
@@ -130,7 +131,7 @@ def _beyond(left: Image, outline: Outline, camera: Camera, up: Floats, rows: Int
         return None
     v = np.repeat(rows, 2 * len(_BEYOND_PX))
     values = patch.at(v, columns, 0.0)[0]
-    return Beyond(v, columns, surface.limb, values.reshape(-1, len(_BEYOND_PX), values.shape[1]))
+    return Beyond(v, columns, surface[1], values.reshape(-1, len(_BEYOND_PX), values.shape[1]))
 
 
 def smooth(image: Image, rows: Ints, columns: Ints) -> tuple[Floats, Floats, Floats]:
@@ -147,21 +148,14 @@ def smooth(image: Image, rows: Ints, columns: Ints) -> tuple[Floats, Floats, Flo
     )
 
 
-class _Surface(NamedTuple):
-    """Depths of n pixels, in units of the axis's depth at the foot."""
-
-    depth: Floats
-    """(n,) of the first intersection of the ray with the surface; of the limb outside the outline"""
-    limb: Floats
-    """(n,) of the point of the ray nearest to the axis, where it touches the cone at the limb"""
-    height: Floats
-    """(n,) of that point above the foot, along the axis"""
-
-
-def _cone_surface(outline: Outline, camera: Camera, up: Floats, rows: Floats, columns: Floats) -> _Surface | None:
+def _cone_surface(
+    outline: Outline, camera: Camera, up: Floats, rows: Floats, columns: Floats
+) -> tuple[Floats, Floats, Floats] | None:
     """The surface at image points (n,) rows and columns; None if the edges are not those of an upright body.
 
-    up: unit vector (3,) in the camera's frame (x right, y down, z forward).
+    up: unit vector (3,) in the camera's frame (x right, y down, z forward). Returns (n,) each, in units of the axis's depth at
+    the foot: depth of the first intersection of the ray with the surface (outside of the outline that of the limb); depth of the
+    limb, where the ray is nearest to the axis and touches the cone; its height above the foot, along the axis.
     """
     left = _plane(camera, (outline.left_top, outline.tip_row), (outline.left_foot, outline.foot_row), -1.0)
     right = _plane(camera, (outline.right_top, outline.tip_row), (outline.right_foot, outline.foot_row), 1.0)
@@ -191,7 +185,7 @@ def _cone_surface(outline: Outline, camera: Camera, up: Floats, rows: Floats, co
     depth = limb - np.sqrt(np.maximum(b**2 - a * c, 0.0)) / a
     if (depth <= 0.5).any():
         return None
-    return _Surface(depth, limb, limb * rise - start)
+    return depth, limb, limb * rise - start
 
 
 def _plane(camera: Camera, top: tuple[float, float], foot: tuple[float, float], outwards: float) -> Floats:
