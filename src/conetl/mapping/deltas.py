@@ -97,8 +97,7 @@ def move_and_merge(old: MapFeature, confirmation: Delta) -> list[Delta]:
     The confirmed feature was added by an earlier drive to which only the new position was visible.
     """
     merged, state = confirmation.old, confirmation.new
-    if merged is None or state is None:
-        raise ValueError(f"the confirmation of feature {confirmation.feature_id} lacks its old or new state")
+    assert merged is not None and state is not None  # as of every confirmation
     new = add_counts(old, state).model_copy(update={"feature_id": old.feature_id, "version": old.version + 1})
     shift_m = float(np.hypot(*(np.array(new.xyz_m) - np.array(old.xyz_m))[:2]))
     moved = {"kind": DeltaKind.MOVED, "feature_id": old.feature_id, "old": old, "new": new, "shift_m": shift_m}

@@ -104,8 +104,10 @@ def analyse(
         count = ProgressCount(executor, 2 * pairs + (pairs - 1 if extras.odometry else 0), progress)
         chunks = chunks_of(drive, settings, params)
         drive, health = check_stereo(drive)
-        if drive.rig != given:
-            chunks = chunks_of(drive, settings, _with_low_thresholds(params))
+        if drive.rig != given:  # the calibration is known to be wrong: even small corrections are applied
+            small = {"self_calibration_significance": 1.0, "self_calibration_least_px": 0.01}
+            trajectory_params = params.trajectory.model_copy(update=small)
+            chunks = chunks_of(drive, settings, params.model_copy(update={"trajectory": trajectory_params}))
         parts, matched, calibration, rig = _run_chunks(drive, chunks, extras, executor, count)
         motions, _ = load_results([part.motions for part in parts if part.motions is not None], RelativeMotion)
         drive, torn, rejected_pairs = odometry.drop_torn_pairs(drive.model_copy(update={"rig": rig}), motions)
@@ -144,12 +146,6 @@ def analyse(
     health += check_exposures(calibration.right_ahead, drive.rig, drive.frame_pairs)
     health.append(check_doubled(tracks, drive.frame_pairs))
     return AnalysedDrive(records, trajectory, calibration, params, tuple(health))
-
-
-def _with_low_thresholds(params: IngestParams) -> IngestParams:
-    """The parameters for a calibration that is known to be wrong: self-calibration applies even small corrections."""
-    small = {"self_calibration_significance": 1.0, "self_calibration_least_px": 0.01}
-    return params.model_copy(update={"trajectory": params.trajectory.model_copy(update=small)})
 
 
 def _run_chunks(

@@ -7,7 +7,7 @@ that GNSS/INS is wrong by more than it states, they are used; fewer are not.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -58,10 +58,6 @@ class _Cones:
     outline_cov: Floats
     """(G, 3, 3) of what all positions of a cone err in common."""
 
-    def control(self, number: int, point: SurveyedPoint) -> ControlCone:
-        cov_m2 = np.diag(np.square(point.sigma_m)) + self.outline_cov[number]
-        return ControlCone(self.groups[number], np.array(point.xyz_m), cov_m2)
-
 
 #: GNSS/INS where it may be wrong by more than it states: (3,) m, the median sigmas of its positions, and by how much these
 #: change against those that the images show.
@@ -104,7 +100,14 @@ def refine_with_control(
         check = _check(points, tie, log)
         if not check.value:
             return replace(plain, control=check)
-        control = [tie.cones.control(g, points[i]) for i, g in tie.cone_of.items()]
+        control = [
+            ControlCone(
+                tie.cones.groups[g],
+                np.array(points[i].xyz_m),
+                np.diag(np.square(points[i].sigma_m)) + tie.cones.outline_cov[g],
+            )
+            for i, g in tie.cone_of.items()
+        ]
         refined = refine_with_cones(pairs, rig, motions, matches, params, control)
         if refined.outcome is RefinementOutcome.REFINED:
             return replace(refined, control=check)
@@ -151,7 +154,8 @@ def _tied(
         for g in np.flatnonzero(alone[i] <= _GATE_CHI2).tolist():
             chosen, total = {i: g}, float(alone[i, g])
             chi2 = _chi2(cones, survey, off, near, chosen)
-            for k, h in _best_first(chi2):
+            best_first = np.argsort(chi2, axis=None)[: np.count_nonzero(chi2 <= _GATE_CHI2)]
+            for k, h in np.column_stack(np.unravel_index(best_first, chi2.shape)).tolist():
                 if k not in chosen and h not in chosen.values():
                     chosen[k] = h
                     total += float(chi2[k, h])
@@ -253,15 +257,6 @@ def _chi2(cones: _Cones, survey: Floats, off: Floats, near: Bools, chosen: dict[
     found = np.full(near.shape, np.inf)
     found[points, at] = point_nees(off[points, at] - mean[at], cov[at] + survey[points])
     return found
-
-
-def _best_first(chi2: Floats) -> Iterator[tuple[int, int]]:
-    """Points and cones within the gate of chi-square (N, G), the best fit first."""
-    for flat in np.argsort(chi2, axis=None).tolist():
-        k, h = divmod(flat, chi2.shape[1])
-        if chi2[k, h] > _GATE_CHI2:
-            return
-        yield k, h
 
 
 def _without_contradictions(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]) -> dict[int, int]:

@@ -70,7 +70,7 @@ class PatternPiece(NamedTuple):
 
 def searched_rows(points: LocatedPoints, station_m: Floats, offset_m: Floats, height_m: Floats, rig: Rig) -> Searched:
     """The searched rows that cross a chain; points: those of the chain alone, the rest: its course (K,) by rising station."""
-    camera, focal_base = rig.left, rig.left.fx_px * rig.baseline_m
+    camera, focal_base, margin_px = rig.left, rig.left.fx_px * rig.baseline_m, 0.02 * rig.left.width_px
     drawn = np.arange(station_m[0], station_m[-1] + _DRAWN_M, _DRAWN_M)
     across = locate(points.line_m, drawn, np.interp(drawn, station_m, offset_m))
     course = np.column_stack([across, np.interp(drawn, station_m, height_m)])
@@ -97,16 +97,12 @@ def searched_rows(points: LocatedPoints, station_m: Floats, offset_m: Floats, he
             np.interp(rows[:, 0], v[order], x[order], np.nan, np.nan) for x in (u, seen[:, 2], at)
         )
         with np.errstate(invalid="ignore"):
-            inside = (row_u > _margin(camera.width_px)) & (row_u < camera.width_px - _margin(camera.width_px))
-            inside &= row_u - focal_base / row_depth > _margin(camera.width_px)
+            inside = (row_u > margin_px) & (row_u < camera.width_px - margin_px)
+            inside &= row_u - focal_base / row_depth > margin_px
         hit = np.isin(np.arange(len(rows)), points.columns.row[own])
         found.append(np.stack([row_s, hit, 1 / row_depth], axis=1)[inside])
     station, hit, weight = np.concatenate(found).T if found else np.zeros((3, 0))
     return Searched(station, hit > 0, weight**2)
-
-
-def _margin(width_px: int) -> float:
-    return 0.02 * width_px
 
 
 def pieces_of(searched: Searched, min_length_m: float) -> list[PatternPiece]:
