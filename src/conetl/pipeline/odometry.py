@@ -27,8 +27,7 @@ from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, load_matches, parts_of
 from conetl.pipeline.executor import Tick
-from conetl.tracking.checks.exposures import check_lost_frames, right_camera_ahead
-from conetl.tracking.checks.foreign_images import check_recording
+from conetl.tracking.checks.exposures import check_lost_frames, check_recording, right_camera_ahead
 from conetl.tracking.checks.poses import check_trajectory
 from conetl.tracking.control_points import refine_with_control
 from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, span_params

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.tracking.matching.ends import board_edges
+from conetl.tracking.matching.plate_pixels import board_edges
 from tests import records
 
 

@@ -27,8 +27,7 @@ from conetl.tracking.matching.apparent_boxes import hidden_share
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import Outline, find_outline
 from conetl.tracking.matching.covariance import with_shared_part
-from conetl.tracking.matching.ends import board_edges
-from conetl.tracking.matching.plate_pixels import Plate, find_plate
+from conetl.tracking.matching.plate_pixels import Plate, board_edges, find_plate
 
 Number = TypeVar("Number", float, NDArray[np.float64])
 #: Below this disparity the height of an object is undetermined.

@@ -3,6 +3,8 @@
 Its surface is an upright plane that faces the camera, with slopes across and down as the unknowns of the matching that for a cone
 are the nearness of its surface and its lean (`area_matching.py`). Only the middle of the box is used: what is in its corners, and
 between the boards of a barricade, lies behind the object, and is down-weighted where it disagrees.
+
+Boxes of detectors are off by a share of the object's size: where a board ends is found in the images (`board_edges`).
 """
 
 from __future__ import annotations
@@ -23,6 +25,10 @@ from conetl.tracking.matching.cone_pixels import Beyond, BodyPixels, smooth, som
 _ELLIPSE = 0.36
 #: The used rows of the box of other flat objects, from the top, where their boards are; `FeatureClass.board` is half its width.
 _ROWS = (0.04, 0.75)
+#: The part of a board whose mean colours are compared, as shares of the box; sigma of the box's edges, as a share of its height;
+#: pixels on both sides of the largest change that belong to it. Chosen on eight rendered drives
+#: (docs/explanation/accuracy.md).
+_INNER, _EDGE_SHARE, _BLUR_PX = (0.2, 0.8), 0.06, 2
 
 
 @dataclass(frozen=True)
@@ -86,3 +92,30 @@ def plate_pixels(left: Image, plate: Plate, camera: Camera, up: Floats) -> BodyP
         height=(plate.foot_row - v[i]) / camera.fy_px, at_edge=np.zeros((count, 2)), edge=np.zeros(count, dtype=np.intp),
         cover=np.zeros(count), beyond=Beyond(none.astype(np.intp), none, none, np.zeros((0, 2, values.shape[1]))),
     )  # fmt: skip
+
+
+def board_edges(image: Image, detection: Detection) -> Detection:
+    """The detection with the edges of its board, which is upright and level, in its image (H, W, 3) instead of its box's."""
+    x, y, w, h = detection.x_px, detection.y_px, detection.w_px, detection.h_px
+    across = image[int(y + _INNER[0] * h) : int(y + _INNER[1] * h) + 1].mean(axis=0)
+    down = image[:, int(x + _INNER[0] * w) : int(x + _INNER[1] * w) + 1].mean(axis=1)
+    left, right = (_largest_change(across, end, h) for end in (x, x + w))
+    top, bottom = (_largest_change(down, end, h) for end in (y, y + h))
+    return detection.model_copy(update={"x_px": left, "w_px": right - left, "y_px": top, "h_px": bottom - top})
+
+
+def _largest_change(profile: Floats, end_px: float, height_px: float) -> float:
+    """Where the colours (n, channels) of successive pixels change most near to the end of a box; both from the image's edge.
+
+    height_px: of the box; its other end is never taken.
+    """
+    sigma_px = max(_EDGE_SHARE * height_px, 1.0)
+    reach_px = min(3 * sigma_px + 2, height_px / 3)
+    first = max(int(end_px - reach_px), 0)
+    near = profile[first : int(end_px + reach_px) + 1]
+    change = np.sqrt(((near[2:] - near[:-2]) ** 2).sum(axis=1))
+    at = first + 1.5 + np.arange(len(change))
+    best = int(np.argmax(change * np.exp(-0.5 * ((at - end_px) / sigma_px) ** 2)))
+    part = slice(max(best - _BLUR_PX, 0), best + _BLUR_PX + 1)
+    weights = change[part] - change[part].min()
+    return float(weights @ at[part] / weights.sum()) if weights.any() else end_px
