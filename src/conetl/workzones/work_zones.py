@@ -120,14 +120,11 @@ class _Live:
 def _zones_of_neighbourhood(
     versions: Sequence[FeatureVersion], paths: Sequence[DrivePath], params: WorkZoneParams, map_name: str
 ) -> list[ZoneHistory]:
-    since: dict[UUID, int] = {}
-    steps: dict[UUID, int] = {}
-    for version in versions:
-        key = version.feature.feature_id
-        since[key] = min(since.get(key, version.valid_from_ns), version.valid_from_ns)
-        steps[version.changeset_id] = max(steps.get(version.changeset_id, 0), version.valid_from_ns)
+    in_order = sorted(versions, key=lambda v: v.valid_from_ns)
+    since = {v.feature_id: v.valid_from_ns for v in reversed(in_order)}  # of each feature, the first one
+    steps = {v.changeset_id: v.valid_from_ns for v in in_order}  # of each changeset, the last one
     passes = passes_beside(paths, np.array([v.feature.xyz_m[:2] for v in versions]), params)
-    starting = sorted((v for v in versions if v.present and not v.suppressed), key=lambda v: v.valid_from_ns)
+    starting = [v for v in in_order if v.present and not v.suppressed]
     next_start = 0
     shown: dict[UUID, FeatureVersion] = {}
     gone: dict[UUID, int] = {}
