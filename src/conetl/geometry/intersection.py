@@ -29,8 +29,6 @@ from conetl.geometry.camera import project_with_jacobian
 from conetl.model.arrays import Bools, Floats
 from conetl.model.rig import Rig
 
-#: Points per chunk with two views: a compromise between numpy overhead and cache size.
-CHUNK_POINTS = 8192
 #: Rows and columns of the upper triangle of a symmetric matrix (3, 3).
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _HUBER_SIGMAS = 2.5
@@ -120,15 +118,39 @@ def intersect(
     sigma = np.asarray(sigma_uv_px, dtype=np.float64)
     shared = sigma.ndim < 3 or sigma.shape[0] == 1
     sigma = np.ascontiguousarray(np.broadcast_to(sigma, (1 if shared else p, v, 2)).T)
-    arrays = [np.ascontiguousarray(uv.T), k, rot, centre, sigma]
+    uv = np.ascontiguousarray(uv.T)
+    usable = np.ones(p, dtype=bool)
+    for a in (uv, k, rot, centre, sigma):
+        usable &= np.isfinite(a).all(axis=tuple(range(a.ndim - 1)))
+    usable &= (k[:2] > 0).all(axis=(0, 1)) & (sigma > 0).all(axis=(0, 1))
     result = IntersectionResult(
-        np.zeros(p, dtype=np.int8), np.full((p, 3), np.nan), np.full((p, 3, 3), np.nan), np.full((p, v, 2), np.nan),
-        np.full((p, v), np.nan), np.full(p, np.nan), np.zeros(p, dtype=np.int64),
+        np.where(usable, IntersectionStatus.RAY_ANGLE_TOO_SMALL, IntersectionStatus.INVALID_INPUT).astype(np.int8),
+        np.full((p, 3), np.nan), np.full((p, 3, 3), np.nan), np.full((p, v, 2), np.nan), np.full((p, v), np.nan),
+        np.full(p, np.nan), np.zeros(p, dtype=np.int64),
     )  # fmt: skip
-    for begin in range(0, p, CHUNK_POINTS):
-        part = slice(begin, begin + CHUNK_POINTS)
-        cut = [a if a.shape[-1] == 1 else a[..., part] for a in arrays]
-        _intersect_chunk(result, part, cut, convergence_m2, max_iterations, min_ray_angle_rad)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        origin = np.broadcast_to(centre[:, 0], (3, p))
+        views = _Views((uv - k[2:]) / k[:2], k[:2], k[:2] * (1.0 / sigma), rot, centre - origin[:, None])
+        result.ray_angle_rad[usable] = _ray_angle(views)[usable]
+        good = usable & (result.ray_angle_rad >= min_ray_angle_rad)
+        if not good.any():
+            return result
+        if not good.all():
+            views, origin = views.take(good), origin[:, good]
+        x, upper, iterations, converged = _gauss_newton(views, convergence_m2, max_iterations)
+        local = _camera_points(views, x)
+        real = np.isfinite(x).all(axis=0)
+        solved = converged & real & np.isfinite(upper).all(axis=0)
+        outcome = np.where(solved, IntersectionStatus.OK, IntersectionStatus.NOT_CONVERGED)
+        outcome[(~(local[2] > 0)).any(axis=0) & real] = IntersectionStatus.BEHIND_CAMERA
+        result.status[good], result.iterations[good] = outcome, iterations
+        ok = outcome == IntersectionStatus.OK
+        rows = np.flatnonzero(good)[ok]
+        result.xyz_m[rows] = (x + origin)[:, ok].T
+        for value, (i, j) in zip(upper, _UPPER, strict=True):
+            result.cov_m2[rows, i, j] = result.cov_m2[rows, j, i] = value[ok]
+        result.residuals_px[rows] = ((views.uv - local[:2] / local[2]) * views.focal)[..., ok].T
+        result.depth_m[rows] = local[2][:, ok].T
     return result
 
 
@@ -138,45 +160,6 @@ def _by_component(value: ArrayLike, shape: tuple[int, ...], points: int, name: s
     if a.shape not in (shape, (points, *shape)):
         raise ValueError(f"{name} must be {shape} or {(points, *shape)}, found {a.shape}")
     return np.ascontiguousarray(a.T if a.ndim > len(shape) else a.T[..., None])
-
-
-def _intersect_chunk(
-    result: IntersectionResult, part: slice, arrays: list[Floats], convergence_m2: float, max_iterations: int,
-    min_ray_angle_rad: float,
-) -> None:  # fmt: skip
-    """Fill the rows `part` of the result; arrays: image points (2, V, n), interior and exterior orientation, and sigmas."""
-    uv, k, rot, centre, sigma = arrays
-    usable = np.ones(uv.shape[2], dtype=bool)
-    for a in arrays:
-        usable &= np.isfinite(a).all(axis=tuple(range(a.ndim - 1)))
-    usable &= (k[:2] > 0).all(axis=(0, 1)) & (sigma > 0).all(axis=(0, 1))
-    status, angle = result.status[part], result.ray_angle_rad[part]
-    status[~usable] = IntersectionStatus.INVALID_INPUT
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        origin = np.broadcast_to(centre[:, 0], (3, uv.shape[2]))
-        views = _Views((uv - k[2:]) / k[:2], k[:2], k[:2] * (1.0 / sigma), rot, centre - origin[:, None])
-        angle[usable] = _ray_angle(views)[usable]
-        good = usable & (angle >= min_ray_angle_rad)
-        status[usable & ~good] = IntersectionStatus.RAY_ANGLE_TOO_SMALL
-        if not good.any():
-            return
-        if not good.all():
-            views, origin = views.take(good), origin[:, good]
-        x, upper, iterations, converged = _gauss_newton(views, convergence_m2, max_iterations)
-        local = _camera_points(views, x)
-        real = np.isfinite(x).all(axis=0)
-        solved = converged & real & np.isfinite(upper).all(axis=0)
-        outcome = np.where(solved, IntersectionStatus.OK, IntersectionStatus.NOT_CONVERGED)
-        outcome[(~(local[2] > 0)).any(axis=0) & real] = IntersectionStatus.BEHIND_CAMERA
-        status[good] = outcome
-        result.iterations[part][good] = iterations
-        ok = outcome == IntersectionStatus.OK
-        rows = part.start + np.flatnonzero(good)[ok]
-        result.xyz_m[rows] = (x + origin)[:, ok].T
-        for value, (i, j) in zip(upper, _UPPER, strict=True):
-            result.cov_m2[rows, i, j] = result.cov_m2[rows, j, i] = value[ok]
-        result.residuals_px[rows] = ((views.uv - local[:2] / local[2]) * views.focal)[..., ok].T
-        result.depth_m[rows] = local[2][:, ok].T
 
 
 def _ray_angle(views: _Views) -> Floats:
