@@ -256,7 +256,7 @@ class ArrivingKitti(_Arriving):
         if before is not None and before_at is not None and pose_at is not None:
             records[number - 1], times[number - 1] = before, before_at
         track = oxts.trajectory(records, times, srid, self.settings.sigmas)
-        return oxts.poses_at(track, {number: captured})[number]
+        return oxts.pose_at(track, number, captured)
 
     def _record_of(self, name: str) -> OxtsRecord | None:
         """An OXTS record; None until it is complete."""

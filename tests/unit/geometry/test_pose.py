@@ -64,15 +64,6 @@ def test_interpolation_starts_at_a_ends_at_b_and_stays_rigid(a: Array, b: Array,
     assert se3.is_rotation(se3.interpolate(a, b, weight)[:3, :3], 1e-9)
 
 
-def test_many_poses_are_interpolated_as_one_by_one() -> None:
-    rng = np.random.default_rng(4)
-    a, b = (list(se3.se3(se3.rotation_from_rpy(*rng.uniform(-1, 1, (3, 6))), rng.normal(size=(6, 3)))) for _ in "ab")
-    weights = [0.0, 0.2, 0.5, 0.7, 0.9, 1.0]
-    one_by_one = [se3.interpolate(x, y, w) for x, y, w in zip(a, b, weights, strict=True)]
-    assert np.array_equal(se3.interpolate_each(a, b, weights), one_by_one)
-    assert se3.interpolate_each([], [], []) == []
-
-
 def test_interpolating_across_west_takes_the_short_way() -> None:
     a = se3.se3(se3.rotation_from_rpy(0, 0, math.radians(179)), np.zeros(3))
     b = se3.se3(se3.rotation_from_rpy(0, 0, math.radians(-179)), np.array([2.0, 0, 0]))

@@ -244,7 +244,7 @@ def poses_of_a_straight_drive(numbers: range, late_ns: int) -> tuple[np.ndarray,
     records = {n: OxtsRecord(49.0, 8.4 + n * degrees, 110.0, 0.0, 0.0, 0.0, 0.02) for n in numbers}
     times = {n: 10**18 + n * 10**8 for n in numbers}
     track = oxts.trajectory(records, times, 32632, Sigmas())
-    poses = oxts.poses_at(track, {n: times[n] + late_ns for n in numbers})
+    poses = {n: oxts.pose_at(track, n, times[n] + late_ns) for n in numbers}
     velocity = (track.map_SE3_body[-1, :3, 3] - track.map_SE3_body[0, :3, 3]) / ((numbers[-1] - numbers[0]) * 0.1)
     true = track.map_SE3_body[:, :3, 3] + velocity * late_ns * 1e-9
     return np.linalg.norm(

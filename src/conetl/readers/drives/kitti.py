@@ -66,7 +66,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     right = _numbered_images(camera_folder(root, settings.cameras.right, settings), path, rejections)
     if not left and not right:
         raise InputError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
-    size = first_size((paths[0] for _, paths in sorted(left.items())), content)
+    size = first_size((paths[0] for _, paths in sorted(left.items())))
     rig = read_rig_for(root, calibration, size, settings, content)
     name = f"{settings.cameras.left}/timestamps.txt"
     stamps = _stamps(root, name, settings, content)
@@ -82,9 +82,6 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     wrong = {number: str(stamp) for number, stamp in stamps.items() if number not in times}
     wrong |= {number: f"the time {text}" for number, text in misplaced_at.items()}
     wrong_times = {number: f"{name}, line {number + 1}: {text}" for number, text in wrong.items()} | split
-    poses = oxts.poses_at(
-        track, {number: times[number] for number in numbers if number in times.keys() & track.rows.keys()}
-    )
     for number in images_ahead(numbers, left, right, content):
         try:
             images = check_images(left.get(number, []), right.get(number, []), rig, content, root)
@@ -97,7 +94,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
         except PairError as error:
             rejections.append(error.rejection(f"frame pair {number}", number))
         else:
-            pairs[number] = *images, times[number], poses[number]
+            pairs[number] = *images, times[number], oxts.pose_at(track, number, times[number])
     return drive_of_pairs(pairs, rejections, len(numbers), source, rig, srid)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -58,8 +57,8 @@ def wild_records(track: OxtsTrajectory) -> dict[int, str]:
     return {timed[k][0]: text for k, text in wild.items()}
 
 
-def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int]) -> dict[int, Pose]:
-    """Poses at the exposures of frames, by number; each of them has a valid record.
+def pose_at(track: OxtsTrajectory, number: int, exposure_ns: int) -> Pose:
+    """Pose at the exposure of a frame that has a valid record.
 
     The pose is interpolated between the records before and after the exposure (straight line, slerp). Where one of them is
     missing (first and last frame, beside a gap of more than 0.5 s) the motion between the record of the same number and its
@@ -67,14 +66,11 @@ def poses_at(track: OxtsTrajectory, exposures_ns: Mapping[int, int]) -> dict[int
     number is used, and the distance that the body may have driven is added to the sigma of its position. A record without a
     time is used as it is.
     """
-    if not exposures_ns:
-        return {}
-    rows = [track.rows[number] for number in exposures_ns]
-    ends, weights, apart_m = zip(*map(partial(_neighbour, track), rows, exposures_ns.values()), strict=True)
-    poses = se3.interpolate_each([*track.map_SE3_body[rows]], [*track.map_SE3_body[[*ends]]], weights)
-    sigma = track.sigma[rows]
-    sigma[:, :3] = np.hypot(sigma[:, :3], np.array(apart_m)[:, None])
-    return {number: se3.to_pose(pose, own) for number, pose, own in zip(exposures_ns, poses, sigma, strict=True)}
+    row = track.rows[number]
+    end, weight, apart_m = _neighbour(track, row, exposure_ns)
+    sigma = track.sigma[row].copy()
+    sigma[:3] = np.hypot(sigma[:3], apart_m)
+    return se3.to_pose(se3.interpolate(track.map_SE3_body[row], track.map_SE3_body[end], weight), sigma)
 
 
 def _neighbour(track: OxtsTrajectory, row: int, time_ns: int) -> tuple[int, float, float]:
