@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -109,17 +108,15 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
         if axes == "projected":
             columns |= dict(zip(POSITIONS[axes], (columns.pop(name) for name in "xyz"), strict=True))
     data = [split_line(line, found.delimiter) for line in lines[found.line + 1 :][:20] if line.strip()]
+    if found.delimiter is None and "date" not in columns:
+        columns = _with_date(columns, data)
     first = columns[POSITIONS[axes][0]].at
     comma = settings.decimal == "," or (
         settings.decimal is None
         and found.delimiter != ","
         and any("," in row[first] for row in data if len(row) > first)
     )
-    words = _time_words(columns["time"], data, found.delimiter, columns)
-    layout = TableLayout(
-        _shifted(columns, words), axes, found.line + 2, found.delimiter, comma, scale=_scale_of(columns["time"].name),
-        time_words=words,
-    )  # fmt: skip
+    layout = TableLayout(columns, axes, found.line + 2, found.delimiter, comma, scale=_scale_of(columns["time"].name))
     yaw = columns["yaw"].name if "yaw" in columns and "heading" not in columns else None
     return Reading(table_records(path, layout, settings), axes, heights, yaw)
 
@@ -286,15 +283,10 @@ def _scale_of(name: str) -> str:
     return "local" if re.search("lo[ck]al|ortszeit", plain) else "?" if "gps" in plain else ""
 
 
-def _time_words(time: Column, data: list[list[str]], delimiter: str | None, columns: Mapping[str, Column]) -> int:
-    """2 where a date and a time of one column are separated by white space like all others."""
-    if delimiter is not None or "date" in columns:
-        return 1
+def _with_date(columns: dict[str, Column], data: list[list[str]]) -> dict[str, Column]:
+    """The columns; a date and a time of one column, which white space separates like all others, as two."""
+    time = columns["time"]
     votes = [re.fullmatch(r"\d+[-/.]\d+[-/.]\d+", row[time.at]) is not None for row in data if len(row) > time.at]
-    return 2 if votes and sum(votes) > len(votes) / 2 else 1
-
-
-def _shifted(columns: Mapping[str, Column], time_words: int) -> dict[str, Column]:
-    """Columns after a time of two words are one further."""
-    at = columns["time"].at
-    return {k: c._replace(at=c.at + (time_words - 1) * (c.at > at)) for k, c in columns.items()}
+    if sum(votes) <= len(votes) / 2:
+        return columns
+    return {role: c._replace(at=c.at + (c.at >= time.at)) for role, c in columns.items()} | {"date": time}

@@ -71,11 +71,13 @@ def _layout(header: str, data: str, first_line: int, path: Path) -> TableLayout:
     scale = _SCALES[system[1] if system else "GPST"]
     delimiter = next((mark for mark in ",;\t" if mark in data), None)
     calendar = "/" in data.split(delimiter, maxsplit=1)[0] if data.strip() else True
-    columns = (
-        {"time": Column(0, scale)} if calendar else {"week": Column(0, "week"), "time": Column(1, scale, unit="s")}
-    )
-    time_words = 2 if calendar and delimiter is None else 1
-    at = time_words if calendar else 2
+    if not calendar:
+        columns = {"week": Column(0, "week"), "time": Column(1, scale, unit="s")}
+    elif delimiter is None:
+        columns = {"date": Column(0, scale), "time": Column(1, scale)}
+    else:
+        columns = {"time": Column(0, scale)}
+    at = len(columns)
     for match in _NAME.finditer(header):
         name, dms = match[1] or match[2], "d'" in match[0]
         if name in _ROLES:
@@ -84,7 +86,7 @@ def _layout(header: str, data: str, first_line: int, path: Path) -> TableLayout:
     axes: Axes = "geocentric" if {"x", "y", "z"} <= columns.keys() else "geodetic"
     if axes == "geodetic" and not {"lat", "lon", "height"} <= columns.keys():
         raise InputError(f"{path}: expected latitude, longitude and height, or x, y, z-ecef in {header[:200]!r}")
-    return TableLayout(columns, axes, first_line, delimiter, scale=scale, time_words=time_words)
+    return TableLayout(columns, axes, first_line, delimiter, scale=scale)
 
 
 def _by_quality(values: Mapping[str, Floats], found: Records) -> Records:

@@ -70,8 +70,6 @@ class TableLayout(NamedTuple):
     """Time scale, unless the settings name another: `gps` or a time zone; `""`: gps for times of a week, else UTC; `?`: the same,
     but dates and times since 1970 need the settings, as the column's name speaks of GPS; `local`: the same for dates without an
     offset, as it speaks of local time."""
-    time_words: int = 1
-    """Values that make up a time: 2 for `2024/02/07 12:00:00.000` where any white space is a delimiter."""
     clock: TimeFormat | None = None
     """None: to be found from the first values of the time."""
     order: Literal["dmy", "mdy"] | None = None
@@ -100,10 +98,7 @@ def table_records(
 
     adjust: what a format does besides, given the values of all columns (N,) by our name.
     """
-    width = 1 + max(
-        column.at + (layout.time_words - 1 if role == "time" else 2 if column.dms else 0)
-        for role, column in layout.columns.items()
-    )
+    width = 1 + max(column.at + (2 if column.dms else 0) for column in layout.columns.values())
     read_times: TimeReader | None = None
     for numbers, rows in rows_of(path, layout):
         short = {
@@ -157,9 +152,7 @@ def _clock(
 
 def _time_words(rows: Sequence[list[str]], layout: TableLayout) -> list[str]:
     """The times as texts; a date of its own column is before them."""
-    at = layout.columns["time"].at
-    two = layout.time_words == 2
-    words = [f"{row[at]} {row[at + 1]}" if two else row[at] for row in rows]
+    words = [row[layout.columns["time"].at] for row in rows]
     if "date" in layout.columns:
         date = layout.columns["date"].at
         words = [f"{row[date].strip()} {word.strip()}" if word else "" for row, word in zip(rows, words, strict=True)]
