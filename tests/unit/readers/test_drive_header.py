@@ -173,7 +173,7 @@ def test_an_unreadable_folder_is_reported_and_stops_no_other(
 
 def test_an_unreadable_file_is_the_problem(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     error = PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(drive / "image_03" / "data"))
-    failing(monkeypatch, os, "scandir", drive / "image_03" / "data", error)
+    failing(monkeypatch, Path, "iterdir", drive / "image_03" / "data", error)
     assert "Permission denied" in (read_header(drive).problem or "")
 
 

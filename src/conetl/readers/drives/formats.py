@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Collection, Mapping, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -12,7 +10,6 @@ from typing import Protocol
 import numpy as np
 
 from conetl.files.documents import input_errors
-from conetl.files.storage import is_remote
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import sensor_R_body
@@ -110,9 +107,7 @@ class HeaderFacts:
 
 def names_in(data: Path, suffixes: Collection[str]) -> list[str]:
     """Sorted names of the files with one of these suffixes, without hidden ones."""
-    with nullcontext(data.iterdir()) if is_remote(data) else os.scandir(data) as entries:
-        found = (entry.name for entry in entries if not entry.name.startswith("."))
-        return sorted(name for name in found if os.path.splitext(name)[1].lower() in suffixes)  # noqa: PTH122 -- many
+    return sorted(p.name for p in data.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith("."))
 
 
 def image_files(data: Path) -> list[Path]:

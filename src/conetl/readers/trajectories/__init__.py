@@ -5,7 +5,6 @@ All give a `RecordedTrajectory`. Poses at the exposures of a drive are made of i
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -106,21 +105,10 @@ def trajectory_format(path: Path) -> FormatName | None:
 
 def find_trajectories(folder: Path) -> list[Path]:
     """Files (and folders of OXTS records) in a folder, and in its folders, that look like trajectories; sorted by name."""
-    folders = [folder, *(Path(entry.path) for entry in _entries(folder) if entry.is_dir())]
+    folders = [folder, *(path for path in folder.glob("[!.]*") if path.is_dir())]
     found = [f for f in folders if oxts.folder_of(f) == f and oxts.looks_like(f)]
-    candidates = [
-        Path(entry.path) for f in folders for entry in _entries(f)
-        if entry.is_file() and os.path.splitext(entry.name)[1].lower() in _SUFFIXES  # noqa: PTH122 -- many
-    ]  # fmt: skip
-    return sorted(found) + [path for path in sorted(candidates)[:_MOST_CANDIDATES] if _is_trajectory(path)]
-
-
-def _entries(folder: Path) -> list[os.DirEntry[str]]:
-    try:
-        with os.scandir(folder) as entries:
-            return [entry for entry in entries if not entry.name.startswith(".")]
-    except OSError:
-        return []
+    files = (path for f in folders for path in f.glob("[!.]*") if path.suffix.lower() in _SUFFIXES and path.is_file())
+    return sorted(found) + [path for path in sorted(files)[:_MOST_CANDIDATES] if _is_trajectory(path)]
 
 
 def _is_trajectory(path: Path) -> bool:
