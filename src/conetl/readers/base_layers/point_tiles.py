@@ -82,16 +82,9 @@ def join(clouds: Iterable[Cloud]) -> Cloud:
 
 def first_in_voxels(xyz_m: Floats, voxel_m: float) -> Ints:
     """Indices, rising, of the first point in every voxel of points (N, 3). Voxels are aligned with the map's origin."""
-    if len(xyz_m) == 0:
-        return np.zeros(0, np.intp)
-    voxels = np.floor(xyz_m / voxel_m).astype(np.int64)
-    voxels -= voxels.min(axis=0)
-    size = [int(v) for v in voxels.max(axis=0) + 1]
-    if size[0] * size[1] * size[2] < 2**62:  # exact arithmetic, then one key holds a voxel
-        _, first = np.unique((voxels[:, 0] * size[1] + voxels[:, 1]) * size[2] + voxels[:, 2], return_index=True)
-    else:
-        _, first = np.unique(voxels, axis=0, return_index=True)
-    return np.sort(first)
+    voxels = np.floor(xyz_m / voxel_m)
+    order = np.lexsort(voxels.T)  # stable
+    return np.sort(order[np.any(np.diff(voxels[order], axis=0, prepend=np.inf) != 0, axis=1)])
 
 
 def cell_indices(xyz_m: Floats, side_m: float) -> NDArray[np.int64]:
