@@ -12,9 +12,8 @@ import time
 from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, tzinfo
 from decimal import ROUND_DOWN, Context, Decimal, InvalidOperation
-from functools import lru_cache
 from itertools import islice
 from statistics import median_low
 from typing import Literal, NamedTuple
@@ -23,6 +22,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.readers.trajectories.settings import TrajectoryFile
 
@@ -144,10 +144,13 @@ def parse_timestamp(text: str, zone: str = "UTC", order: Literal["dmy", "mdy"] |
         )
     if int(second) > 59:
         raise ValueError(f"the seconds of {text.strip()[:60]!r} are above 59")
-    ns = int((fraction or "")[:9].ljust(9, "0"))
-    return (
-        _minute_ns(int(year), int(month), int(day), int(hour), int(minute), offset, zone) + int(second) * SECOND_NS + ns
-    )
+    tz: tzinfo | None = UTC if offset else ZoneInfo(zone)
+    if offset not in {None, "Z", "UTC"}:
+        tz = datetime.strptime(offset.ljust(5, "0"), "%z").tzinfo
+    instant = datetime(int(year), int(month), int(day), int(hour), int(minute), int(second), tzinfo=tz)
+    if not 1970 <= instant.year < 2262:  # 64 bits of nanoseconds end in 2262
+        raise ValueError(f"expected a time from 2000 to 2261, found {instant.date()}")
+    return ns_from_utc(instant) + int((fraction or "")[:9].ljust(9, "0"))
 
 
 def parse_timestamps(text: str, zone: str = "UTC") -> dict[int, int | str]:
@@ -161,19 +164,6 @@ def stamp_or_problem(text: str, zone: str) -> int | str:
         return parse_timestamp(text, zone)
     except ValueError as error:
         return str(error)
-
-
-@lru_cache(maxsize=4096)
-def _minute_ns(year: int, month: int, day: int, hour: int, minute: int, offset: str | None, zone: str) -> int:
-    """UTC nanoseconds of the beginning of a minute; cached, as a file has thousands of records in each."""
-    if offset in {None, "Z", "UTC"}:
-        tz = UTC if offset else ZoneInfo(zone)
-    else:
-        tz = datetime.strptime(f"{offset}00" if len(str(offset)) == 3 else str(offset), "%z").tzinfo  # type: ignore[assignment]
-    local = datetime(year, month, day, hour, minute, tzinfo=tz)
-    if not 1970 <= year < 2262:  # 64 bits of nanoseconds end in 2262
-        raise ValueError(f"expected a time from 2000 to 2261, found {year:04d}-{month:02d}-{day:02d}")
-    return int((local.astimezone(UTC) - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds()) * SECOND_NS
 
 
 def decimal_ns(text: str, digits: int = 9) -> int:
@@ -332,6 +322,4 @@ def time_reader(clock: TimeFormat) -> TimeReader:
 
 def _local_ns(wall_ns: int, zone: str) -> int:
     """UTC nanoseconds of the local time of a zone, which counts nanoseconds since 1970."""
-    wall = datetime.fromtimestamp(wall_ns // (60 * SECOND_NS) * 60, UTC)
-    minute = _minute_ns(wall.year, wall.month, wall.day, wall.hour, wall.minute, None, zone)
-    return minute + wall_ns % (60 * SECOND_NS)
+    return ns_from_utc(utc_from_ns(wall_ns).replace(tzinfo=ZoneInfo(zone))) + wall_ns % 1000
