@@ -36,31 +36,9 @@ _NO_SUCH_FILE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
 _ADDRESS = re.compile(r"^(s3|memory):/{1,2}(?=[^/])")
 
 
-class _Memory:
-    """Least-recently-used cache of at most `CACHE_BYTES` of bytes, by address (objects) or SHA-256."""
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._data: LRUCache[str, bytes] = LRUCache(CACHE_BYTES, getsizeof=len)
-
-    def get(self, key: str) -> bytes | None:
-        with self._lock:
-            return self._data.get(key)
-
-    def keep(self, key: str, data: bytes) -> None:
-        with self._lock, suppress(ValueError):  # larger than all of it
-            self._data[key] = data
-
-    def drop(self, key: str) -> None:
-        with self._lock:
-            self._data.pop(key, None)
-
-    def clear(self) -> None:
-        with self._lock:
-            self._data.clear()
-
-
-_kept = _Memory()
+#: The bytes that were used last, by address (objects) or SHA-256.
+_kept: LRUCache[str, bytes] = LRUCache(CACHE_BYTES, getsizeof=len)
+_lock = threading.Lock()
 
 
 def as_path(text: str | Path) -> Path:
@@ -131,11 +109,11 @@ def forget_listing(path: Path) -> None:
 
 def object_bytes(path: Path) -> bytes:
     """All bytes of an object, from the cache if it was read recently. Raises OSError like `Path.read_bytes`."""
-    data = _kept.get(str(path))
+    data = recall(str(path))
     if data is None:
         with storage_errors(path):
             data = path.read_bytes()
-        _kept.keep(str(path), data)
+        _keep(str(path), data)
     return data
 
 
@@ -146,9 +124,8 @@ def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
     """
     objects = [path for path in paths if is_remote(path)]
     if fresh:
-        for path in objects:
-            _kept.drop(str(path))
-    wanted = [path for path in objects if _kept.get(str(path)) is None]
+        _drop(*objects)
+    wanted = [path for path in objects if recall(str(path)) is None]
     if not wanted:
         return
     storage = cast(Any, wanted[0]).fs
@@ -157,21 +134,35 @@ def fetch(paths: Sequence[Path], *, fresh: bool = False) -> None:
     for path in wanted:
         data = found.get(cast(Any, path).path)
         if isinstance(data, bytes):
-            _kept.keep(str(path), data)
+            _keep(str(path), data)
 
 
 def remember(path: Path, sha256: str, data: bytes) -> None:
     """Keep the bytes of a file or an object under their hash for `recall`, in this process."""
     if is_remote(path):
-        _kept.drop(str(path))
-    _kept.keep(sha256, data)
+        _drop(path)
+    _keep(sha256, data)
 
 
-def recall(sha256: str) -> bytes | None:
-    """Bytes with this hash that `remember` kept; None if they were evicted, or another process read them."""
-    return _kept.get(sha256)
+def recall(key: str) -> bytes | None:
+    """Bytes with this hash that `remember` kept, or of the object at an address; None if evicted, or if another process read
+    them."""
+    with _lock:
+        return _kept.get(key)
+
+
+def _keep(key: str, data: bytes) -> None:
+    with _lock, suppress(ValueError):  # larger than all of it
+        _kept[key] = data
+
+
+def _drop(*objects: Path) -> None:
+    with _lock:
+        for path in objects:
+            _kept.pop(str(path), None)
 
 
 def forget_all() -> None:
     """Free the memory of `remember` and `object_bytes`."""
-    _kept.clear()
+    with _lock:
+        _kept.clear()

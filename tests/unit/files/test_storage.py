@@ -143,7 +143,7 @@ def test_an_object_that_is_not_there_is_one(storage: pytest.MonkeyPatch) -> None
 
 
 def test_what_stays_in_memory_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(places._kept, "_data", LRUCache(2_500, getsizeof=len))
+    monkeypatch.setattr(places, "_kept", LRUCache(2_500, getsizeof=len))
     paths = [as_path(f"memory://bounded/{k}") for k in range(10)]
     for k, path in enumerate(paths):
         path.write_bytes(bytes([k]) * 1_000)
