@@ -122,7 +122,7 @@ class DetectorEvidence(Record):
             ("false_box_pictures", (heights,)),
             ("false_boxes_per_picture", (scores, heights)),
         ):
-            found = _shape(getattr(self, name))
+            found = np.array(getattr(self, name), dtype=object).shape  # of rows that differ in length, their number
             if found != shape:
                 raise ValueError(f"{name} has the shape {found}, its axes require {shape}")
         return self
@@ -261,14 +261,6 @@ def _at_threshold(evidence: DetectorEvidence, threshold: float, values: tuple[fl
 def _logit(probabilities: ArrayLike) -> Floats:
     p = np.clip(probabilities, _EDGE, 1 - _EDGE)
     return np.asarray(np.log(p / (1 - p)))
-
-
-def _shape(table: object) -> tuple[int, ...] | None:
-    """Shape of nested tuples; None if rows differ in length."""
-    try:
-        return np.shape(np.array(table))
-    except ValueError:
-        return None
 
 
 #: For a detector of which nothing was measured; no statement about any network. Scores are read as they were for the first
