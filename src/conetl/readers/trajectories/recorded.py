@@ -156,8 +156,7 @@ def assembled(
         bad[time_ns] = "a second record of this time"
     if not first.all():
         _require_one_receiver(path, kept, order, first, is_local)
-    # In most files all records are in order already, and need no copy.
-    keep: Any = slice(None) if first.all() and bool(np.all(np.diff(times) > 0)) else order[first]
+    keep = order[first]
     positions = np.concatenate([piece.positions for piece in kept])[keep]
     sigma = np.concatenate([piece.sigma for piece in kept])[keep]
     sigma[~(np.isfinite(sigma) & (sigma > 0.0))] = np.nan

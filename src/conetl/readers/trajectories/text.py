@@ -78,10 +78,7 @@ def floats(words: Sequence[str], *, comma: bool = False) -> Floats:
     """Numbers (N,), NaN in place of anything else. comma: decimals are after a comma."""
     if comma:
         words = [word.replace(",", ".") for word in words]
-    try:
-        return np.array(words, dtype=np.float64)
-    except ValueError:
-        return np.array([_float(word) for word in words], dtype=np.float64)
+    return np.array([_float(word) for word in words], dtype=np.float64)
 
 
 def _float(word: str) -> float:
