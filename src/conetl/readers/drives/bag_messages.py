@@ -35,7 +35,6 @@ from conetl.files.atomic import temporary_path
 from conetl.files.documents import library_errors, read_yaml
 from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
-from conetl.perception.images import ImageFileError, check_image_bytes
 from conetl.readers.drives.bag_rig import CAMERA_INFO, TRANSFORMS, USED_TYPES
 from conetl.readers.drives.drive_yaml import is_bare_bag
 from conetl.readers.drives.pairs import PairError
@@ -153,7 +152,8 @@ def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:
             for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
                 content = _decoded(reader.deserialize, raw, connection.msgtype)
                 if connection.msgtype == CAMERA_INFO and not reader.is2 and content is not None:
-                    content = _ros2_camera_info(content)
+                    # Under the names of ROS 2, which are in lower case.
+                    content = SimpleNamespace(**{k if len(k) > 1 else k.lower(): v for k, v in vars(content).items()})
                 yield Message(connection.topic, content, at_ns)
 
     ros = _ros_types() if reader.is2 else _ros1_types()
@@ -209,11 +209,6 @@ def _decoded(deserialize: Callable[[bytes, str], object], raw: bytes, kind: str)
         return None
 
 
-def _ros2_camera_info(content: Any) -> Any:
-    """A CameraInfo of ROS 1 under the field names of ROS 2, which are in lower case."""
-    return SimpleNamespace(**{name if len(name) > 1 else name.lower(): value for name, value in vars(content).items()})
-
-
 def _type_name(store: Typestore, name: str, ros: Typestore) -> str:
     """The name of a message type; with a remark where the bag defines other fields than ROS."""
     try:
@@ -262,15 +257,6 @@ def image_bytes(content: Any, name: str) -> bytes:
     if not done:
         raise PairError(RejectionReason.IMAGE_UNREADABLE, f"{name}: the image cannot be written as PNG")
     return bytes(encoded.tobytes())
-
-
-def check_image(data: bytes, name: str, size: tuple[int, int]) -> str:
-    """Suffix of a complete image of this width and height. Raises PairError."""
-    try:
-        header = check_image_bytes(data, name, size)
-    except ImageFileError as error:
-        raise PairError(error.reason, str(error), path=name) from error
-    return ".jpg" if header.format == "jpeg" else ".png"
 
 
 def unpack(data: bytes, suffix: str, folder: Path) -> Path:

@@ -30,6 +30,7 @@ from conetl.model.drive import Drive, Pose
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import MAX_LEVER_ARM_M, Rig, Side
+from conetl.perception.images import ImageFileError, check_image_bytes
 from conetl.readers.drives import bag_messages, pairs, poses
 from conetl.readers.drives.bag_rig import (
     TF_STATIC,
@@ -315,10 +316,12 @@ def _read_images(
                     content.add(f"{sides[topic]}/{len(found[topic])}", bytes(message.content.data))
                     content.add(f"{sides[topic]}/{len(found[topic])}/stamp", str(stamp).encode())
                 data = bag_messages.image_bytes(message.content, name)
-                suffix = bag_messages.check_image(data, name, (camera.width_px, camera.height_px))
+                header = check_image_bytes(data, name, (camera.width_px, camera.height_px))
                 if not content.headers_only or not any(p.path.is_file() for p in found[topic][:1]):
-                    path = bag_messages.unpack(data, suffix, folder)
+                    path = bag_messages.unpack(data, ".jpg" if header.format == "jpeg" else ".png", folder)
             except pairs.PairError as error:
                 problem = error
+            except ImageFileError as error:
+                problem = pairs.PairError(error.reason, str(error), path=name)
         found[topic].append(pairs.Image(stamp, path, problem))
     return found

@@ -10,7 +10,6 @@ import re
 import unicodedata
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -87,36 +86,23 @@ _LEAST_STEPS = 10
 _MARKS = (",", ";", "\t", None)
 
 
-class _Found(NamedTuple):
-    """A header, its columns by our name, and how its line is separated."""
-
-    line: int
-    """Index; -1 without a header."""
-    names: list[str]
-    columns: dict[str, Column]
-    delimiter: str | None
-
-
 def read(path: Path, settings: TrajectoryFile) -> Reading:
     """The records of a table. Raises InputError that names its columns where they are not understood."""
     lines = head_lines(path)
-    found = _header(path, lines, settings)
-    columns = dict(found.columns)
-    axes, heights = require(columns, path, found.names)
+    line, names, columns, delimiter = _header(path, lines, settings)
+    axes, heights = require(columns, path, names)
     if axes == "local" and settings.crs is not None:
         axes = "geocentric" if is_geocentric(settings) else "projected"
         if axes == "projected":
             columns |= dict(zip(POSITIONS[axes], (columns.pop(name) for name in "xyz"), strict=True))
-    data = [split_line(line, found.delimiter) for line in lines[found.line + 1 :][:20] if line.strip()]
-    if found.delimiter is None and "date" not in columns:
+    data = [split_line(row, delimiter) for row in lines[line + 1 :][:20] if row.strip()]
+    if delimiter is None and "date" not in columns:
         columns = _with_date(columns, data)
     first = columns[POSITIONS[axes][0]].at
     comma = settings.decimal == "," or (
-        settings.decimal is None
-        and found.delimiter != ","
-        and any("," in row[first] for row in data if len(row) > first)
+        settings.decimal is None and delimiter != "," and any("," in row[first] for row in data if len(row) > first)
     )
-    layout = TableLayout(columns, axes, found.line + 2, found.delimiter, comma, scale=_scale_of(columns["time"].name))
+    layout = TableLayout(columns, axes, line + 2, delimiter, comma, scale=_scale_of(columns["time"].name))
     yaw = columns["yaw"].name if "yaw" in columns and "heading" not in columns else None
     return Reading(table_records(path, layout, settings), axes, heights, yaw)
 
@@ -157,8 +143,13 @@ def check_yaw(path: Path, found: RecordedTrajectory, column: str) -> None:
         )
 
 
-def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
-    """The line that names most columns. Raises InputError."""
+def _header(
+    path: Path, lines: list[str], settings: TrajectoryFile
+) -> tuple[int, list[str], dict[str, Column], str | None]:
+    """Index of the line that names most columns (-1: none does), their names, columns by our name, and the delimiter.
+
+    Raises InputError.
+    """
     marks: tuple[str | None, ...] = _MARKS
     if settings.delimiter is not None:
         marks = (None if settings.delimiter == " " else settings.delimiter,)
@@ -167,8 +158,8 @@ def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
         needed = max(int(at) for at in settings.columns.values())
         mark = next((mark for mark in marks if len(split_line(first, mark)) >= needed), marks[0])
         columns = {role: _numbered(path, role, int(at), settings) for role, at in settings.columns.items()}
-        return _Found(-1, [], columns, mark)
-    best: _Found | None = None
+        return -1, [], columns, mark
+    best: tuple[int, list[str], dict[str, Column], str | None] | None = None
     for i, whole in enumerate(lines[:_HEADER_LINES]):
         line = whole[:_LONGEST_HEADER]
         text = line.lstrip("#% \t\ufeff") if line.startswith(("#", "%", "\ufeff")) else line
@@ -179,20 +170,20 @@ def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Found:
                 or sum(any(c.isalpha() for c in name) for name in names) < len(names) / 2
             ):
                 continue
-            found = _Found(i, names, _columns(path, names, settings), mark)
+            found = _columns(path, names, settings)
             # White space is in names of columns, too.
-            if best is None or len(found.columns) > max(len(best.columns), 2 if mark is None else 0):
-                best = found
+            if best is None or len(found) > max(len(best[2]), 2 if mark is None else 0):
+                best = i, names, found, mark
     if best is None:
         raise InputError(
             f"{path}: there is no line with the names of the columns; write one, or number the columns in drive.yaml, for "
             "example trajectory: {columns: {time: 1, lat: 2, lon: 3, height: 4}}"
         )
-    missing = [str(name) for name in settings.columns.values() if isinstance(name, str) and name not in best.names]
+    missing = [str(name) for name in settings.columns.values() if isinstance(name, str) and name not in best[1]]
     if missing:
         raise InputError(
             f"{path}: has no column {shown(missing[0])}, which trajectory.columns names; its columns are "
-            f"{', '.join(best.names)[:200]}"
+            f"{', '.join(best[1])[:200]}"
         )
     return best
 
