@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from conetl.files.documents import library_errors, read_yaml_mapping, shown, validated
 from conetl.files.names import printable
@@ -142,7 +142,7 @@ class DriveYaml(Record):
     pair: tuple[str, str] | None = None
     """Left and right of the cameras of a rig.yaml with more than two."""
     map_srid: int | None = Field(default=None, gt=0, lt=1_000_000)
-    timestamps_timezone: str = "UTC"
+    timestamps_timezone: Annotated[str, AfterValidator(known_zone)] = "UTC"
     """IANA name of the time stamps' zone."""
     cameras: Cameras = Cameras()
     calibration: str | None = Field(default=None, min_length=1)
@@ -176,11 +176,6 @@ class DriveYaml(Record):
         """The drive's id: that of the file, else the name of the folder or recording itself, not of a link to it."""
         source = source.resolve()
         return printable(self.drive_id or (source.stem if is_bare_bag(source) else source.name))[:200]
-
-    @field_validator("timestamps_timezone")
-    @classmethod
-    def _known_zone(cls, value: str) -> str:
-        return known_zone(value)
 
 
 def is_bare_bag(source: Path) -> bool:
