@@ -32,6 +32,8 @@ CACHE_BYTES = 256 * 2**20
 NO_FILE_SHA256 = hashlib.sha256().hexdigest()
 #: Errors of a missing file; all others are about the storage.
 _NO_SUCH_FILE = frozenset({errno.ENOENT, errno.ENOTDIR, errno.ELOOP})
+#: Packages whose errors are about the storage.
+_STORAGE_ERRORS = frozenset({"botocore", "aiobotocore", "aiohttp", "s3fs"})
 #: `Path` collapses two slashes into one.
 _ADDRESS = re.compile(r"^(s3|memory):/{1,2}(?=[^/])")
 
@@ -82,23 +84,17 @@ def storage_errors(path: Path) -> Iterator[None]:
     """
     try:
         yield
+    except FileNotFoundError:
+        raise
     except Exception as error:
-        if not is_remote(path) or not _is_storage_error(error):
+        # s3fs raises Python's own errors when the storage is busy or fails, a token has expired, or access is denied.
+        is_of_storage = isinstance(error, OSError) or type(error).__module__.split(".")[0] in _STORAGE_ERRORS
+        if not is_remote(path) or not is_of_storage:
             raise
         raise StorageError(
             f"{path}: cannot be read from the storage: {error}. Check the address, AWS_ENDPOINT_URL and the credentials "
             "(AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, AWS_PROFILE, or the machine's role). Nothing was written."
         ) from error
-
-
-def _is_storage_error(error: Exception) -> bool:
-    """s3fs raises Python's own errors when the storage is busy or fails, a token has expired, or access is denied."""
-    if isinstance(error, OSError):
-        return not isinstance(error, FileNotFoundError)
-    return type(error).__module__.split(".")[0] in _STORAGE_ERRORS
-
-
-_STORAGE_ERRORS = frozenset({"botocore", "aiobotocore", "aiohttp", "s3fs"})
 
 
 def forget_listing(path: Path) -> None:
