@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.harness import arguments_of, print_rows, write_json
 from conetl.geometry.intersection import fit_point
 from conetl.geometry.motion.stereo_tracks import motions_of
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.geometry.rig import map_SE3_camera, map_SE3_left
 from conetl.model.drive import Drive, FramePair, Position, StereoMatch
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.perception.images import read_image
@@ -48,7 +48,7 @@ def part_positions(
             np.array([(*m.foot_left_uv_px, *m.foot_right_uv_px) for m in pairs]),
             np.array(min(some, key=lambda p: p.range_m).xyz_m),
             np.stack([map_SE3_left(pose, rig) for pose in body]),
-            np.stack([map_SE3_right(pose, rig) for pose in body]),
+            np.stack([map_SE3_camera(pose, rig, "right") for pose in body]),
             rig,
             sigma_u_px=np.array([m.sigma_u_px for m in pairs]),
             sigma_v_px=np.array([m.sigma_v_px for m in pairs]),

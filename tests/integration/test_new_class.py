@@ -15,7 +15,7 @@ from pydantic import SecretStr
 
 from conetl.db.connection import connect
 from conetl.db.map.map_store import read_current_features
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.geometry.rig import map_SE3_camera, map_SE3_left
 from conetl.model.feature_classes import FEATURE_CLASSES, FeatureClass
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams, TrajectoryParams
@@ -105,11 +105,11 @@ def drive_past_a_bollard(folder: Path) -> np.ndarray:
     map_SE3_last = map_SE3_left(drive.frame_pairs[-1].pose, rig)
     foot_m = map_SE3_last[:3, :3] @ [0.8, 1.65, 9.0] + map_SE3_last[:3, 3]
     for pair in drive.frame_pairs:
-        for path, map_SE3_camera, camera in (
+        for path, pose, camera in (
             (pair.left_path, map_SE3_left(pair.pose, rig), rig.left),
-            (pair.right_path, map_SE3_right(pair.pose, rig), rig.right),
+            (pair.right_path, map_SE3_camera(pair.pose, rig, "right"), rig.right),
         ):
-            x, y, z = map_SE3_camera[:3, :3].T @ (foot_m - map_SE3_camera[:3, 3])
+            x, y, z = pose[:3, :3].T @ (foot_m - pose[:3, 3])
             u, v = camera.fx_px * x / z + camera.cx_px, camera.fy_px * y / z + camera.cy_px
             half_px, tall_px = 0.1 * camera.fx_px / z, 0.9 * camera.fy_px / z
             image = cv2.imread(path)

@@ -35,11 +35,6 @@ def map_SE3_left(pose: Pose, rig: Rig) -> Floats:
     return map_SE3_camera(pose, rig, "left")
 
 
-def map_SE3_right(pose: Pose, rig: Rig) -> Floats:
-    """(4, 4) exterior orientation of the right camera."""
-    return map_SE3_camera(pose, rig, "right")
-
-
 def left_SE3_right(rig: Rig) -> Floats:
     """(4, 4) relative orientation of the rig; its translation is the baseline vector in the left camera's frame."""
     return se3.compose(se3.invert(body_SE3_camera(rig, "left")), body_SE3_camera(rig, "right"))

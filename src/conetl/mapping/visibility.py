@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.linear_reference import spaced
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.geometry.rig import map_SE3_camera, map_SE3_left
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.base import Vec3
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, absence_log_ratio, class_evidence
@@ -112,7 +112,7 @@ def observations_of_drive(
         rig=rig,
         frames=tuple(pair.frame_index for pair in frame_pairs),
         map_SE3_left=np.array([map_SE3_left(pair.pose, rig) for pair in frame_pairs]),
-        map_SE3_right=np.array([map_SE3_right(pair.pose, rig) for pair in frame_pairs]),
+        map_SE3_right=np.array([map_SE3_camera(pair.pose, rig, "right") for pair in frame_pairs]),
         captured_at_ns=np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.int64),
         shows_absence=tuple(pair.shows_absence for pair in frame_pairs),
         detections=by_frame,

@@ -12,7 +12,7 @@ import numpy as np
 from conetl.geometry.calibration.covariance import jacobian_of
 from conetl.geometry.intersection import fit_point
 from conetl.geometry.packing import cov3, vec3
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.geometry.rig import map_SE3_camera, map_SE3_left
 from conetl.model.arrays import Floats
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, class_evidence
 from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
@@ -60,7 +60,7 @@ class DriveData:
     @cached_property
     def map_SE3_right(self) -> Mapping[int, Floats]:
         """As `map_SE3_left`."""
-        return {index: map_SE3_right(pair.pose, self.rig) for index, pair in self.frame_pairs.items()}
+        return {index: map_SE3_camera(pair.pose, self.rig, "right") for index, pair in self.frame_pairs.items()}
 
 
 def drive_data(

@@ -22,11 +22,11 @@ import numpy as np
 
 from conetl.geometry.intersection import pair_jacobian
 from conetl.geometry.linear_reference import evenly_spaced
-from conetl.geometry.rig import map_SE3_left, map_SE3_right
+from conetl.geometry.rig import map_SE3_camera
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive, Pose, StereoMatch, Track
 from conetl.model.feature_classes import FEATURE_CLASSES
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig
 from conetl.tracking.error_propagation import PoseCov, moved_by_poses, moved_cov
 from conetl.tracking.matching.covariance import SHARED_DISPARITY_PX, matching_sigma_px, shared_disparity_px
 
@@ -206,7 +206,7 @@ def _observed_cone(
     """pairs: matches of the track. poses: by frame index; pose_cov: of their errors."""
     xyz_m = np.array(track.xyz_m)
     stated_poses = [poses[m.frame_index] for m in pairs]
-    left, right = (np.stack([pose_of(p, rig) for p in stated_poses]) for pose_of in (map_SE3_left, map_SE3_right))
+    left, right = (np.stack([map_SE3_camera(p, rig, side) for p in stated_poses]) for side in SIDES)
     # Coordinates around the cone: millimetre corrections on millions of metres would lose digits.
     left[:, :3, 3] -= xyz_m
     right[:, :3, 3] -= xyz_m

@@ -83,7 +83,10 @@ def test_every_format_gives_the_same_drive(name: str, tmp_path: Path, reference:
         # Bodies may be other FRAMES; where the cameras are in the map must not depend on the format.
         for found, true in (
             (rigs.map_SE3_left(pair.pose, drive.rig), rigs.map_SE3_left(wanted.pose, reference.rig)),
-            (rigs.map_SE3_right(pair.pose, drive.rig), rigs.map_SE3_right(wanted.pose, reference.rig)),
+            (
+                rigs.map_SE3_camera(pair.pose, drive.rig, "right"),
+                rigs.map_SE3_camera(wanted.pose, reference.rig, "right"),
+            ),
         ):
             np.testing.assert_allclose(found[:3, 3], true[:3, 3], atol=1e-3, rtol=0)
             np.testing.assert_allclose(found[:3, :3], true[:3, :3], atol=2e-4)

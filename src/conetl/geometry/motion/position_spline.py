@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from conetl.geometry import pose as se3
 from conetl.geometry.linear_reference import spaced
-from conetl.model.arrays import Bools, Floats, Ints
+from conetl.model.arrays import Bools, Floats
 
 #: Accelerations of a vehicle on a road (m/s^2, one sigma; east, north, up) and how long one lasts (s).
 _ACCELERATION_M_S2, _LASTS_S = np.array([1.8, 1.8, 0.3]), 1.5
@@ -90,7 +90,9 @@ def position_spline(
     times, positions, sigma = (np.asarray(a, dtype=np.float64) for a in (times_s, positions_m, sigma_m))
     if not all(np.isfinite(a).all() for a in (times, positions, sigma)) or (np.diff(times) <= 0).any():
         raise ValueError("expected finite positions and sigmas at rising times")
-    used = _select_records(times)
+    used = spaced(times[:, None], _LEAST_STEP_S)
+    if used and used[-1] != len(times) - 1:  # the last one in place of the one before
+        used = [*(used[:-1] or used), len(times) - 1]
     if len(used) < 3:
         raise ValueError(f"expected at least three positions {_LEAST_STEP_S:g} s apart, found {len(times)}")
     times, sigma = times[used], np.maximum(sigma[used], 1e-4)
@@ -225,14 +227,6 @@ def _is_moving(moved: VehicleStates) -> Bools:
     here, mean = moved.velocity_m_s[:, :2], moved.mean_velocity_m_s[:, :2]
     fast = np.minimum(np.linalg.norm(here, axis=1), np.linalg.norm(mean, axis=1)) > least
     return np.asarray(fast & ((here * mean).sum(axis=1) > 0))
-
-
-def _select_records(times_s: Floats) -> Ints:
-    """Indices of records at least `_LEAST_STEP_S` apart, the first and the last included."""
-    kept = spaced(times_s[:, None], _LEAST_STEP_S)
-    if kept and kept[-1] != len(times_s) - 1:
-        kept = [*(kept[:-1] or kept), len(times_s) - 1]
-    return np.array(kept, dtype=np.intp)
 
 
 def _transition(step_s: Floats, correlation_s: float) -> tuple[Floats, Floats]:
