@@ -240,10 +240,7 @@ class ArrivingKitti(_Arriving):
         if pose_at is None and (self.root / kitti.OXTS_STAMPS).is_file():
             return None
         _require_set_clock(captured)
-        if pose_at is not None and abs(captured - pose_at) > kitti.MAX_CLOCK_DIFFERENCE_NS:
-            raise PairError(
-                RejectionReason.TIMESTAMP_INVALID, f"image and pose are {abs(captured - pose_at) * 1e-9:.3f} s apart"
-            )
+        kitti.require_same_time(captured, pose_at)
         srid = checked_srid(map_srid or self.settings.map_srid, record.lat_deg, record.lon_deg, self.root)
         return _record(number, pair, captured, self._pose(pair.key, record, pose_at, captured, srid)), srid
 

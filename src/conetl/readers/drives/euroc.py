@@ -116,11 +116,8 @@ def _images(root: Path, name: str, content: pairs.ContentHash) -> list[pairs.Ima
 
 def _rows(path: Path, root: Path, content: pairs.ContentHash) -> Iterator[tuple[int, list[str]]]:
     """Line numbers and rows of a csv file, without empty ones and comments. Raises InputError."""
-    if not path.is_file():
-        raise InputError(f"{root}: {path.relative_to(root).as_posix()} is missing")
-    data = path.read_bytes()
-    content.add(path.relative_to(root).as_posix(), data)
-    reader = csv.reader(io.StringIO(data.decode("utf-8-sig", errors="replace"), newline=""))
+    text = content.text(root, path.relative_to(root).as_posix(), "it has the times and names of the images")
+    reader = csv.reader(io.StringIO(text, newline=""))
     with library_errors(f"{path}: not a CSV file", csv.Error):
         for words in reader:
             if words and words[0].strip() and not words[0].lstrip().startswith("#"):

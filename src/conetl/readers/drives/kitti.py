@@ -193,11 +193,8 @@ def _numbered(paths: Iterable[Path]) -> dict[int, list[Path]]:
 
 def _stamps(root: Path, name: str, settings: DriveYaml, content: ContentHash) -> dict[int, int | str]:
     """Times of a timestamps.txt, see `parse_timestamps`. Raises InputError."""
-    if not (root / name).is_file():
-        raise InputError(f"{root}: {name} is missing; expected one line with a time stamp for each frame number")
-    data = (root / name).read_bytes()
-    content.add(name, data)
-    return parse_timestamps(data.decode("utf-8", errors="replace"), settings.timestamps_timezone)
+    text = content.text(root, name, "expected one line with a time stamp for each frame number")
+    return parse_timestamps(text, settings.timestamps_timezone)
 
 
 def _split_triggers(
@@ -293,7 +290,11 @@ def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.
         raise PairError(RejectionReason.POSE_INVALID, f"{name}: {bad[number]}", path=name, text=text)
     if number not in track.rows:
         raise PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
-    pose_at = track.times_ns[track.rows[number]]
+    require_same_time(captured, track.times_ns[track.rows[number]])
+
+
+def require_same_time(captured: int, pose_at: int | None) -> None:
+    """Raise PairError where the times of an image and of its pose (UTC nanoseconds) are not of one frame."""
     apart = 0 if pose_at is None else abs(captured - pose_at)
     if apart > MAX_CLOCK_DIFFERENCE_NS:
         raise PairError(

@@ -41,6 +41,14 @@ class ContentHash:
         self._files[name] = found.digest()
         return found.hexdigest()
 
+    def text(self, folder: Path, name: str, remedy: str) -> str:
+        """Text of a required file of the drive, which is added. Raises InputError where it is missing; remedy: what to do."""
+        if not (folder / name).is_file():
+            raise InputError(f"{folder}: {name} is missing; {remedy}")
+        data = (folder / name).read_bytes()
+        self.add(name, data)
+        return data.decode("utf-8-sig", errors="replace")
+
     def hexdigest(self) -> str:
         """SHA-256 over sorted names and the hashes of their bytes."""
         total = hashlib.sha256()

@@ -127,7 +127,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     if not left and not right:
         raise InputError(f"{path}: there are no images (*.jpg, *.png) in left and right")
     found = Rows(path / TRAJECTORY)
-    found.add(_trajectory_file(path, content).decode("utf-8-sig", errors="replace"))
+    found.add(_trajectory(path, content))
     rows, numbers = found.by_stem, found.numbers
     stems = sorted(left.keys() | right.keys() | rows.keys())
     good = [row for row in rows.values() if isinstance(row, Row)]
@@ -170,7 +170,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
     root = path.resolve()
     header.add_images(path, {side: root / side for side in ("left", "right")})
     header.add_file(path, RIG_YAML)
-    rows = csv.DictReader(_trajectory_file(path, header.content).decode("utf-8-sig", errors="replace").splitlines())
+    rows = csv.DictReader(_trajectory(path, header.content).splitlines())
     stamps = [stamp_or_problem(row.get("captured_at") or "", settings.timestamps_timezone) for row in rows]
     header.set_times(stamps, path / TRAJECTORY)
     read_plain_rig(path, settings, ContentHash())
@@ -205,13 +205,8 @@ def _images(data: Path, folder: Path) -> dict[str, list[Path]]:
     return found
 
 
-def _trajectory_file(folder: Path, content: ContentHash) -> bytes:
-    path = folder / TRAJECTORY
-    if not path.is_file():
-        raise InputError(f"{folder}: {TRAJECTORY} is missing; for a log of another format run 'conetl init {folder}'")
-    data = path.read_bytes()
-    content.add(TRAJECTORY, data)
-    return data
+def _trajectory(folder: Path, content: ContentHash) -> str:
+    return content.text(folder, TRAJECTORY, f"for a log of another format run 'conetl init {folder}'")
 
 
 def pose_of_row(row: Row, srid: int, settings: Sigmas) -> Pose:
