@@ -288,7 +288,6 @@ def fit_point(
     left[:, :3, 3] -= shift
     right[:, :3, 3] -= shift
     point = np.zeros(3)
-    huber = np.ones(frames)
     for _ in range(_MAX_FIT_ITERATIONS):
         computed, jacobian = pair_jacobian(point, left, right, rig)
         if not np.isfinite(computed).all():

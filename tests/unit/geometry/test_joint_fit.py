@@ -50,6 +50,7 @@ def test_one_wrong_box_hardly_moves_the_point() -> None:
     observed[3] += np.array([25.0, -10.0, 8.0, 12.0])
     result = fit(observed)
     assert np.linalg.norm(result.xyz_m - POINT) < 0.03
+    assert np.abs(np.delete(result.residuals_px, 3, axis=0)).max() < 1.0 < np.abs(result.residuals_px[3]).min()
 
 
 def test_a_point_behind_the_cameras_is_no_result() -> None:
