@@ -37,7 +37,9 @@ def read_surveyed_points(
     source = crs or (table.crs.to_wkt() if table.crs is not None else None)
     if source is None:
         raise InputError(f"{path}: does not state a coordinate reference system; give its crs (--crs), like EPSG:25832")
-    xyz = _with_heights(table)
+    xyz, heights_of = table.xyz.copy(), next((name for name in _HEIGHTS if name in table.columns), None)
+    if heights_of is not None and np.isnan(xyz[:, 2]).all():
+        xyz[:, 2] = _numbers(table, heights_of)
     _require_finite(path, xyz, f"a point needs east, north and a height ({', '.join(_HEIGHTS)})")
     settings = TrajectoryFile(crs=source, heights=heights)
     with input_errors(f"{path}: crs"):
@@ -63,14 +65,6 @@ def read_surveyed_points(
 def _require_finite(path: Path, xyz: Floats, problem: str) -> None:
     for row in np.flatnonzero(~np.isfinite(xyz).all(axis=1))[:1]:
         raise InputError(f"{path}, row {row + 1}: {problem}")
-
-
-def _with_heights(table: MapTable) -> Floats:
-    """(N, 3) positions of the rows, with heights of their geometry or else of a column; NaN where there are none."""
-    xyz, name = table.xyz.copy(), next((name for name in _HEIGHTS if name in table.columns), None)
-    if name is not None and np.isnan(xyz[:, 2]).all():
-        xyz[:, 2] = _numbers(table, name)
-    return xyz
 
 
 def _sigmas(table: MapTable, sigma_m: float | None, path: Path) -> Floats:

@@ -68,7 +68,10 @@ def find_drives(root: Path) -> Iterator[Path]:
 def _find(folder: Path, depth: int) -> Iterator[Path]:
     try:
         found = find_format(folder) is not None
-        names = [] if found or depth == 0 else _folders_in(folder)
+        names = []
+        if depth and not found:
+            with os.scandir(folder) as entries:
+                names = sorted(e.name for e in entries if not e.name.startswith(".") and _may_be_folder(e))
     except OSError:  # unreadable, or removed meanwhile: it may hold a drive, so its header states the problem
         found, names = True, []
     if found:
@@ -77,13 +80,8 @@ def _find(folder: Path, depth: int) -> Iterator[Path]:
         yield from _find(folder / name, depth - 1)
 
 
-def _folders_in(folder: Path) -> list[str]:
-    """Sorted names of folders that are not hidden, and of links whose target cannot be read."""
-    with os.scandir(folder) as entries:
-        return sorted(entry.name for entry in entries if not entry.name.startswith(".") and _may_be_folder(entry))
-
-
 def _may_be_folder(entry: os.DirEntry[str]) -> bool:
+    """True of folders, and of links whose target cannot be read."""
     try:
         return entry.is_dir()
     except OSError:

@@ -27,7 +27,7 @@ from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, index_video, region_of, video_facts
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, inside, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, no_rig, rig_on_body
 from conetl.readers.drives.pairs import ContentHash, Source, drive_of_couples, time_of
 from conetl.readers.drives.poses import placed
@@ -130,19 +130,17 @@ def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None 
         rig = read_rig_yaml(path, pair=settings.pair)
     add_settings(content, root)
     if settings.mount is not None:
-        return rig_on_body(rig, _body_SE3_left(settings.mount), settings, path)
+        mount = settings.mount
+        turn = se3.rotation_from_rpy(*np.radians([mount.roll_deg, mount.pitch_deg, mount.yaw_deg]))
+        # The camera's own axes are right, down, forward.
+        body_SE3_left = se3.se3(turn @ CAMERA_R_BODY.T, [mount.forward_m, mount.left_m, mount.up_m])
+        return rig_on_body(rig, body_SE3_left, settings, path)
     if rigs.body_is_left_camera(rig):
         raise InputError(
             f"{path}: the mount of the cameras is unknown. Put into {DRIVE_YAML}, as seen from the IMU or antenna "
             "whose trajectory was recorded: 'mount: {forward_m: 1.2, left_m: 0.3, up_m: -0.2, pitch_deg: 3}'"
         )
     return rig_on_body(rig, rigs.body_SE3_camera(rig, "left"), settings, path)
-
-
-def _body_SE3_left(mount: Mount) -> Floats:
-    """(4, 4) of a mount; the camera's own axes are right, down, forward."""
-    turn = se3.rotation_from_rpy(*np.radians([mount.roll_deg, mount.pitch_deg, mount.yaw_deg]))
-    return se3.se3(turn @ CAMERA_R_BODY.T, [mount.forward_m, mount.left_m, mount.up_m])
 
 
 def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> list[CameraImages]:

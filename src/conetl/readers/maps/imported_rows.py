@@ -109,7 +109,9 @@ def read_map_file(
     srid = _map_srid(table, file_crs, map_srid)
     xyz_m = _positions(table, file_crs, srid, params)
     _require_different_positions(path, xyz_m)
-    sha256 = _content_sha256(table)
+    sha256 = file_sha256(path)
+    if table.layer not in (None, *table.layers[:1]):  # the hash identifies an import: of a later layer, that of both
+        sha256 = hashlib.sha256(f"{sha256}/{table.layer}".encode()).hexdigest()
     rows = _Rows(table, params)
     stated_ns = rows.latest_ns() if stated_at is None else ns_from_utc(stated_at)
     if problem := clock_problem(stated_ns, _EARLIEST_NS):
@@ -122,14 +124,6 @@ def read_map_file(
     return ImportedMap(
         name, str(path), sha256, srid, stated_ns, statements, rows.new_ids, table.lines_left_out, written
     )
-
-
-def _content_sha256(table: MapTable) -> str:
-    """The hash that identifies an import: that of the file for the first layer, else of file and layer."""
-    sha256 = file_sha256(table.path)
-    if table.layer in (None, *table.layers[:1]):
-        return sha256
-    return hashlib.sha256(f"{sha256}/{table.layer}".encode()).hexdigest()
 
 
 class _Rows:

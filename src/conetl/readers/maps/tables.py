@@ -207,7 +207,9 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
         # GDAL 3.12 shifts the values of FlatGeobuf behind a feature without geometry.
         with library_errors(f"{table.path}, from row {count + 1} on: {damaged}", pa.ArrowInvalid):
             every.validate(full=True)
-        batch = _without_lines(every)
+        batch = every
+        if "category" in every.schema.names:
+            batch = every.filter(pc.invert(pc.is_in(every.column("category"), pa.array(LINE_CLASSES))))
         table.lines_left_out += every.num_rows - batch.num_rows
         points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object), on_invalid="ignore")
         bad = np.flatnonzero((shapely.get_type_id(points) != 0) | shapely.is_empty(points))
@@ -223,12 +225,6 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
             if name != geometry:
                 table.columns.setdefault(name, []).extend(column.to_pylist())
     table.xyz = np.concatenate(parts) if parts else table.xyz
-
-
-def _without_lines(batch: pa.RecordBatch) -> pa.RecordBatch:
-    if "category" not in batch.schema.names:
-        return batch
-    return batch.filter(pc.invert(pc.is_in(batch.column("category"), pa.array(LINE_CLASSES))))
 
 
 def _read_csv(path: Path) -> MapTable:

@@ -51,8 +51,9 @@ def read_kitti_rig(
         read = partial(
             read_kitti_rig, cam_to_cam, left=left, right=right, body_required=body_required, rig_id=rig_id, sigma_px=sigma_px
         )  # fmt: skip
-        own = read()
-        if images == (own.left.width_px, own.left.height_px) or images != _raw_size(cam_to_cam, left):
+        own, key = read(), f"S_{left:02d}"
+        raw_size = read_numbers(cam_to_cam, {key: 2})[key].tolist() if key in _lines(cam_to_cam) else None
+        if images == (own.left.width_px, own.left.height_px) or [*images] != raw_size:
             return own
         return rectified_rig(read(images="raw"), cam_to_cam)
     raw = images == "raw"
@@ -118,15 +119,6 @@ def _raw_camera(path: Path, cameras: dict[str, Floats], number: int) -> tuple[Ca
 def motion_of(path: Path, link: dict[str, Floats]) -> Floats:
     """The motion (4, 4) of R (9) and T (3) of a file. Raises InputError."""
     return se3.se3(Node(path, link["R"], "R").rotation(), link["T"])
-
-
-def _raw_size(cam_to_cam: Path, number: int) -> Size | None:
-    """Width and height of the raw images of a camera; None where the file has none. Raises InputError."""
-    key = f"S_{number:02d}"
-    if key not in _lines(cam_to_cam):
-        return None
-    width, height = read_numbers(cam_to_cam, {key: 2})[key]
-    return int(width), int(height)
 
 
 def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Floats]:

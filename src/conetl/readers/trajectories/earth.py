@@ -188,7 +188,9 @@ def _transformers(axes: Axes, settings: TrajectoryFile, start: Floats, path: Pat
     missing = geodesy.missing_grids(group)
     if not group.transformers or (missing and not group.best_available):
         raise InputError(_missing(path, source.name, missing))
-    return [group.transformers[0], *after], _accuracy_m(group.transformers[0])
+    # Steps that are more than a change of names.
+    shifts = [one for one in group.transformers[0].operations or () if one.grids or one.accuracy > _NOMINAL_M]
+    return [group.transformers[0], *after], math.hypot(*(one.accuracy for one in shifts if one.accuracy > 0))
 
 
 def _grid(name: str, path: Path) -> Transformer:
@@ -226,9 +228,3 @@ def _missing(path: Path, what: str, grids: list[str]) -> str:
         f"{path}: heights or positions of {shown(what)} need the grid {named}, which is not installed: put it into "
         f"{get_user_data_dir()} (`projsync --file {grids[0]}` does)"
     )
-
-
-def _accuracy_m(transformer: Transformer) -> float:
-    """Stated accuracy of the steps of a transformation that are more than a change of names, metres."""
-    done = transformer.operations or ()
-    return math.hypot(*(one.accuracy for one in done if one.accuracy > 0 and (one.grids or one.accuracy > _NOMINAL_M)))

@@ -314,12 +314,8 @@ def time_reader(clock: TimeFormat) -> TimeReader:
         if clock.scale == "gps":
             times = gps_to_utc(times)
         elif clock.kind in {"week", "day"} and clock.scale != "UTC":
-            times = np.array([_local_ns(int(ns), clock.scale) for ns in times], np.int64)
+            local = (utc_from_ns(ns).replace(tzinfo=ZoneInfo(clock.scale)) for ns in times.tolist())
+            times = np.array([ns_from_utc(instant) for instant in local], np.int64) + times % 1000
         return times, wrong
 
     return read
-
-
-def _local_ns(wall_ns: int, zone: str) -> int:
-    """UTC nanoseconds of the local time of a zone, which counts nanoseconds since 1970."""
-    return ns_from_utc(utc_from_ns(wall_ns).replace(tzinfo=ZoneInfo(zone))) + wall_ns % 1000
