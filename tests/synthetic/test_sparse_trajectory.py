@@ -103,9 +103,7 @@ def test_a_sample_drive_by_positions_alone_states_true_sigmas(
     pairs = tuple(pair.model_copy(update={"pose": pose_at(pair.captured_at_ns)}) for pair in drive.frame_pairs)
     found = analyse(drive.model_copy(update={"frame_pairs": pairs}), settings=sample_settings)
     cones, _ = read_truth_cones(SAMPLES[number - 1] / "truth.csv")
-    evaluation = evaluate_drive(
-        cones, found.drive, found.tracks, found.records.positions, found.motion, found.poses, within_m=20.0
-    )
+    evaluation = evaluate_drive(cones, found, within_m=20.0)
     nees = nees_of([evaluation])["tracks"]
     assert nees is not None and nees.common.holds() and nees.relative.value < nees.relative.band()[1]
 

@@ -20,7 +20,8 @@ from conetl.evaluation.accuracy import (
     statistics,
     track_errors,
 )
-from conetl.evaluation.marking_evaluation import MarkingEvaluation, markings_as_dict, pooled_markings
+from conetl.evaluation.marking_evaluation import MarkingEvaluation, evaluate_markings, markings_as_dict, pooled_markings
+from conetl.evaluation.markings import TruthMarking
 from conetl.evaluation.nees_table import NEES_COLUMNS, NEES_TEXT, nees_as_dict, nees_rows, parts_of
 from conetl.evaluation.truth import (
     TABLE_3_COLUMNS,
@@ -33,15 +34,14 @@ from conetl.evaluation.truth import (
     table_3_rows,
 )
 from conetl.files.documents import library_errors
-from conetl.geometry.consistency import Consistency, leave_one_out_nees
+from conetl.geometry.consistency import Consistency
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
-from conetl.model.drive import Drive, Position, Track
+from conetl.model.drive import Track
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import known_classes, noun_of
+from conetl.pipeline.analysis import AnalysedDrive
 from conetl.reports.html import Section, render, write_page
-from conetl.tracking.association import MotionError
-from conetl.tracking.error_propagation import PoseCov
 
 #: The two kinds of estimates whose errors are evaluated.
 KINDS = ("tracks", "single positions")
@@ -184,31 +184,29 @@ def _markings_of(drives: Sequence[DriveEvaluation]) -> dict[str, MarkingEvaluati
 
 
 def evaluate_drive(
-    cones: Sequence[TruthCone],
-    drive: Drive,
-    tracks: Sequence[Track],
-    positions: Sequence[Position],
-    motion: MotionError | None,
-    poses: PoseCov,
-    *,
-    within_m: float,
+    cones: Sequence[TruthCone], found: AnalysedDrive, *, within_m: float, markings: Sequence[TruthMarking] | None = None
 ) -> DriveEvaluation:
     """Compare the tracks of a drive with surveyed cones at most within_m from the drive path.
 
-    cones: empty if only lane markings were searched for. motion, poses: correlations of the errors of the drive's poses. Raises
-    InputError if none of the cones is near the path.
+    cones: empty if only lane markings were searched for. markings: true ones; None: not compared. Raises InputError if none of
+    the cones is near the path.
     """
+    drive, positions = found.drive, found.records.positions
     path_m = np.array([map_SE3_left(pair.pose, drive.rig)[:3, 3] for pair in drive.frame_pairs])
-    lines, others = compare_with_truth(cones, tracks, path_m, within_m=within_m)
+    lines, others = compare_with_truth(cones, found.tracks, path_m, within_m=within_m)
     if cones and not lines:
         raise InputError(
             f"none of the {len(cones)} surveyed cones is within {within_m:g} m of the path of {drive.drive_id}; do they belong "
             "to another drive?"
         )
-    of_tracks = track_errors(lines, drive, positions, motion)
-    of_singles = position_errors(members_of(lines), positions, drive, poses)
     return DriveEvaluation(
-        drive.drive_id, lines, *split_by_extent(cones, others), path_m=path_m, tracks=of_tracks, singles=of_singles
+        drive.drive_id,
+        lines,
+        *split_by_extent(cones, others),
+        path_m=path_m,
+        tracks=track_errors(lines, drive, positions, found.motion),
+        singles=position_errors(members_of(lines), positions, drive, found.poses),
+        markings=None if markings is None else evaluate_markings(markings, found.records.markings, drive, found.poses),
     )
 
 
@@ -253,39 +251,15 @@ def _class_section(drives: Sequence[DriveEvaluation]) -> list[Section]:
 
 def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequence[str]) -> list[Path]:
     """Write the plots and then the page; for lane markings the page only. Raises InputError if the folder cannot be written."""
+    title = f"{evaluation.drive_id} compared with ground truth"
     if not evaluation.lines:
-        return [
-            _write_page(folder, f"{evaluation.drive_id} compared with ground truth", summary, evaluation.tables(), {})
-        ]
-    from conetl.reports import accuracy_plots  # matplotlib takes half a second to load
+        return [_write_page(folder, title, summary, evaluation.tables(), {})]
+    from conetl.evaluation import accuracy_plots  # matplotlib takes half a second to load
 
-    name, tracks, singles = evaluation.drive_id, evaluation.tracks, evaluation.singles
     images = {
-        "errors_over_range.png": accuracy_plots.errors_over_range(
-            range_m=singles.range_m,
-            errors_m=singles.in_sight_axes(singles.difference_m),
-            sigmas_m=singles.sigma_in_sight_axes(),
-            track_range_m=tracks.range_m,
-            track_errors_m=tracks.in_sight_axes(tracks.difference_m),
-            title=f"{name}: errors over range",
-        ),
-        "plan.png": accuracy_plots.error_plan(
-            path_m=evaluation.path_m,
-            truth_m=np.array([line.truth.xyz_m for line in evaluation.lines]),
-            names=[line.truth.cone_id for line in evaluation.lines],
-            found=np.array([line.feature is not None for line in evaluation.lines]),
-            errors_m=tracks.difference_m,
-            cov_m2=tracks.cov_m2,
-            single_truth_m=singles.truth_m,
-            single_errors_m=singles.difference_m,
-            false_m=np.array([track.xyz_m for track in evaluation.false]).reshape(-1, 3),
-            title=name,
-        ),
-        "nees.png": accuracy_plots.nees_histogram(
-            single=leave_one_out_nees(singles.difference_m, singles.joint_cov_m2()),
-            tracks=leave_one_out_nees(tracks.difference_m, tracks.joint_cov_m2()),
-            title=f"{name}: do the stated sigmas hold?",
-        ),
+        "errors_over_range.png": accuracy_plots.errors_over_range(evaluation),
+        "plan.png": accuracy_plots.error_plan(evaluation),
+        "nees.png": accuracy_plots.nees_histogram(evaluation),
     }
     cones, errors, bands, nees, *others = evaluation.tables()
     sections = [
@@ -296,7 +270,7 @@ def write_evaluation(folder: Path, evaluation: DriveEvaluation, summary: Sequenc
         replace(nees, image=images["nees.png"], image_alt="histogram of NEES against chi-square"),
         *others,
     ]
-    page = _write_page(folder, f"{name} compared with ground truth", summary, sections, images)
+    page = _write_page(folder, title, summary, sections, images)
     return [*(folder / file for file in images), page]
 
 

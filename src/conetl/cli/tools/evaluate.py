@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,7 +21,6 @@ from conetl.evaluation.drive_evaluation import (
 )
 from conetl.evaluation.lidar_check import ResidualBand, summarise
 from conetl.evaluation.lidar_drive import lidar_residuals
-from conetl.evaluation.marking_evaluation import evaluate_markings
 from conetl.evaluation.markings import TRUTH_FILE, read_truth_markings
 from conetl.evaluation.truth import TABLE_3_COLUMNS, TruthCone, median_error, read_truth_cones
 from conetl.model.errors import InputError
@@ -79,19 +77,10 @@ def evaluate(
         name = results.drive.drive_id
         if name in done:
             raise InputError(f"{drive}: has the same drive id, {name}, as another folder; evaluate each drive once")
-        one = evaluate_drive(
-            cones,
-            results.drive,
-            results.records.tracks,
-            results.records.positions,
-            results.motion,
-            results.poses,
-            within_m=within_m,
-        )
-        if (marking_truth := drive / TRUTH_FILE).is_file() and LANE_MARKING in chosen.detection.categories:
+        marking_truth, markings = drive / TRUTH_FILE, None
+        if marking_truth.is_file() and LANE_MARKING in chosen.detection.categories:
             markings = read_truth_markings(marking_truth, results.drive.map_srid)
-            found = evaluate_markings(markings, results.records.markings, results.drive, results.poses)
-            one = replace(one, markings=found)
+        one = evaluate_drive(cones, results, within_m=within_m, markings=markings)
         done[name] = one
         summary = _summary(results, one, within_m)
         files = write_evaluation(folder if output is not None and len(truths) == 1 else folder / name, one, summary)

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Ellipse
 from scipy import stats
 
-from conetl.model.arrays import Bools, Floats
+from conetl.geometry.consistency import leave_one_out_nees
+from conetl.model.arrays import Floats
 from conetl.reports import figures
+
+if TYPE_CHECKING:
+    from conetl.evaluation.drive_evaluation import DriveEvaluation
 
 _AXES = ("along the line of sight", "across it", "up")
 _SCALES = (1, 2, 5, 10, 20, 50, 100)
@@ -19,20 +23,12 @@ _ELLIPSE_SIGMAS = float(np.sqrt(stats.chi2.ppf(0.95, 2)))
 _NEES_SHOWN = 16.0
 
 
-def errors_over_range(
-    *,
-    range_m: Floats,
-    errors_m: Floats,
-    sigmas_m: Floats,
-    track_range_m: Floats,
-    track_errors_m: Floats,
-    title: str,
-) -> bytes:
-    """Signed errors of N single positions and T tracks over range, with the stated two-sigma band of single positions.
-
-    errors_m, sigmas_m: (N, 3) along the line of sight, across it, up; track_errors_m likewise (T, 3), at each track's nearest
-    range.
-    """
+def errors_over_range(evaluation: DriveEvaluation) -> bytes:
+    """Signed errors of single positions and tracks (at their nearest range) along the line of sight, across it and up, with the
+    stated two-sigma band of single positions."""
+    tracks, singles = evaluation.tracks, evaluation.singles
+    range_m, sigmas_m = singles.range_m, singles.sigma_in_sight_axes()
+    errors_m, track_errors_m = (one.in_sight_axes(one.difference_m) for one in (singles, tracks))
     figure = figures.new_figure(9, 7.2, dpi=100)
     axes = figure.subplots(3, 1, sharex=True)
     order = np.argsort(range_m)
@@ -48,8 +44,8 @@ def errors_over_range(
             range_m, errors_m[:, k], ".", color=figures.SKY, markersize=5, label=f"single positions ({len(range_m)})"
         )
         ax.plot(
-            track_range_m, track_errors_m[:, k], "^", color=figures.ORANGE, markeredgecolor="white", markersize=8,
-            label=f"tracks ({len(track_range_m)})",
+            tracks.range_m, track_errors_m[:, k], "^", color=figures.ORANGE, markeredgecolor="white", markersize=8,
+            label=f"tracks ({len(track_errors_m)})",
         )  # fmt: skip
         inside = float(np.mean(np.abs(errors_m[:, k]) <= 2 * sigmas_m[:, k])) if len(range_m) else float("nan")
         ax.axhline(0.0, color="#bbbbbb", linewidth=0.8, zorder=0)
@@ -63,30 +59,20 @@ def errors_over_range(
         [-3, -1, -0.3, -0.1, 0, 0.1, 0.3, 1, 3], labels=["-3", "-1", "-.3", "-.1", "0", ".1", ".3", "1", "3"]
     )
     axes[0].set_ylabel(f"{_AXES[0]} (m)\nlogarithmic beyond 0.1")
-    axes[0].set_title(title, loc="left")
+    axes[0].set_title(f"{evaluation.drive_id}: errors over range", loc="left")
     figure.legend(*axes[0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=3)
     axes[2].set_xlabel("ground distance from the left camera (m), nearest one of tracks")
     return figures.png(figure)
 
 
-def error_plan(
-    *,
-    path_m: Floats,
-    truth_m: Floats,
-    names: Sequence[str],
-    found: Bools,
-    errors_m: Floats,
-    cov_m2: Floats,
-    single_truth_m: Floats,
-    single_errors_m: Floats,
-    false_m: Floats,
-    title: str,
-) -> bytes:
-    """Plan of the cones with error vectors and 95 % ellipses of the tracks, enlarged by the factor in the title.
-
-    path_m (F, 2+), truth_m (C, 2+) of all evaluated cones, found (C,) mask; errors_m (T, 2+) and cov_m2 (T, 2+, 2+) of the found
-    ones in the same order; single_truth_m, single_errors_m (N, 2+): single positions as dots; false_m (X, 2+).
-    """
+def error_plan(evaluation: DriveEvaluation) -> bytes:
+    """Plan of the cones with error vectors and 95 % ellipses of the tracks, enlarged by the factor in the title; single positions
+    as dots."""
+    singles, path_m = evaluation.singles, evaluation.path_m
+    errors_m, cov_m2 = evaluation.tracks.difference_m, evaluation.tracks.cov_m2
+    truth_m = np.array([line.truth.xyz_m for line in evaluation.lines])
+    found = np.array([line.feature is not None for line in evaluation.lines])
+    false_m = np.array([track.xyz_m for track in evaluation.false]).reshape(-1, 3)
     origin = np.floor(np.vstack([path_m[:, :2], truth_m[:, :2]]).min(axis=0))
     scale = _scale(np.linalg.norm(errors_m[:, :2], axis=1), cov_m2)
     truth, path, false = (points[:, :2] - origin for points in (truth_m, path_m, false_m))
@@ -96,8 +82,8 @@ def error_plan(
     figure = figures.new_figure(10, float(np.clip(height, 3.5, 10)), dpi=100)
     ax = figure.add_subplot()
     ax.plot(path[:, 0], path[:, 1], color=figures.GREY, linewidth=1.5, label="path of the left camera")
-    if len(single_truth_m):
-        dots = single_truth_m[:, :2] - origin + scale * single_errors_m[:, :2]
+    if len(singles.truth_m):
+        dots = singles.truth_m[:, :2] - origin + scale * singles.difference_m[:, :2]
         label = f"single positions ({len(dots)})"
         ax.plot(dots[:, 0], dots[:, 1], ".", color=figures.SKY, alpha=0.45, markersize=3, label=label)
     for k, (at, error, cov) in enumerate(zip(truth[found], scale * errors_m[:, :2], cov_m2, strict=True)):
@@ -118,21 +104,24 @@ def error_plan(
         ax.scatter(truth[~found, 0], truth[~found, 1], s=60, facecolors="none", edgecolors=figures.BLACK, label=label)
     if len(false):
         ax.scatter(false[:, 0], false[:, 1], marker="x", s=60, color=figures.PINK, label=f"false ({len(false)})")
-    for name, at in zip(names, truth, strict=True):
-        ax.annotate(name, at, xytext=(6, -12), textcoords="offset points", fontsize=8)
+    for line, at in zip(evaluation.lines, truth, strict=True):
+        ax.annotate(line.truth.cone_id, at, xytext=(6, -12), textcoords="offset points", fontsize=8)
     ax.set_xlim(low[0], high[0])
     ax.set_ylim(low[1], high[1])
     ax.set_aspect("equal")
     figures.add_grid(ax)
     ax.set_xlabel(f"easting - {origin[0]:.0f} (m)")
     ax.set_ylabel(f"northing - {origin[1]:.0f} (m)")
-    ax.set_title(f"{title}; errors and ellipses enlarged {scale} times")
+    ax.set_title(f"{evaluation.drive_id}; errors and ellipses enlarged {scale} times")
     ax.legend(fontsize=8, loc="best")
     return figures.png(figure)
 
 
-def nees_histogram(*, single: Floats, tracks: Floats, title: str) -> bytes:
-    """Histogram of the NEES of N single positions and T tracks without the drive's common errors, and chi-square with 3."""
+def nees_histogram(evaluation: DriveEvaluation) -> bytes:
+    """Histogram of the NEES of single positions and tracks without the drive's common errors, and chi-square with 3."""
+    single, tracks = (
+        leave_one_out_nees(one.difference_m, one.joint_cov_m2()) for one in (evaluation.singles, evaluation.tracks)
+    )
     figure = figures.new_figure(9, 4.2, dpi=100)
     ax = figure.add_subplot()
     edges = np.linspace(0.0, _NEES_SHOWN, 33)
@@ -164,7 +153,7 @@ def nees_histogram(*, single: Floats, tracks: Floats, title: str) -> bytes:
     ax.set_xlim(0, _NEES_SHOWN * 1.005)
     ax.set_xlabel("NEES of one estimate without the drive's common errors")
     ax.set_ylabel("density")
-    ax.set_title(title)
+    ax.set_title(f"{evaluation.drive_id}: do the stated sigmas hold?")
     ax.legend(fontsize=8)
     return figures.png(figure)
 
