@@ -27,6 +27,7 @@ from conetl.exports.source import ExportRequest
 from conetl.reports.drive_page import write_drive_page
 from conetl.reports.night_page import write_night_page
 from conetl.web import frames, maps
+from conetl.web.parameters import origin_of
 from tests.integration.drives_of_days import DAY_NS, Survey, merge, survey_of
 from tests.synthetic.world import START_NS, Cone
 
@@ -111,15 +112,15 @@ def compare_with_stored_drives(map_: Planted) -> None:
 
 
 def serve(map_: Planted) -> None:
-    conn, drive_uuid = map_.conn, map_.changeset.drive_uuid
-    maps.timeline("default", conn)
-    maps.features("default", conn)
-    maps.changes_of_changeset("default", 2, conn)
-    maps.changes_between("default", conn, moved_from_m=0.3)
-    maps.feature_history("default", map_.feature_id, conn)
-    maps.sightings("default", map_.feature_id, conn)
-    maps.trajectory("default", drive_uuid, conn)
-    frames.passes("default", map_.feature_id, conn)
+    conn, drive_uuid, origin = map_.conn, map_.changeset.drive_uuid, origin_of(map_.conn, "default")
+    maps.timeline("default", conn, origin)
+    maps.features("default", conn, origin)
+    maps.changes_of_changeset("default", 2, conn, origin)
+    maps.changes_between("default", conn, origin, moved_from_m=0.3)
+    maps.feature_history("default", map_.feature_id, conn, origin)
+    maps.sightings("default", map_.feature_id, conn, origin)
+    maps.trajectory("default", drive_uuid, conn, origin)
+    frames.passes("default", map_.feature_id, conn, origin)
     page = {"first_row": 0, "max_rows": 100}
     store.review_page(conn, "default", "changes", change="moved", moved_from_m=0.0, **page)
     store.review_page(conn, "default", "doubtful", least=0.1, most=1.0, **page)

@@ -23,7 +23,7 @@ from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
-from conetl.web.parameters import MapName, Reader, cut, origin_of
+from conetl.web.parameters import MapName, Origin, Reader, cut, origin_of
 from conetl.web.security import WritersRoute
 
 router = APIRouter(prefix="/maps/{map_name}", route_class=WritersRoute)
@@ -128,9 +128,8 @@ class Writer:
 
 
 @router.get("/decisions", tags=["decisions"])
-def decisions(map_name: MapName, conn: Reader, request: Request) -> m.ActiveDecisions:
+def decisions(map_name: MapName, conn: Reader, origin: Origin, request: Request) -> m.ActiveDecisions:
     """The decisions in effect, newest first."""
-    origin = origin_of(conn, map_name)
     rows = read_rows(conn, "decisions.active_decisions", map_name=map_name)
     found, truncated = cut(rows[::-1], _MAX_DECISIONS)
     return m.ActiveDecisions(
@@ -175,12 +174,12 @@ def _sentence(error: Exception) -> str:
 def review(
     map_name: MapName,
     conn: Reader,
+    origin: Origin,
     offset: Annotated[int, Query(ge=0, le=1_000_000)] = 0,
     limit: Annotated[int, Query(ge=1, le=_MAX_ITEMS)] = 50,
 ) -> m.Review:
     """What to review: drives on hold, removed cones, moves of 1 m or more, cones with an existence probability of 0.3 to 0.7.
     What was decided already is left out."""
-    origin = origin_of(conn, map_name)
     held = held_drives(conn, map_name=map_name)
     counts = {"held": len(held)}
     items = [_held(drive) for drive in held[offset : offset + limit]]

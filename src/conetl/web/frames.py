@@ -19,7 +19,7 @@ from conetl.reports.camera_images import Box, crop_jpeg, frame_jpeg, image_file
 from conetl.reports.drive_passes import expected_box, passes_of
 from conetl.web import models as m
 from conetl.web import rows as to
-from conetl.web.parameters import ChangesetNo, Index, MapName, Reader, cut, origin_of
+from conetl.web.parameters import ChangesetNo, Index, MapName, Origin, Reader, cut
 
 router = APIRouter(prefix="/maps/{map_name}")
 _MAX_PASSES = 30
@@ -39,9 +39,8 @@ Context = Annotated[
 
 
 @router.get("/features/{feature_id}/passes", tags=["frames"])
-def passes(map_name: MapName, feature_id: UUID, conn: Reader, version: Version = None) -> m.Passes:
+def passes(map_name: MapName, feature_id: UUID, conn: Reader, origin: Origin, version: Version = None) -> m.Passes:
     """The drives that have the position of a feature in view, with the frame pairs that show it, observed or empty."""
-    origin = origin_of(conn, map_name)
     history = store.read_feature_history(conn, map_name, feature_id)
     states = [row for row in history if version in (None, row["version"])]
     if not states:
@@ -62,9 +61,10 @@ def passes(map_name: MapName, feature_id: UUID, conn: Reader, version: Version =
 
 
 @router.get("/drives/{drive_uuid}/frames/{frame_index}", tags=["frames"])
-def frame(map_name: MapName, drive_uuid: UUID, frame_index: Index, conn: Reader, request: Request) -> m.Frame:
+def frame(
+    map_name: MapName, drive_uuid: UUID, frame_index: Index, conn: Reader, origin: Origin, request: Request
+) -> m.Frame:
     """The cameras and detections of one frame pair, and whether its images are still there."""
-    origin = origin_of(conn, map_name)
     row = _frame(conn, map_name, drive_uuid, frame_index)
     boxes = store.read_frame_boxes(conn, drive_uuid, frame_index)
     left, right = (to.frame_view(row, side, boxes[side], _problem(row, side), origin) for side in ("left", "right"))
@@ -162,11 +162,10 @@ def sighting_image(
 
 
 @router.get("/changesets/{changeset_no}/report", tags=["images"], response_class=HTMLResponse)
-def drive_report(map_name: MapName, changeset_no: ChangesetNo, conn: Reader) -> Response:
+def drive_report(map_name: MapName, changeset_no: ChangesetNo, conn: Reader, _: Origin) -> Response:
     """Counts, changes with images, residuals, rejections, run times and hashes of one drive, made on request."""
     from conetl.reports.drive_page import drive_page  # here: matplotlib takes half a second to load
 
-    origin_of(conn, map_name)
     found = [c for c in list_changesets(conn, map_name=map_name) if c.changeset_no == changeset_no]
     if not found:
         raise HTTPException(404, f"The map {map_name} has no changeset {changeset_no}.")

@@ -8,16 +8,14 @@ from typing import Annotated, Any
 
 import numpy as np
 import shapely
-from fastapi import APIRouter, HTTPException, Path, Request, Response
+from fastapi import APIRouter, Depends, HTTPException, Path, Request, Response
 
 from conetl.db.base_store import list_base_sources
-from conetl.db.connection import Connection
 from conetl.db.live_store import read_provisional
 from conetl.db.serve_store import read_base_tile, read_some
-from conetl.model.base import Vec3
 from conetl.web import models as m
 from conetl.web import rows as to
-from conetl.web.parameters import MAX_FEATURES, MapName, Reader, cut, origin_of
+from conetl.web.parameters import MAX_FEATURES, MapName, Origin, Reader, cut
 
 router = APIRouter(tags=["layers"], prefix="/maps/{map_name}")
 _MAX_TILES = 20_000
@@ -28,12 +26,19 @@ _UNCHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "Not modifie
 Sha256 = Annotated[str, Path(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the tile's bytes.")]
 
 
-@router.get("/base", responses=_UNCHANGED, response_model=m.BaseLayers)
-def base_layers(map_name: MapName, conn: Reader, request: Request, response: Response) -> m.BaseLayers | Response:
+def require_change(map_name: MapName, conn: Reader, origin: Origin, request: Request, response: Response) -> None:
+    """Answer 304 if the browser has this state of the base layers; else the answer gets its ETag."""
+    sources = "".join(f"{source['source_id']} " for source in list_base_sources(conn, map_name))
+    # Weak: the compressing middleware may send other bytes of the same content.
+    tag = f'W/"{hashlib.sha256(f"{origin} {sources}".encode()).hexdigest()}"'
+    if request.headers.get("if-none-match") == tag:
+        raise HTTPException(304, headers={"ETag": tag})
+    response.headers["ETag"] = tag
+
+
+@router.get("/base", responses=_UNCHANGED, dependencies=[Depends(require_change)])
+def base_layers(map_name: MapName, conn: Reader, origin: Origin) -> m.BaseLayers:
     """The base layers of a map and their tiles of points, coarse ones first."""
-    origin = origin_of(conn, map_name)
-    if unchanged := _unchanged(conn, map_name, origin, request, response):
-        return unchanged
     layers: dict[tuple[str, Any], list[int]] = {}
     for source in list_base_sources(conn, map_name):
         layers.setdefault((source["layer_name"], source["kind"]), []).append(source["kept_count"])
@@ -52,12 +57,9 @@ def base_layers(map_name: MapName, conn: Reader, request: Request, response: Res
     )  # fmt: skip
 
 
-@router.get("/base/lines", responses=_UNCHANGED, response_model=m.BaseLines)
-def base_lines(map_name: MapName, conn: Reader, request: Request, response: Response) -> m.BaseLines | Response:
+@router.get("/base/lines", responses=_UNCHANGED, dependencies=[Depends(require_change)])
+def base_lines(map_name: MapName, conn: Reader, origin: Origin) -> m.BaseLines:
     """The lines of all base layers."""
-    origin = origin_of(conn, map_name)
-    if unchanged := _unchanged(conn, map_name, origin, request, response):
-        return unchanged
     rows, truncated = read_some(conn, "base_layers.lines", _MAX_LINES, map_name=map_name)
     shapes = shapely.from_wkb([bytes(row["geom"]) for row in rows])
     lines = [
@@ -93,20 +95,8 @@ def base_tile(map_name: MapName, sha256: Sha256, conn: Reader, request: Request)
 
 
 @router.get("/provisional")
-def provisional(map_name: MapName, conn: Reader) -> m.ProvisionalFeatures:
+def provisional(map_name: MapName, conn: Reader, origin: Origin) -> m.ProvisionalFeatures:
     """Cones of drives that are being recorded; the ingest of a drive replaces its own."""
-    origin = origin_of(conn, map_name)
     rows, truncated = cut(read_provisional(conn, map_name=map_name), MAX_FEATURES)
     features = [to.answer(m.ProvisionalFeature, row, origin, is_watched=row["ended_at"] is None) for row in rows]
     return m.ProvisionalFeatures(origin_m=origin, features=features, truncated=truncated)
-
-
-def _unchanged(conn: Connection, map_name: str, origin: Vec3, request: Request, response: Response) -> Response | None:
-    """304 if the browser has this state of the base layers; else None, and the answer gets its ETag."""
-    sources = "".join(f"{source['source_id']} " for source in list_base_sources(conn, map_name))
-    # Weak: the compressing middleware may send other bytes of the same content.
-    tag = f'W/"{hashlib.sha256(f"{origin} {sources}".encode()).hexdigest()}"'
-    if request.headers.get("if-none-match") == tag:
-        return Response(status_code=304, headers={"ETag": tag})
-    response.headers["ETag"] = tag
-    return None

@@ -18,7 +18,7 @@ from conetl.model.rig import Rig
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
-from conetl.web.parameters import MAX_FEATURES, ChangesetNo, Instant, MapName, Reader, origin_of
+from conetl.web.parameters import MAX_FEATURES, ChangesetNo, Instant, MapName, Origin, Reader
 
 router = APIRouter(tags=["maps"])
 _MAP = "/maps/{map_name}"
@@ -40,18 +40,18 @@ def maps(request: Request, conn: Reader) -> m.Maps:
 
 
 @router.get(f"{_MAP}/timeline")
-def timeline(map_name: MapName, conn: Reader) -> m.Timeline:
+def timeline(map_name: MapName, conn: Reader, origin: Origin) -> m.Timeline:
     """All changesets of a map, oldest first."""
-    origin = origin_of(conn, map_name)
     srid = require_map(conn, map_name).srid
     items = [to.timeline_item(c) for c in reversed(list_changesets(conn, map_name=map_name))]
     return m.Timeline(map_name=map_name, srid=srid, origin_m=origin, changesets=items)
 
 
 @router.get(f"{_MAP}/features")
-def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at: Instant = None) -> m.Features:
+def features(
+    map_name: MapName, conn: Reader, origin: Origin, valid_at: Instant = None, known_at: Instant = None
+) -> m.Features:
     """Features on the road at `valid_at`, in the state of the database at `known_at`."""
-    origin = origin_of(conn, map_name)
     instants = {"valid_at": or_infinity(valid_at), "known_at": or_infinity(known_at)}
     found, truncated = store.read_some(conn, "serving.features", MAX_FEATURES, map_name=map_name, **instants)
     points, lines = to.by_geometry(found)
@@ -64,9 +64,8 @@ def features(map_name: MapName, conn: Reader, valid_at: Instant = None, known_at
 
 
 @router.get(f"{_MAP}/changes/{{changeset_no}}")
-def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Reader) -> m.Changes:
+def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Reader, origin: Origin) -> m.Changes:
     """The decision of one changeset about every feature that its drive could see."""
-    origin = origin_of(conn, map_name)
     rows = store.read_rows(conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset_no)
     return _changes(rows, origin, truncated=False)
 
@@ -75,6 +74,7 @@ def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Rea
 def changes_between(
     map_name: MapName,
     conn: Reader,
+    origin: Origin,
     from_valid_at: Instant = None,
     from_known_at: Instant = None,
     to_valid_at: Instant = None,
@@ -83,7 +83,6 @@ def changes_between(
 ) -> m.Changes:
     """Differences of the map between two instants; a feature moved if its position changed by `moved_from_m` or more; a lane
     marking, if the pipeline would take it for another one."""
-    origin = origin_of(conn, map_name)
     found, truncated = store.read_some(
         conn, "serving.changes_between", MAX_FEATURES, map_name=map_name, moved_from_m=moved_from_m,
         line_moved_from_m=ReconcileParams().marking_gate_m,
@@ -94,9 +93,10 @@ def changes_between(
 
 
 @router.get(f"{_MAP}/features/{{feature_id}}")
-def feature_history(map_name: MapName, feature_id: UUID, conn: Reader, known_at: Instant = None) -> m.FeatureHistory:
+def feature_history(
+    map_name: MapName, feature_id: UUID, conn: Reader, origin: Origin, known_at: Instant = None
+) -> m.FeatureHistory:
     """The history of one feature, in the state of the database at `known_at`."""
-    origin = origin_of(conn, map_name)
     rows = store.read_feature_history(conn, map_name, feature_id, known_at)
     history = to.history(rows, reasons_of(conn, map_name, feature_id, rows), origin)
     if not history:
@@ -108,9 +108,8 @@ def feature_history(map_name: MapName, feature_id: UUID, conn: Reader, known_at:
 
 
 @router.get(f"{_MAP}/features/{{feature_id}}/sightings")
-def sightings(map_name: MapName, feature_id: UUID, conn: Reader) -> m.Sightings:
+def sightings(map_name: MapName, feature_id: UUID, conn: Reader, origin: Origin) -> m.Sightings:
     """The frame pairs in which one feature was observed, with boxes and camera."""
-    origin = origin_of(conn, map_name)
     feature = {"map_name": map_name, "feature_id": feature_id}
     found, truncated = store.read_some(conn, "serving.sightings", _MAX_SIGHTINGS, **feature)
     drives = list({row["drive_uuid"] for row in found})
@@ -125,9 +124,8 @@ def sightings(map_name: MapName, feature_id: UUID, conn: Reader) -> m.Sightings:
 
 
 @router.get(f"{_MAP}/drives/{{drive_uuid}}/trajectory")
-def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader) -> m.Trajectory:
+def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader, origin: Origin) -> m.Trajectory:
     """The path of the left camera of one drive; empty for an imported map."""
-    origin = origin_of(conn, map_name)
     drive = {"map_name": map_name, "drive_uuid": drive_uuid}
     rows, truncated = store.read_some(conn, "serving.trajectory", _MAX_TRAJECTORY, **drive)
     drive_ids = [row["drive_id"] for row in rows[:1]] or [

@@ -69,12 +69,15 @@ def reading(request: Request) -> Iterator[Connection]:
 Reader = Annotated[Connection, Depends(reading)]
 
 
-def origin_of(conn: Connection, map_name: str) -> Vec3:
+def origin_of(conn: Reader, map_name: MapName) -> Vec3:
     """Origin of a map; answers 404 if the map is missing or empty."""
     origin = read_origin(conn, map_name)
     if origin is None:
         raise HTTPException(404, f"There is no map {map_name}, or it is empty: add a drive with `conetl ingest DRIVE`.")
     return origin
+
+
+Origin = Annotated[Vec3, Depends(origin_of)]
 
 
 class BadParameterError(Exception):

@@ -19,7 +19,7 @@ from conetl.model.arrays import Floats
 from conetl.model.base import Vec3, utc_from_ns
 from conetl.web import models as m
 from conetl.web import rows as to
-from conetl.web.parameters import MapName, Reader, cut, origin_of
+from conetl.web.parameters import MapName, Origin, Reader, cut
 
 if TYPE_CHECKING:  # GDAL takes seconds to load
     from conetl.readers.maps.gazetteer import Gazetteer
@@ -44,10 +44,13 @@ Metres = Annotated[float, Query(ge=-5e6, le=5e6, allow_inf_nan=False)]
 
 @router.get("/maps/{map_name}/search", tags=["search"])
 def search(
-    map_name: MapName, conn: Reader, request: Request, text: Annotated[str, Query(min_length=1, max_length=100)]
+    map_name: MapName,
+    conn: Reader,
+    origin: Origin,
+    request: Request,
+    text: Annotated[str, Query(min_length=1, max_length=100)],
 ) -> m.SearchResult:
     """What a text may mean: the beginning of an id, a part of a drive's id, a day (2026-03-02), a coordinate pair, a place."""
-    origin = origin_of(conn, map_name)
     info = require_map(conn, map_name)
     wanted = text.strip()
     ids = []
@@ -117,9 +120,10 @@ def _lat_lon(srid: int, xy_m: tuple[float, float], origin: Vec3) -> tuple[float,
 
 
 @router.get("/maps/{map_name}/projection", tags=["maps"])
-def projection(map_name: MapName, conn: Reader, x_m: Metres = 0.0, y_m: Metres = 0.0) -> m.MapProjection:
+def projection(
+    map_name: MapName, conn: Reader, origin: Origin, x_m: Metres = 0.0, y_m: Metres = 0.0
+) -> m.MapProjection:
     """Polynomials between offsets from the map's origin and WGS 84, around the offset (x_m, y_m)."""
-    origin = origin_of(conn, map_name)
     try:
         return fit_projection(require_map(conn, map_name).srid, origin, (x_m, y_m))
     except ValueError as error:
