@@ -145,11 +145,8 @@ order by f.feature_id;
 
 -- name: versions_of_ids
 -- All versions, also replaced ones, of the current features of a map with these ids. Parameters: map_id; feature_ids
--- (uuid[]). Columns: feature_id, version, easting_m, northing_m, height_m, category, cone_height_m,
--- observation_count, last_seen_ns.
-select
-    v.feature_id, v.version, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m,
-    v.category, v.cone_height_m, v.observation_count, v.last_seen_ns
+-- (uuid[]). Columns: as MapFeature.
+select {{feature columns of v}}, v.existence_probability
 from conetl.feature f
 join conetl.feature_version v on v.cell = f.cell and v.feature_id = f.feature_id
 where f.feature_id = any(%(feature_ids)s) and f.map_id > 0 and f.map_id = %(map_id)s

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
@@ -16,10 +15,10 @@ from conetl.db.map.commit import insert_changeset, renew_statistics
 from conetl.db.map.map_store import require_map, system_time
 from conetl.db.map.replay_store import write_replay
 from conetl.db.map.results import MapInfo, Replay, RunInfo
-from conetl.db.map.rows import feature_of
+from conetl.db.map.rows import Row, feature_of
 from conetl.model.arrays import Bools, Floats
 from conetl.model.base import utc_from_ns
-from conetl.model.map_records import Changeset, ImportedFeature, ImportedMap
+from conetl.model.map_records import Changeset, ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ReconcileParams
 
 #: An import judges features this far around a stated position: what it may pair or move, with a margin.
@@ -31,23 +30,10 @@ _NOT_STATED = ("centre_geom", "calibrations", "shared_jacobian_m")
 _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/import")
 
 
-class KnownId(NamedTuple):
-    """A feature of this database, by its id."""
-
-    map_name: str
-    xy_m: tuple[float, float] | None
-    """Its present or last position; None if it has no current version."""
-
-
-def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, KnownId]:
-    """The features of this database, in any map, that have one of the ids."""
+def known_ids(conn: Connection, feature_ids: Sequence[UUID]) -> dict[UUID, Row]:
+    """The features of this database, in any map, that have one of the ids: rows of `map.known_ids`."""
     rows = db.read(conn, "The features of the database cannot be read", "map.known_ids", feature_ids=list(feature_ids))
-    return {
-        row["feature_id"]: KnownId(
-            row["map_name"], None if row["easting_m"] is None else (row["easting_m"], row["northing_m"])
-        )
-        for row in rows
-    }
+    return {row["feature_id"]: row for row in rows}
 
 
 def far_from_all(conn: Connection, info: MapInfo, places_m: Floats, far_m: float) -> Bools:
@@ -59,25 +45,12 @@ def far_from_all(conn: Connection, info: MapInfo, places_m: Floats, far_m: float
     return np.array(far, bool)[of.reshape(-1)]
 
 
-class StatedVersion(NamedTuple):
-    """One version of a feature with the values that an export contains."""
-
-    version: int
-    xyz_m: tuple[float, float, float]
-    category: str
-    cone_height_m: float
-    observation_count: int
-    last_seen_ns: int
-
-
-def versions_of_ids(conn: Connection, info: MapInfo, feature_ids: Sequence[UUID]) -> dict[UUID, list[StatedVersion]]:
+def versions_of_ids(conn: Connection, info: MapInfo, feature_ids: Sequence[UUID]) -> dict[UUID, list[MapFeature]]:
     """All versions of those features of the map that have one of the ids."""
-    found: dict[UUID, list[StatedVersion]] = {}
+    found: dict[UUID, list[MapFeature]] = {}
     what, wanted = f"The map {info.map_name} cannot be read", {"map_id": info.map_id, "feature_ids": list(feature_ids)}
-    for feature_id, version, east, north, height, *values in db.stream_values(
-        conn, what, "map.versions_of_ids", **wanted
-    ):
-        found.setdefault(feature_id, []).append(StatedVersion(version, (east, north, height), *values))
+    for row in db.stream(conn, what, "map.versions_of_ids", **wanted):
+        found.setdefault(row["feature_id"], []).append(feature_of(row))
     return found
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -32,7 +33,7 @@ from conetl.mapping.displacement import check_import
 from conetl.mapping.history import DriveEvidence, founding_key
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
-from conetl.model.map_records import Changeset, DeltaKind, ImportedFeature, ImportedMap
+from conetl.model.map_records import Changeset, DeltaKind, ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams, params_sha256
 from conetl.pipeline.replay import replay_of
 from conetl.readers.base_layers.georeferencing import FAR_M
@@ -139,7 +140,7 @@ def _own_rows(conn: Connection, info: MapInfo, statements: Sequence[ImportedFeat
     """Indices of the rows that this map exported: equal to one of its versions, by its number or with the same evidence."""
     known = store.versions_of_ids(conn, info, [s.stated_id for s in statements if s.stated_id is not None])
 
-    def is_own(statement: ImportedFeature, version: store.StatedVersion) -> bool:
+    def is_own(statement: ImportedFeature, version: MapFeature) -> bool:
         feature = statement.feature
         same_evidence = (
             feature.observation_count == version.observation_count
@@ -213,12 +214,12 @@ def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportPar
         if known is None:
             continue
         where = f"{imported.source_path}, row {index + 1}: feature {feature.feature_id}"
-        if known.map_name != map_name:
+        if known["map_name"] != map_name:
             raise InputError(
-                f"{where} belongs to the map {known.map_name} of this database already: use --new-ids; nothing was written"
+                f"{where} belongs to the map {known['map_name']} of this database already: use --new-ids; nothing was written"
             )
-        if known.xy_m is not None:
-            away_m = float(np.hypot(feature.xyz_m[0] - known.xy_m[0], feature.xyz_m[1] - known.xy_m[1]))
+        if known["easting_m"] is not None:
+            away_m = math.dist(feature.xyz_m[:2], (known["easting_m"], known["northing_m"]))
             if away_m > params.reconcile.moved_max_m:
                 away = f"{away_m / 1000:.1f} km" if away_m > 9999 else f"{away_m:.1f} m"
                 # An id that was founded can only have come with the same file before.
