@@ -14,7 +14,7 @@ from prefect import artifacts
 from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 
-from conetl.db.receipt_store import RemovedCone, StepTime
+from conetl.db.receipt_store import StepTime
 from conetl.exports.kind_marks import kind_label
 from conetl.files.names import as_markdown
 from conetl.model.arrays import Image
@@ -86,7 +86,7 @@ def publish_pending(report: IngestReport, settings: Settings, database: MapDatab
     catch_up(report, settings, database, send_events)
 
 
-def send_events(report: IngestReport, vanished: Sequence[RemovedCone]) -> None:
+def send_events(report: IngestReport, vanished: Sequence[dict[str, Any]]) -> None:
     """One event for the changeset, another one where the drive is on hold; and one for each cone that vanished, to count them.
 
     The ids of the events follow from the changeset: one that is sent twice is stored once.
@@ -110,14 +110,14 @@ def send_events(report: IngestReport, vanished: Sequence[RemovedCone]) -> None:
         emit_event(
             "conetl.cone.vanished",
             resource={
-                "prefect.resource.id": f"{map_resource}.feature.{cone.feature_id}",
+                "prefect.resource.id": f"{map_resource}.feature.{cone['feature_id']}",
                 "conetl.map": report.map_name,
                 "conetl.changeset": str(report.changeset_id),
                 "conetl.drive": report.drive_id,
             },
             related=related,
-            payload={"xyz_m": cone.xyz_m, "srid": report.map_srid, "cone_height_m": cone.cone_height_m},
-            id=uuid5(_NAMESPACE, f"{changeset_resource}/{cone.feature_id}"),
+            payload={"xyz_m": cone["xyz_m"], "srid": report.map_srid, "cone_height_m": cone["cone_height_m"]},
+            id=uuid5(_NAMESPACE, f"{changeset_resource}/{cone['feature_id']}"),
         )
     EventsWorker.drain_all(timeout=_PATIENCE_S, at_exit=False)  # a thread sends them
 

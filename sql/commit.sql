@@ -87,8 +87,8 @@ order by c.changeset_no;
 
 -- name: removed_features
 -- Point objects that a changeset removed, as committed. Parameters: changeset_id.
--- Columns: feature_id; easting_m, northing_m, height_m (map CRS), cone_height_m: the last known ones.
-select x.feature_id, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m, v.cone_height_m
+-- Columns: feature_id; xyz_m (map CRS), cone_height_m: the last known ones.
+select x.feature_id, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m, v.cone_height_m
 from conetl.delta x
 join conetl.changeset c using (changeset_id)
 join lateral (

@@ -18,13 +18,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 from uuid import UUID
 
 from conetl.db.connection import Connection, connect, database_errors, query, read, transaction
 from conetl.files.atomic import write_json
 from conetl.files.names import file_name_part, printable
-from conetl.model.base import Vec3
 from conetl.model.errors import DatabaseError, InputError, StorageError
 
 _log = logging.getLogger(__name__)
@@ -258,15 +257,6 @@ def write_run_steps(conn: Connection, changeset_id: UUID, steps: Iterable[StepTi
             query(conn, "commit.insert_run_step", changeset_id=changeset_id, **times)
 
 
-@dataclass(frozen=True)
-class RemovedCone:
-    """A feature that a changeset removed; last known position and height, in metres of the map's CRS."""
-
-    feature_id: UUID
-    xyz_m: Vec3
-    cone_height_m: float
-
-
 def is_published(conn: Connection, changeset_id: UUID) -> bool:
     """Whether the events of this changeset were handed to Prefect."""
     return bool(query(conn, "commit.is_published", changeset_id=changeset_id)[0]["is_published"])
@@ -285,9 +275,6 @@ def mark_published(conn: Connection, changeset_id: UUID) -> None:
         query(conn, "commit.mark_published", changeset_id=changeset_id)
 
 
-def removed_by_changeset(conn: Connection, changeset_id: UUID) -> list[RemovedCone]:
-    """The cones that a changeset removed, as it was committed."""
-    rows = query(conn, "commit.removed_features", changeset_id=changeset_id)
-    return [
-        RemovedCone(r["feature_id"], (r["easting_m"], r["northing_m"], r["height_m"]), r["cone_height_m"]) for r in rows
-    ]
+def removed_by_changeset(conn: Connection, changeset_id: UUID) -> list[dict[str, Any]]:
+    """The cones that a changeset removed, as it was committed: rows of `commit.removed_features`."""
+    return query(conn, "commit.removed_features", changeset_id=changeset_id)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack
 from datetime import timedelta
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from uuid import UUID
 
 from conetl.db import receipt_store as receipts
@@ -30,8 +30,8 @@ from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_page import write_drive_page
 
 _log = logging.getLogger(__name__)
-#: Sends the report of a changeset and the cones that it removed; returns when they are sent.
-Notify = Callable[[IngestReport, Sequence[receipts.RemovedCone]], None]
+#: Sends the report of a changeset and the cones that it removed (`removed_by_changeset`); returns when they are sent.
+Notify = Callable[[IngestReport, Sequence[dict[str, Any]]], None]
 
 
 class PublishedFiles(NamedTuple):
