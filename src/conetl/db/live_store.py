@@ -16,6 +16,7 @@ from conetl.model.drive import Drive, Track
 #: Watched drives that were never ingested are deleted after this time, when the next watch begins.
 KEEP_DAYS = 7
 _COV = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
+_OF_TRACK = {"cone_height_m", "existence_probability", "observation_count", "first_seen_ns", "last_seen_ns"}
 
 
 @dataclass(frozen=True)
@@ -64,18 +65,13 @@ def write_live(
     A standing feature of the map nearer than `least_reach_m` plus three sigmas is recorded as the same cone.
     """
     with transaction(conn, f"The provisional features of drive {watch.drive_id} cannot be written"):
-        named = {"watch_id": watch.watch_id, "map_name": watch.map_name, "srid": watch.srid}
-        drive = {
-            "drive_id": clean_text(watch.drive_id), "source_path": clean_text(watch.source_path),
-            "captured_from_ns": captured_ns[0], "captured_to_ns": captured_ns[1], "frame_pair_count": frame_pair_count,
-        }  # fmt: skip
-        query(conn, "live.upsert_watched_drive", **named | drive)
+        named = {name: clean_text(value) if isinstance(value, str) else value for name, value in vars(watch).items()}
+        captured = {"captured_from_ns": captured_ns[0], "captured_to_ns": captured_ns[1]}
+        query(conn, "live.upsert_watched_drive", **named, **captured, frame_pair_count=frame_pair_count)
         for index, track in tracks.items():
             row = {
                 "feature_index": index, "east_m": track.xyz_m[0], "north_m": track.xyz_m[1], "height_m": track.xyz_m[2],
-                **dict(zip(_COV, track.cov_m2, strict=True)), "cone_height_m": track.cone_height_m,
-                "existence_probability": track.existence_probability, "observation_count": track.observation_count,
-                "first_seen_ns": track.first_seen_ns, "last_seen_ns": track.last_seen_ns,
+                **dict(zip(_COV, track.cov_m2, strict=True)), **track.model_dump(include=_OF_TRACK),
                 "reach_m": least_reach_m + 3 * horizontal_sigma_m(track.cov_m2),
             }  # fmt: skip
             query(conn, "live.upsert_provisional_feature", **named | row)
