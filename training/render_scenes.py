@@ -21,10 +21,11 @@ import numpy as np
 from classes import CLASSES
 
 from conetl.model.rig import Camera
+from conetl.reports.camera_images import jpeg
 from conetl.simulation.meshes import Mesh
 from conetl.simulation.parts import CLASSED_KINDS, cone_parts, true_shape
 from conetl.simulation.scenario import Colour, Cone, Road, RoadMarking, RoadObject, World, street_markings
-from conetl.simulation.scene import BUILDERS, build_scene, develop, encode_jpeg, exposure_gain, load_mitsuba, render
+from conetl.simulation.scene import BUILDERS, build_scene, develop, exposure_gain, load_mitsuba, render
 
 VIEWS_PER_SCENE = 3
 MIN_HEIGHT_PX = 7.0
@@ -84,7 +85,7 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
         )
         (out / "labels" / f"{name}.txt").write_text(lines)
         partial = out / "images" / f".{name}.part"  # the label is there before its picture appears
-        partial.write_bytes(encode_jpeg(picture, int(view_rng.integers(60, 96))))
+        partial.write_bytes(jpeg(picture, int(view_rng.integers(60, 96))))
         partial.rename(out / "images" / f"{name}.jpg")
     return written
 

@@ -12,12 +12,11 @@ from tempfile import TemporaryFile
 from typing import Annotated
 
 import typer
-from pydantic import ValidationError
 
 from conetl.cli import console as ui
 from conetl.exports.kind_marks import kind_label
 from conetl.files.atomic import remove_leftovers
-from conetl.files.documents import first_message, read_yaml_model
+from conetl.files.documents import input_errors, library_errors, read_yaml_model
 from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
 from conetl.mapping.reasons import probability_text
@@ -154,12 +153,9 @@ def _show_progress(update: Callable[..., None], drive_id: str, done: int, total:
 def require_room(settings: Settings) -> None:
     """Raise InputError if results cannot be written: the folder may be read-only, or its disk full."""
     make_home(settings.home)
-    try:
+    hint = "; set CONETL_HOME to a folder that you can write to"
+    with library_errors(f"{settings.home}: cannot be written to", OSError, hint=hint):
         TemporaryFile(dir=settings.results_folder).close()
-    except OSError as error:
-        raise InputError(
-            f"{settings.home}: cannot be written to ({error.strerror}); set CONETL_HOME to a folder that you can write to"
-        ) from error
 
 
 def _problem_of(header: DriveHeader) -> ConetlError | None:
@@ -185,10 +181,8 @@ def read_params(path: Path | None, categories: Sequence[str] | None, settings: S
     card = read_model_card(settings.model_path)
     card.require_categories(categories, besides=(*LINE_CLASSES, "all"))
     wanted = known_classes({*card.class_names, *LINE_CLASSES}) if "all" in categories else categories
-    try:
+    with input_errors("--category"):
         detection = DetectionParams.model_validate(params.detection.model_dump() | {"categories": wanted})
-    except ValidationError as error:
-        raise InputError(f"--category: {first_message(error)}") from error
     return params.model_copy(update={"detection": detection})
 
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.documents import library_errors
 from conetl.model.arrays import Image
 from conetl.model.errors import InputError
 from conetl.model.rig import Rig, Side
@@ -67,7 +68,7 @@ def crop_jpeg(path: Path, rig: Rig, side: Side, box: Box, *, context: float, who
     first, last = (round(x), round(y)), (round(x + w) - 1, round(y + h) - 1)
     for colour, thickness in ((_CROP_EDGE, 3), (_CROP_BOX, 1)):
         cv2.rectangle(shown, first, last, colour, thickness, cv2.LINE_AA)
-    return _jpeg(shown, 88)
+    return jpeg(shown, 88)
 
 
 def frame_jpeg(path: Path, rig: Rig, side: Side, boxes: Iterable[Box], *, whole: bool = False) -> bytes:
@@ -75,7 +76,7 @@ def frame_jpeg(path: Path, rig: Rig, side: Side, boxes: Iterable[Box], *, whole:
     `whole`. Raises ImageFileError where the image cannot be decoded.
     """
     image = read_rig_image(path, rig, side)
-    return _jpeg(image if whole else pixelated(image, boxes), 92)
+    return jpeg(image if whole else pixelated(image, boxes), 92)
 
 
 def pixelated(image: Image, boxes: Iterable[Box]) -> Image:
@@ -114,11 +115,9 @@ def write_annotated_image(
 
     Raises InputError where the file cannot be written.
     """
-    try:
+    with library_errors(f"{path} cannot be written", OSError, hint=": choose another folder."):
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(_jpeg(draw_boxes(image_bgr, boxes, categories), 92))
-    except OSError as error:
-        raise InputError(f"{path} cannot be written ({error.strerror}): choose another folder.") from error
+        path.write_bytes(jpeg(draw_boxes(image_bgr, boxes, categories), 92))
 
 
 def pairs_jpeg(rows: Sequence[tuple[Image, Image, str]]) -> bytes:
@@ -130,7 +129,7 @@ def pairs_jpeg(rows: Sequence[tuple[Image, Image, str]]) -> bytes:
         head = np.full((28, width_px, 3), 255, np.uint8)
         cv2.putText(head, title, (6, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
         strips += [head, cv2.resize(pair, (width_px, height), interpolation=cv2.INTER_AREA)]
-    return _jpeg(np.vstack(strips), 80)
+    return jpeg(np.vstack(strips), 80)
 
 
 def draw_boxes(image_bgr: Image, boxes: NDArray[np.float64], categories: Sequence[str] = ("traffic_cone",)) -> Image:
@@ -157,5 +156,6 @@ def draw_boxes(image_bgr: Image, boxes: NDArray[np.float64], categories: Sequenc
     return image
 
 
-def _jpeg(image: Image, quality: int) -> bytes:
+def jpeg(image: Image, quality: int) -> bytes:
+    """JPEG of an image (H, W, 3) in blue, green, red order."""
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()

@@ -189,11 +189,3 @@ def develop(
     light = np.clip(light + rng.normal(size=light.shape) * np.sqrt(variance), 0.0, 1.0)
     srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
     return np.asarray(srgb[..., ::-1] * 255.0 + 0.5).astype(np.uint8)
-
-
-def encode_jpeg(image: Image, quality: int) -> bytes:
-    """JPEG bytes of a BGR image."""
-    done, data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
-    if not done:
-        raise ValueError(f"an image of shape {image.shape} cannot be encoded as JPEG")
-    return bytes(data.tobytes())

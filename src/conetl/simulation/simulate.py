@@ -20,10 +20,11 @@ from conetl.model.arrays import Floats
 from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.rig import Camera
+from conetl.reports.camera_images import jpeg
 from conetl.simulation import trajectory
 from conetl.simulation.mixed_world import mixed_pass
 from conetl.simulation.scenario import scenario_pass
-from conetl.simulation.scene import build_scene, develop, encode_jpeg, exposure_gain, render
+from conetl.simulation.scene import build_scene, develop, exposure_gain, render
 from conetl.simulation.truth_files import write_truth
 
 WorldName = Literal["taper", "mixed"]
@@ -128,7 +129,7 @@ def simulate_drive(
                 gain = exposure_gain(radiance, scenario.exposure)
             image = develop(radiance, gain, rng)
             path = out_dir / f"image_{number:02d}" / "data" / f"{frame:010d}.jpg"
-            path.write_bytes(encode_jpeg(image, JPEG_QUALITY))
+            path.write_bytes(jpeg(image, JPEG_QUALITY))
             if progress is not None:
                 progress(len(CAMERAS) * frame + CAMERAS.index(number) + 1, total)
     return out_dir

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from conetl.cli.console import JsonOption, err, parse_size, print_json, print_table, progress_bar, say
+from conetl.files.documents import input_errors
 from conetl.geometry.calibration.stereo_calibration import MODELS, BoardShape, calibrate_stereo, rig_of
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
@@ -101,15 +102,13 @@ def calibrate(
 
         images = board_images.find_boards(pairs, drawn, on_image=count_image)
     _check_found(images, drawn)
-    try:
+    with input_errors(folder):
         result = calibrate_stereo(
             drawn.points_m(), images.views, board_images.start_values(drawn.points_m(), images.views, images.sizes),
             models=tuple(model for model in MODELS if lens in ("auto", model)),
             board_shapes=tuple(shape for shape in _SHAPES if board_shape in ("auto", shape)),
         )  # fmt: skip
         check_stereo_baseline(result.bundle.left_SE3_right)
-    except ValueError as error:
-        raise InputError(f"{folder}: {error}") from error
     name = rig_id or f"rig-{hashlib.sha256(repr(result.bundle).encode()).hexdigest()[:8]}"
     rig = rig_of(result, name, scale_sigma_relative=1e-3 * square_sigma_mm / drawn.size_m)
     misfits = [

@@ -10,6 +10,7 @@ import typer
 from scipy.spatial.transform import Rotation
 
 from conetl.cli.console import JsonOption, answer, parse_size, print_json, print_table, say
+from conetl.files.documents import input_errors
 from conetl.geometry import rig as rigs
 from conetl.geometry.rectification import is_rectified, rectify
 from conetl.model.errors import InputError
@@ -98,10 +99,8 @@ def convert(
         source, image_size=_size("--image-size", image_size), length_unit=unit, pair=_pair(pair)
     )
     if size is not None:
-        try:
+        with input_errors(f"--scale-to {scale_to}: {source}"):
             rig = rigs.resized(rig, *size)
-        except ValueError as error:
-            raise InputError(f"--scale-to {scale_to}: {source}: {error}") from error
     WRITERS[to](rig, target)
     lost = _lost(rig, to)
     name = {str(kind): name for kind, name in FORMAT_NAMES.items()}[to]
