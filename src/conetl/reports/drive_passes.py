@@ -16,7 +16,6 @@ from conetl.geometry import pose as se3
 from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.mapping.reasons import ChangeFacts, explain_change
 from conetl.mapping.visibility import pairs_in_view, visible_pairs
-from conetl.model.arrays import Floats
 from conetl.model.base import Record, Vec3, utc_from_ns
 from conetl.model.drive import Pose
 from conetl.model.feature_classes import CONE, LINE_CLASSES, noun_of
@@ -41,6 +40,7 @@ _OF_ROW = (
     "cone_height_m",
     "other_feature_id",
 )
+Row = Mapping[str, Any]
 FrameState = Literal["observed", "empty", "occupied", "hidden"]
 
 
@@ -76,24 +76,21 @@ def passes_of(
     conn: Connection,
     map_name: str,
     feature_id: UUID,
-    xyz_m: Vec3,
-    cone_height_m: float,
+    state: Row,
     *,
-    category: str,
-    drive_uuids: Collection[UUID] | None = None,
     max_drives: int,
+    only: Sequence[UUID] | None = None,
 ) -> list[DrivePass]:
-    """The drives that have the position of a feature in view, the latest first. drive_uuids: only these.
+    """The drives that have a feature in view, the latest first. state: a row of serving.feature_history; only: drive_uuids.
 
     As `check_visibility` decided, but for the drive's common offset, which is not stored: a count may differ by a frame pair.
     """
     observed = store.observed_frames(conn, map_name, feature_id)
-    only = None if drive_uuids is None else list(drive_uuids)
-    past = {"easting_m": xyz_m[0], "northing_m": xyz_m[1], "drive_uuids": only, "max_rows": max_drives}
+    past = {"easting_m": state["easting_m"], "northing_m": state["northing_m"], "drive_uuids": only}
     found = []
-    for row in store.read_rows(conn, "judging.drives_past", map_name=map_name, **past):
+    for row in store.read_rows(conn, "judging.drives_past", map_name=map_name, max_rows=max_drives, **past):
         kind, frames = observed.get(row["drive_uuid"]) or (None, set[int]())
-        in_view = _frames_in_view(conn, row, feature_id, np.array(xyz_m), cone_height_m, category, frames)
+        in_view = _frames_in_view(conn, row, feature_id, state, frames)
         if in_view:
             known = {name: row[name] for name in ("changeset_no", "drive_id", "drive_uuid", "counts")}
             at = utc_from_ns(row["captured_from_ns"])
@@ -102,16 +99,12 @@ def passes_of(
 
 
 def _frames_in_view(
-    conn: Connection,
-    header: Mapping[str, Any],
-    feature_id: UUID,
-    foot_m: Floats,
-    height_m: float,
-    category: str,
-    observed: Collection[int],
+    conn: Connection, header: Row, feature_id: UUID, state: Row, observed: Collection[int]
 ) -> tuple[PassFrame, ...]:
     params = ReconcileParams.model_validate(header["reconcile"])
-    drive_uuid, easting_m, northing_m = header["drive_uuid"], float(foot_m[0]), float(foot_m[1])
+    drive_uuid, easting_m, northing_m = header["drive_uuid"], state["easting_m"], state["northing_m"]
+    foot_m = np.array([easting_m, northing_m, state["height_m"]])
+    height_m, category = state["cone_height_m"], state["category"]
     drive = read_view(conn, header, (easting_m, northing_m, _WITHIN_M))
     if not drive.frames:
         return ()
@@ -148,9 +141,7 @@ def expected_box(
     return None if np.isnan(x0) else (x0 + 0.5, y0 + 0.5, x1 - x0, y1 - y0)
 
 
-def reasons_of(
-    conn: Connection, map_name: str, feature_id: UUID | None, rows: Sequence[Mapping[str, Any]]
-) -> list[str]:
+def reasons_of(conn: Connection, map_name: str, feature_id: UUID | None, rows: Sequence[Row]) -> list[str]:
     """The sentence of `mapping.reasons` for each change.
 
     rows: with the columns of serving.feature_history that `ChangeFacts` needs. feature_id: of all of them; None where each row
@@ -178,15 +169,9 @@ def reasons_of(
     return sentences
 
 
-def _range_of_absence(
-    conn: Connection, map_name: str, feature_id: UUID, row: Mapping[str, Any]
-) -> tuple[float, float] | None:
+def _range_of_absence(conn: Connection, map_name: str, feature_id: UUID, row: Row) -> tuple[float, float] | None:
     """Nearest and farthest distance from which a drive had the position in view; None where its records were pruned."""
-    xyz_m = (row["easting_m"], row["northing_m"], row["height_m"])
-    found = passes_of(
-        conn, map_name, feature_id, xyz_m, row["cone_height_m"], category=row["category"], drive_uuids=[row["drive_uuid"]],
-        max_drives=1,
-    )  # fmt: skip
+    found = passes_of(conn, map_name, feature_id, row, max_drives=1, only=[row["drive_uuid"]])
     if not found:
         return None
     frames = found[0].frames

@@ -45,17 +45,13 @@ def passes(map_name: MapName, feature_id: UUID, conn: Reader, origin: Origin, ve
     states = [row for row in history if version in (None, row["version"])]
     if not states:
         raise HTTPException(404, f"The map {map_name} has no feature {feature_id} of this version.")
-    xyz_m = to.position(states[-1])
-    height_m, category = states[-1]["cone_height_m"], states[-1]["category"]
-    found, truncated = cut(
-        passes_of(conn, map_name, feature_id, xyz_m, height_m, category=category, max_drives=_MAX_PASSES + 1),
-        _MAX_PASSES,
-    )
+    found = passes_of(conn, map_name, feature_id, states[-1], max_drives=_MAX_PASSES + 1)
+    shown, truncated = cut(found, _MAX_PASSES)
     return m.Passes(
         feature_id=feature_id,
         version=states[-1]["version"],
         origin_m=origin,
-        passes=[to.drive_pass(one, origin) for one in found],
+        passes=[to.drive_pass(one, origin) for one in shown],
         truncated=truncated,
     )
 
