@@ -94,7 +94,6 @@ def _page_and_plan(conn: Connection, changeset: CommittedChangeset, *, map_name:
         facts=facts,
         changeset=changeset,
         alerts=alerts(facts),
-        counts=_counts(facts),
         kinds=[(kind, sum(c["kind"] is kind for c in facts.changes)) for kind in DeltaKind],
         changed=[c for c in facts.changes if c["kind"] is not DeltaKind.CONFIRMED],
         images=images_of(conn, facts),
@@ -107,10 +106,8 @@ def _page_and_plan(conn: Connection, changeset: CommittedChangeset, *, map_name:
         if len(facts.residual_px)
         else None,
         residual_rows=_residual_rows(facts),
-        weakest=sorted(facts.tracks, key=lambda track: track.existence_probability)[:5],
         number_of_track={c["track_index"]: c["number"] for c in facts.changes if c["track_index"] is not None},
         trajectory=_trajectory_rows(facts),
-        versions=_version_rows(facts),
     )
     return page, plan
 
@@ -180,15 +177,6 @@ def _numbers(changes: Sequence[Row]) -> str:
     return f"no. {shown}" + (" ..." if len(changes) > 12 else "")
 
 
-def _counts(facts: DriveFacts) -> list[tuple[str, int]]:
-    c = facts.changeset
-    return [
-        ("frame pairs", c.frame_pair_count), ("lost pairs", facts.lost_pairs), ("detections", c.detection_count),
-        ("stereo matches", c.match_count), ("positions", c.position_count), (f"{facts.noun}s", c.track_count),
-        ("rejected records", c.rejection_count), *([("lane markings", c.marking_count)] if c.marking_count else []),
-    ]  # fmt: skip
-
-
 def _residual_rows(facts: DriveFacts) -> list[tuple[str, str, str, str, str]]:
     """(estimates, count, median, 95 %, largest) of positions near and far, and of cones."""
     residual_px, range_m = facts.residual_px, facts.range_m
@@ -228,23 +216,6 @@ def _trajectory_rows(facts: DriveFacts) -> list[tuple[str, str]]:
         rows.append(("distance", f"{steps_m.sum():.0f} m in {duration_s:.1f} s, at most {speed:.1f} m/s"))
         rows.append(("frame pairs", f"every {np.median(intervals_s):.3f} s, longest gap {intervals_s.max():.3f} s"))
     return rows
-
-
-def _version_rows(facts: DriveFacts) -> list[tuple[str, str]]:
-    c, run = facts.changeset, facts.header["facts"]
-    libraries = ", ".join(f"{name} {version}" for name, version in run.get("libraries", {}).items())
-    return [
-        ("conetl", c.code_version),
-        ("code (SHA-256)", str(run.get("code_sha256", "not stored"))),
-        ("model (SHA-256)", c.model_sha256),
-        ("parameters (SHA-256)", c.params_sha256),
-        ("content of the drive (SHA-256)", facts.header["content_sha256"]),
-        ("idempotency key", c.idempotency_key),
-        ("changeset", str(c.changeset_id)),
-        ("Python", str(run.get("python", "not stored"))),
-        ("libraries", libraries or "not stored"),
-        ("drive folder", facts.header["source_path"]),
-    ]
 
 
 @dataclass(frozen=True)

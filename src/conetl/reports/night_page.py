@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -98,8 +97,6 @@ def write_night_page(conn: Connection, path: Path, *, map_name: str, since: date
 
 def night_page(facts: NightFacts) -> str:
     """The page as text."""
-    recorded = [row for row in facts.drives if row["kind"] == "drive"]
-    measured = [row for row in recorded if row["residual_px"] is not None]
     sizes = [(at, count) for at, count in facts.sizes if at < facts.until]
     figure = None
     if sizes:
@@ -110,22 +107,14 @@ def night_page(facts: NightFacts) -> str:
         title=f"Map {facts.map_name}, {facts.since:%Y-%m-%d %H:%M} to {facts.until:%Y-%m-%d %H:%M} UTC",
         made_at=datetime.now(UTC),
         facts=facts,
-        recorded=len(recorded),
         what_to_do=hold_remedy,
         totals=[(kind, sum(row[name] for row in facts.drives)) for kind, name in _COUNTS.items()],
-        frame_pairs=sum(row["frame_pair_count"] for row in recorded),
-        lost=sum(row["lost_pairs"] for row in recorded),
         size_before=facts.size_at(facts.since),
         size_after=facts.size_at(facts.until),
         size_figure=figure,
-        drives=facts.drives[:_MAX_ROWS],
-        left_out=max(len(facts.drives) - _MAX_ROWS, 0),
-        warned=[row for row in facts.drives if row["warnings"] and row["counts"]],
-        worst_residuals=_worst(measured, "residual_px"),
-        worst_losses=[row for row in _worst(recorded, "lost_share") if row["lost_pairs"]],
+        max_rows=_MAX_ROWS,
+        worst=_WORST,
         plan=_plan(facts) if facts.changes else None,
-        gone=facts.changes[0]["gone"] if facts.changes else 0,
-        changed=facts.changes[0]["total"] if facts.changes else 0,
     )
 
 
@@ -134,7 +123,3 @@ def _plan(facts: NightFacts) -> bytes:
     kinds = [(row, DeltaKind(row["kind"])) for row in facts.changes]
     marks = [figures.PlanMark(row["category"], kind, row["xyz_m"][:2], None, str(row["number"])) for row, kind in kinds]
     return figures.png(draw_plan(PlanContent(facts.srid, marks, (), facts.paths_m)))
-
-
-def _worst(rows: Sequence[Row], key: str) -> list[Row]:
-    return sorted(rows, key=lambda row: -row[key])[:_WORST]
