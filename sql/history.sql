@@ -88,6 +88,23 @@ left join lateral (
 where m.map_name = %(map_name)s and c.changeset_no = %(changeset_no)s and x.system_period @> e.at
 order by x.feature_id;
 
+-- name: origins
+-- The change that made the state of some features: of each the last one on the road until valid_at, as the database knew it
+-- at known_at. Parameters: feature_ids (uuid[]); valid_at, known_at (timestamptz; 'infinity' = latest).
+-- Columns: feature_id, changed_at, drive_id, changeset_no.
+select n.feature_id, o.changed_at, o.drive_id, o.changeset_no
+from unnest(%(feature_ids)s::uuid[]) n (feature_id)
+cross join lateral (
+    select x.changed_at, d.drive_id, c.changeset_no
+    from conetl.delta x
+    join conetl.changeset c using (changeset_id)
+    join conetl.drive d using (drive_uuid)
+    where x.cell = conetl.cell_of(n.feature_id) and x.feature_id = n.feature_id
+    and x.changed_at <= %(valid_at)s::timestamptz and x.system_period @> %(known_at)s::timestamptz
+    order by x.changed_at desc, d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C"
+    limit 1
+) o;
+
 -- name: feature_log
 -- What happened to one feature, in the order of the drives on the road; superseded deltas included.
 -- Parameters: feature_id.

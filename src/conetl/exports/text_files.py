@@ -205,7 +205,7 @@ def export_diff_geojson(
 ) -> int:
     """Write the difference of two maps: a point per changed feature, a line if it moved; the number of features.
 
-    origins: by feature id, the row of `history.feature_log` of its last change; without one the time and the drive are null.
+    origins: by feature id, the row of `history.origins`; without one the time and the drive are null.
     """
     features = []
     for change in changes:

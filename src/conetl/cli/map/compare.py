@@ -15,8 +15,9 @@ from pyproj import Transformer
 
 from conetl.cli import console as ui
 from conetl.cli.database import open_map
-from conetl.db.connection import Connection
-from conetl.db.map.map_store import Bbox, feature_log, list_changesets, read_features_as_of
+from conetl.db.connection import Connection, or_infinity
+from conetl.db.map.map_store import Bbox, list_changesets, read_features_as_of
+from conetl.db.serve_store import read_rows
 from conetl.exports.kind_marks import STANDING, kind_label
 from conetl.exports.text_files import export_diff_geojson
 from conetl.mapping import map_diff
@@ -48,7 +49,7 @@ def diff(
         old, new = state_of(conn, info.map_name, before), state_of(conn, info.map_name, after)
         changes = map_diff.diff(old, new)
         points = [change for change in changes if not change.is_line]
-        origins = {} if output is None else _origins(conn, points, instants_of(conn, info.map_name, after))
+        origins = None if output is None else _origins(conn, points, instants_of(conn, info.map_name, after))
     if output is not None:
         export_diff_geojson(points, output, srid=info.srid, origins=origins)
     if picture is not None:
@@ -81,23 +82,10 @@ def diff(
 def _origins(
     conn: Connection, changes: Sequence[FeatureChange], until: tuple[datetime | None, datetime | None]
 ) -> dict[UUID, dict[str, Any]]:
-    """The row of `history.feature_log` that made the later state of each feature.
-
-    until: time on the road and of the database; None: the latest.
-    """
-    valid_at, known_at = until
-    found = {}
-    for change in changes:
-        entries = [
-            entry
-            for entry in feature_log(conn, change.feature_id)
-            if (valid_at is None or entry["changed_at"] <= valid_at)
-            and (known_at is None or entry["committed_at"] <= known_at)
-            and (entry["believed_until"] is None or (known_at is not None and entry["believed_until"] > known_at))
-        ]
-        if entries:
-            found[change.feature_id] = max(entries, key=lambda entry: entry["changed_at"])
-    return found
+    """What made the later state of each feature: rows of `history.origins`. until: time on the road and of the database."""
+    ids, (valid_at, known_at) = [change.feature_id for change in changes], map(or_infinity, until)
+    rows = read_rows(conn, "history.origins", feature_ids=ids, valid_at=valid_at, known_at=known_at)
+    return {row["feature_id"]: row for row in rows}
 
 
 def _counts(changes: Sequence[FeatureChange]) -> str:
