@@ -20,6 +20,7 @@ from conetl.pipeline.settings import read_settings
 from conetl.readers.drives import FORMATS, drive_format, read_drive
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.summary import DriveSummary, summarise
+from conetl.reports.html import render, write_page
 
 #: Processor seconds of one `conetl ingest`, measured (docs/reference/drives.md): at the start, and per million pixels of both
 #: images.
@@ -51,9 +52,10 @@ def inspect(
     checks = [] if kind == "bag" else check_stereo(found)[1]  # nothing of a bag is unpacked
     facts = _facts(kind, summary, seconds, settings.workers)
     if page is not None:
-        from conetl.reports.inspection_images import write_inspection_page  # matplotlib takes half a second to load
+        from conetl.reports.inspection_images import draw_drive  # matplotlib takes half a second to load
 
-        write_inspection_page(page, facts, summary, checks, found)
+        shown = {"facts": facts, "summary": summary, "checks": checks, "figure": draw_drive(found, summary)}
+        write_page(page, render("inspection.html.j2", title=f"Drive {summary.drive_id}", **shown))
     if as_json:
         values = {"format": kind, **summary.model_dump(mode="json"), "estimated_seconds": round(seconds, 1)}
         values["health"] = [check.model_dump(mode="json") for check in checks]

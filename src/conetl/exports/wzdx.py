@@ -187,7 +187,7 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
         "type": "Feature",
         "properties": properties,
         "geometry": {"type": "LineString", "coordinates": line},
-        "bbox": _bbox(line),
+        "bbox": [*np.min(line, axis=0).tolist(), *np.max(line, axis=0).tolist()],  # as many as the coordinates have
         "conetl": {"last_surveyed_at": _iso(surveyed), "stale": stale, **_evidence(zone)},
     }
 
@@ -273,11 +273,6 @@ def _is_verified(cone: MapFeature, params: WorkZoneParams) -> bool:
         horizontal_sigma_m(cone.cov_m2) <= params.verified_sigma_m
         and cone.existence_probability >= params.verified_existence
     )
-
-
-def _bbox(line: list[list[float]]) -> list[float]:
-    """Lowest, then highest longitude, latitude and height: as many as the coordinates have (RFC 7946, 5)."""
-    return [*np.min(line, axis=0).tolist(), *np.max(line, axis=0).tolist()]
 
 
 def _known(values: Object) -> Object:

@@ -13,7 +13,6 @@ from matplotlib import dates
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
-from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
@@ -114,14 +113,6 @@ def draw_objects(
             symbols.insert(0, Line2D([], [], marker=sign, markersize=_LETTER_PT, **style))
         handles.append(tuple(symbols))
     return handles if by_class else handles[:1]
-
-
-def add_legend(figure: Figure, handles: Sequence[Handle], **style: Any) -> None:
-    """The legend of a plan, if there is anything to explain; style: of `Figure.legend`."""
-    if handles:
-        texts = [str((one[-1] if isinstance(one, tuple) else one).get_label()) for one in handles]
-        together = {tuple: HandlerTuple(ndivide=None, pad=0.4)}
-        figure.legend(handles, texts, handler_map=together, frameon=False, **style)  # type: ignore[arg-type]
 
 
 def residuals(range_m: Floats, residual_px: Floats, tracks: Sequence[tuple[float, float]]) -> bytes:

@@ -10,7 +10,6 @@ from typing import Any
 import cv2
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from conetl.files.atomic import atomic_text_file
@@ -19,7 +18,6 @@ from conetl.geometry.calibration.stereo_bundle import BoardView, Bundle, residua
 from conetl.geometry.calibration.stereo_calibration import StereoCalibration
 from conetl.model.arrays import Image
 from conetl.model.drive import Drive
-from conetl.model.health import HealthCheck
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.boards.images import ImagePair
@@ -28,13 +26,12 @@ from conetl.perception.rectified_image import read_rig_image
 from conetl.perception.video import frame_of
 from conetl.readers.drives.summary import DriveSummary
 from conetl.reports.figures import ORANGE, add_grid, new_figure, png, save_figure
-from conetl.reports.html import render, write_page
 
 _ROWS = 12
 
 
-def _draw_drive(drive: Drive, summary: DriveSummary) -> Figure:
-    """A drive as it was read: its path, coloured by the sigma of its poses, and one pair of images with rows drawn across."""
+def draw_drive(drive: Drive, summary: DriveSummary) -> bytes:
+    """A drive as it was read (PNG): its path, coloured by the sigma of its poses, and one pair of images with rows across."""
     figure = new_figure(14, 7.5, dpi=110)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.25))
     _draw_drive_path(figure.add_subplot(grid[:, 0]), drive, summary)
@@ -49,29 +46,7 @@ def _draw_drive(drive: Drive, summary: DriveSummary) -> Figure:
         for v in np.linspace(0, len(images[row]) - 1, _ROWS + 2)[1:-1]:
             axes.axhline(v, color="#ffe000", linewidth=0.6, alpha=0.8)
         axes.set_title(f"{side}, frame pair {frame_index}: lines cross the same objects in both images", fontsize=9)
-    return figure
-
-
-def write_inspection_page(
-    path: Path,
-    facts: Sequence[tuple[str, object]],
-    summary: DriveSummary,
-    checks: Sequence[HealthCheck],
-    drive: Drive,
-) -> Path:
-    """Write what `conetl inspect` shows as one page, and return its path. Raises InputError where it cannot be written.
-
-    facts: properties of the drive and their values.
-    """
-    page = render(
-        "inspection.html.j2",
-        title=f"Drive {summary.drive_id}",
-        facts=facts,
-        summary=summary,
-        checks=checks,
-        figure=png(_draw_drive(drive, summary)),
-    )
-    return write_page(path, page)
+    return png(figure)
 
 
 def draw_coverage(path: Path, bundle: Bundle, views: Sequence[BoardView], title: str) -> Path:

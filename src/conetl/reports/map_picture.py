@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from datetime import datetime
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -14,6 +14,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties
+from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, MaxNLocator
@@ -168,7 +169,11 @@ def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm:
     _scale_bar(axes, bbox)
     _north(axes)
     figure.suptitle(title, x=0.012, ha="left", fontsize=13, fontweight="bold", color=_INK)
-    figures.add_legend(figure, handles, loc="outside right upper", fontsize=8.5, handletextpad=0.6)
+    if handles:
+        texts = [str((one[-1] if isinstance(one, tuple) else one).get_label()) for one in handles]
+        together = {tuple: HandlerTuple(ndivide=None, pad=0.4)}
+        style: dict[str, Any] = {"handler_map": together, "frameon": False, "fontsize": 8.5, "handletextpad": 0.6}
+        figure.legend(handles, texts, loc="outside right upper", **style)  # type: ignore[call-overload]
     crs = CRS.from_epsg(content.srid)
     figure.supxlabel(
         f"EPSG:{content.srid} ({crs.name}) · {footer}", x=0.012, ha="left", fontsize=7.5, color=marks.DRIVE_PATH

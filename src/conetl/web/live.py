@@ -67,7 +67,8 @@ class HeadWatcher:
                     yield _event("trouble", problem)
                     sent, idle_s = None, 0.0  # everything is sent again afterwards
                 elif not problem and head != sent:
-                    yield "".join(_news(sent, head))
+                    news = [(name, new) for name, new in head._asdict().items() if new != getattr(sent, name, None)]
+                    yield "".join(_event(name.removesuffix("_no"), str(new)) for name, new in news)
                     sent, idle_s = head, 0.0
                 elif idle_s >= PING_S:
                     yield ": still here\n\n"
@@ -92,14 +93,6 @@ class HeadWatcher:
     def _read(self) -> dict[str, Head]:
         with self._pool.reading() as conn:
             return read_heads(conn)
-
-
-def _news(sent: Head | None, head: Head) -> list[str]:
-    return [
-        _event(name.removesuffix("_no"), str(value))
-        for name, value in head._asdict().items()
-        if sent is None or getattr(sent, name) != value
-    ]
 
 
 def _event(name: str, data: str) -> str:

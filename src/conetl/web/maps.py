@@ -12,6 +12,7 @@ from conetl.db import serve_store as store
 from conetl.db.connection import or_infinity
 from conetl.db.map.archive import list_maps
 from conetl.db.map.map_store import list_changesets, require_map
+from conetl.geometry.rig import map_SE3_left
 from conetl.model.base import Vec3, utc_from_ns
 from conetl.model.params import ReconcileParams
 from conetl.model.rig import Rig
@@ -140,7 +141,7 @@ def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader, origin: Origin
         origin_m=origin,
         frame_index=[row["frame_index"] for row in rows],
         captured_at=[utc_from_ns(row["captured_at_ns"]) for row in rows],
-        xyz_m=[to.camera_position(row, rig, origin) for row in rows] if rig else [],
+        xyz_m=[to.offset(map_SE3_left(to.pose_of(row), rig)[:3, 3].tolist(), origin) for row in rows] if rig else [],
         truncated=truncated,
     )
 

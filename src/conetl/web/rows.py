@@ -102,11 +102,6 @@ def sighting(row: Row, rig: Rig, origin_m: Vec3) -> Sighting:
     )
 
 
-def camera_position(row: Row, rig: Rig, origin_m: Vec3) -> Vec3:
-    """Projection centre of the left camera for a row of the trajectory."""
-    return offset(map_SE3_left(pose_of(row), rig)[:3, 3].tolist(), origin_m)
-
-
 def position(row: Row, prefix: str = "") -> Vec3:
     """Position in the map's CRS."""
     return row[f"{prefix}easting_m"], row[f"{prefix}northing_m"], row[f"{prefix}height_m"]
