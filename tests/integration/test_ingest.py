@@ -538,7 +538,7 @@ def test_a_watched_drive_is_replaced_by_its_ingest_which_writes_its_report(
         assert done.returncode == 0, done.stderr
         assert read_provisional(conn, map_name="default") == []
         conn.rollback()
-        again = drive_page(conn, list_changesets(conn)[0], map_name="default")
+        again, _ = drive_page(conn, list_changesets(conn)[0], map_name="default")
     [report] = json.loads(done.stdout)
     reports = Path(desk.environment["CONETL_HOME"]) / "exports" / "reports" / "default"
     assert (reports / "_b_small__b__drive.png").read_bytes().startswith(b"\x89PNG")

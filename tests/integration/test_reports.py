@@ -115,7 +115,7 @@ def test_the_report_of_a_drive(shown: Any, latest: CommittedChangeset, samples: 
 def test_a_missing_image_is_left_out(shown: Any, latest: CommittedChangeset) -> None:
     facts = read_drive_facts(shown, latest, map_name="default")
     gone = replace(facts, header=facts.header | {"source_path": "/nowhere"})
-    assert "no image" in drive_page(shown, latest, map_name="default")  # of the cone that is gone
+    assert "no image" in drive_page(shown, latest, map_name="default")[0]  # of the cone that is gone
     assert images_of(shown, gone)[2][0].crops  # the drive before still has its own
 
 
@@ -169,12 +169,12 @@ def test_an_empty_drive_has_a_report(shown: Any, samples: Any) -> None:
     """Committed without the flow, without positions and images."""
     samples.commit(shown, key="abcd", map_name="bare")
     bare = list_changesets(shown, map_name="bare")[0]
-    page = drive_page(shown, bare, map_name="bare")
+    page, _ = drive_page(shown, bare, map_name="bare")
     assert_loads_nothing(page)
     assert "Not stored for this changeset" in page and "This drive did not change the map" in page
     execute(shown, "update drive set pruned_at = now() where drive_uuid = %(d)s", {"d": bare.drive_uuid})
     execute(shown, "delete from position where drive_uuid = %(d)s", {"d": bare.drive_uuid})
-    assert "were pruned on" in drive_page(shown, bare, map_name="bare")
+    assert "were pruned on" in drive_page(shown, bare, map_name="bare")[0]
     shown.rollback()
 
 

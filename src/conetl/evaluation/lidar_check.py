@@ -54,7 +54,7 @@ _SIGMA_COMMON_M = 0.02
 class SceneBias(NamedTuple):
     """Calibration errors by the scene; see `fit_scene_bias`."""
 
-    coefficients: Floats
+    coefficients_px: Floats
     """(8,) of the disparity field (px), for the powers of x/z and y/z in `_POWERS`"""
     range_offset_m: float
     """Distance along the optical axis minus that by LiDAR and its calibration."""
@@ -64,7 +64,7 @@ class SceneBias(NamedTuple):
 
     def disparity_error_px(self, xy: Floats) -> Floats:
         """(...) measured minus true disparity of a ray x/z, y/z (..., 2) of the left camera."""
-        return np.asarray(_design(xy) @ self.coefficients)
+        return np.asarray(_design(xy) @ self.coefficients_px)
 
 
 def scene_samples(

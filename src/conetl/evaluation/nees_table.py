@@ -24,10 +24,8 @@ def nees_as_dict(result: Consistency | None) -> dict[str, dict[str, float | bool
     parts: dict[str, dict[str, float | bool] | None] = dict.fromkeys(("absolute", "relative", "common"))
     for name, nees in parts_of(result).items():
         if nees is not None:
-            low, high = nees.band()
-            parts[name] = {
-                "value": nees.value, "dof": nees.dof, "low": low, "high": high, "per_dof": nees.per_dof, "holds": nees.holds()
-            }  # fmt: skip
+            known = {"value": nees.value, "dof": nees.dof, **dict(zip(("low", "high"), nees.band(), strict=True))}
+            parts[name] = {**known, "per_dof": nees.per_dof, "holds": nees.holds()}
     return parts
 
 

@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import shapely
-from pyproj import CRS, Transformer
+from pyproj import Transformer
 
 from conetl.db.arrow_rows import batches_of, schema_of
 from conetl.db.connection import Connection, database_errors, load_sql, or_infinity, query
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import MapInfo
 from conetl.exports import Order
-from conetl.geometry.geodesy import axis_rotations, compound_crs, height_system_name, to_crs
+from conetl.geometry.geodesy import axis_rotations, height_system_name, to_crs
 from conetl.model.arrays import Floats, Ints
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES, require_classes
@@ -108,11 +108,6 @@ class ExportSource:
     def epsg(self) -> tuple[int, int | None]:
         """EPSG codes of the plane of easting and northing, and of the height system (None: ellipsoidal)."""
         return self.request.crs or (self.info.srid, self.info.vertical_srid)
-
-    @property
-    def crs(self) -> CRS:
-        """The CRS of easting, northing and, if that is not ellipsoidal, ground height."""
-        return compound_crs(*self.epsg)
 
     @property
     def crs_text(self) -> str:

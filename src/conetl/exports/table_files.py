@@ -15,7 +15,7 @@ import shapely
 from pyogrio.errors import DataLayerError, DataSourceError, FieldError
 
 from conetl.exports.source import POSITION_NAMES, ExportSource
-from conetl.geometry.geodesy import to_crs
+from conetl.geometry.geodesy import compound_crs, to_crs
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
@@ -51,7 +51,7 @@ def write_geoparquet(sources: Sequence[ExportSource], path: Path) -> None:
         column: dict[str, Any] = {
             "encoding": "WKB",
             "geometry_types": [_geometry_type(source)],
-            "crs": source.crs.to_json_dict(),
+            "crs": compound_crs(*source.epsg).to_json_dict(),
             "covering": {"bbox": {side: ["bbox", side] for side in _SIDES}},
         }
         if np.isfinite(low).all():

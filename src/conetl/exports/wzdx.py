@@ -42,6 +42,9 @@ _SCHEMAS = Path(__file__).with_name("wzdx_schemas")
 _iso = partial(iso_utc, timespec="seconds")
 _formats = FormatChecker(formats=("email", "date-time"))
 Object = dict[str, Any]
+Direction = Literal[
+    "northbound", "eastbound", "southbound", "westbound", "undefined", "unknown", "inner-loop", "outer-loop"
+]
 
 
 class FeedInfo(Record):
@@ -55,12 +58,7 @@ class FeedInfo(Record):
     update_frequency_s: int | None = Field(default=None, ge=1)
     organization_name: str | None = Field(default=None, min_length=1)
     data_source_id: str | None = Field(default=None, min_length=1)
-    direction: (
-        Literal[
-            "northbound", "eastbound", "southbound", "westbound", "undefined", "unknown", "inner-loop", "outer-loop"
-        ]
-        | None
-    ) = None
+    direction: Direction | None = None
 
 
 def read_feed_info(path: Path | None, **flags: Any) -> FeedInfo:

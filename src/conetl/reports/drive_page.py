@@ -58,19 +58,15 @@ def write_drive_page(
 
     plan_path: also write its plan there, as PNG.
     """
-    page, plan = _page_and_plan(conn, changeset, map_name=map_name)
+    page, plan = drive_page(conn, changeset, map_name=map_name)
     if plan_path is not None:
         with atomic_files(plan_path) as (file,):
             file.write_bytes(plan)
     return write_page(path, page)
 
 
-def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str) -> str:
-    """The page as text."""
-    return _page_and_plan(conn, changeset, map_name=map_name)[0]
-
-
-def _page_and_plan(conn: Connection, changeset: CommittedChangeset, *, map_name: str) -> tuple[str, bytes]:
+def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str) -> tuple[str, bytes]:
+    """The page as text, and the plan on it as PNG."""
     facts = read_drive_facts(conn, changeset, map_name=map_name)
     confirmed = [c for c in facts.changes if c["kind"] is DeltaKind.CONFIRMED]
     marks = [figures.PlanMark(one.category, None, one.xyz_m[:2]) for one in facts.others]

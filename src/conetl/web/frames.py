@@ -165,5 +165,5 @@ def drive_report(map_name: MapName, changeset_no: ChangesetNo, conn: Reader, _: 
     found = [c for c in list_changesets(conn, map_name=map_name) if c.changeset_no == changeset_no]
     if not found:
         raise HTTPException(404, f"The map {map_name} has no changeset {changeset_no}.")
-    page = drive_page(conn, found[0], map_name=map_name)
+    page = drive_page(conn, found[0], map_name=map_name)[0]
     return HTMLResponse(page, headers={"Content-Security-Policy": _REPORT_POLICY})

@@ -92,15 +92,8 @@ def calibrate(
     folder, videos = sources[0], _videos(sources, layout)
     filmed = _pairs_of_videos(videos, layout, offset_s) if videos else None
     pairs = _pairs(folder, pairing, left_pattern, right_pattern) if filmed is None else filmed
-    total, done = sum(pair.path(side) is not None for pair in pairs for side in SIDES), 0
     with progress_bar("find corners", "images") as update:
-
-        def count_image() -> None:
-            nonlocal done
-            done += 1
-            update(done, total)
-
-        images = board_images.find_boards(pairs, drawn, on_image=count_image)
+        images = board_images.find_boards(pairs, drawn, progress=update)
     _check_found(images, drawn)
     with input_errors(folder):
         result = calibrate_stereo(

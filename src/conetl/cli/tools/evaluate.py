@@ -220,10 +220,7 @@ def lidar_check(
     scene = check.scene
     bands, corrected = summarise(check.residuals), summarise(check.corrected)
     if as_json:
-        bias = scene and {
-            "coefficients_px": scene.coefficients.tolist(), "range_offset_m": scene.range_offset_m,
-            "sample_count": scene.sample_count, "scatter_px": scene.scatter_px,
-        }  # fmt: skip
+        bias = scene and scene._asdict() | {"coefficients_px": scene.coefficients_px.tolist()}
         ui.print_json(
             {
                 "scan_count": check.scan_count,
@@ -242,7 +239,7 @@ def lidar_check(
     if scene is not None:
         ui.say(
             f"Scene without cones ({scene.sample_count} windows): {scene.range_offset_m:+.3f} m beyond LiDAR, disparities "
-            f"{float(scene.coefficients[0]):+.2f} px off in the centre."
+            f"{float(scene.coefficients_px[0]):+.2f} px off in the centre."
         )
         ui.print_table("Without the calibration error of the scene", _COLUMNS, [_cells(band) for band in corrected])
     for problem in check.problems:

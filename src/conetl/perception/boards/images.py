@@ -96,19 +96,16 @@ def pairs_even_odd(folder: Path) -> list[ImagePair]:
 
 
 def find_boards(
-    pairs: Sequence[ImagePair], board: Board, *, on_image: Callable[[], None] = lambda: None
+    pairs: Sequence[ImagePair], board: Board, *, progress: Callable[[int, int], object] = lambda done, total: None
 ) -> BoardImages:
-    """Corners in all images; each image without is a rejection. `on_image` is called after each."""
+    """Corners in all images; each image without is a rejection. progress: called with (images done, total images)."""
     jobs = [(i, side, path) for i, pair in enumerate(pairs) for side in SIDES if (path := pair.path(side)) is not None]
-
-    def search(job: tuple[int, Side, Path]) -> tuple[Size | None, Found | NotFound]:
-        size, result = _search(job[2], board)
-        on_image()
-        return size, result
-
+    searched: dict[tuple[int, Side], tuple[Size | None, Found | NotFound]] = {}
     # OpenCV works without the interpreter's lock.
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 8)) as pool:
-        searched = dict(zip([(i, side) for i, side, _ in jobs], pool.map(search, jobs), strict=True))
+        for (i, side, _), found_in in zip(jobs, pool.map(lambda job: _search(job[2], board), jobs), strict=True):
+            searched[i, side] = found_in
+            progress(len(searched), len(jobs))
     sizes: dict[Side, Size] = {}
     for side in SIDES:
         counted = Counter(size for (_, s), (size, _) in searched.items() if s == side and size is not None)
