@@ -259,15 +259,13 @@ def without_scene_bias(found: LidarResidual, match: StereoMatch, rig: Rig, bias:
     )  # fmt: skip
 
 
-def summarise(
-    residuals: Sequence[LidarResidual], bands_m: Sequence[tuple[float, float]] = BANDS_M
-) -> list[ResidualBand]:
+def summarise(residuals: Sequence[LidarResidual]) -> list[ResidualBand]:
     """Robust figures of the residuals by LiDAR range."""
     ranges = np.array([r.lidar_range_m for r in residuals])
     values = np.array([r.residual_m for r in residuals])
     ratios = np.array([r.residual_m / np.hypot(r.stereo_sigma_m, r.lidar_sigma_m) for r in residuals])
     table = []
-    for low, high in bands_m:
+    for low, high in BANDS_M:
         here = (ranges >= low) & (ranges < high)
         figures: tuple[float | None, ...] = (None, None, None, None)
         if here.any():

@@ -234,7 +234,9 @@ class AsOfCollection(PgCollection):
         near = store.rows_near((edges.left, edges.bottom, edges.right, edges.top), self.served)
         if box is None and near != store.ALL_ROWS:
             arguments |= dict(zip((*_EDGES, *_NEAR), (*store.EVERYWHERE, *near), strict=True))
-        asked["function_parameters"] = _texts(arguments)
+        asked["function_parameters"] = {
+            name: value if isinstance(value, str) else repr(float(value)) for name, value in arguments.items()
+        }
         tile_bytes: bytes = await super().get_tile(conn, tms=tms, tile=tile, **asked)
         return tile_bytes
 
@@ -327,7 +329,3 @@ def _checked_id(text: str) -> str:
 
 def _text(time: datetime | str) -> str:
     return time if isinstance(time, str) else time.isoformat()
-
-
-def _texts(values: Mapping[str, str | float]) -> dict[str, str]:
-    return {name: value if isinstance(value, str) else repr(float(value)) for name, value in values.items()}
