@@ -183,7 +183,7 @@ def robust_fit(
     # Oscillating turns suffer from noise of the same frequency.
     alike = _autocorrelations(by[..., 0], lags)
     for _ in range(rounds):
-        sigma = np.maximum(_spread(left_over), least_sigma)
+        sigma = np.maximum(1.4826 * np.median(np.abs(left_over), axis=0), least_sigma)  # robust, around zero
         repeats = _autocorrelations(np.clip(left_over / sigma, -_CUT, _CUT), lags)
         freedom = np.maximum(_MEDIAN_SHARE * len(misfit) / (1 + 2 * (repeats**2).sum(axis=0)), _LEAST_FREEDOM)
         sigma *= np.sqrt(freedom / (freedom - 2))
@@ -200,11 +200,6 @@ def robust_fit(
 def _misfit2(left_over: Floats, fit: Fit) -> float:
     """Squared residuals by the sigmas of a fit, outliers cut."""
     return float((np.minimum((left_over / fit.sigma) ** 2, _CUT**2) / fit.counted).sum())
-
-
-def _spread(values: Floats) -> Floats:
-    """(C,) robust sigma of each column around zero."""
-    return np.asarray(np.median(np.abs(values), axis=0) * 1.4826)
 
 
 def _autocorrelations(values: Floats, most: int) -> Floats:

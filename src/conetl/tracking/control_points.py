@@ -168,13 +168,9 @@ def _tied(
     )
     chosen = _without_contradictions(cones, survey, off, dict(chosen))
     apart = np.linalg.norm(off - _expected(cones, survey, off, chosen)[0], axis=2)
-    wrong = {}
-    for k in range(len(points)):
-        free = [g for g in range(len(cones.groups)) if g not in chosen.values() and near[k, g]]
-        if k not in chosen and free:
-            nearest_m = float(apart[k, free].min())
-            if nearest_m <= _NEAR_M:
-                wrong[k] = nearest_m
+    apart[:, list(chosen.values())] = np.inf
+    nearest_m = np.where(near, apart, np.inf).min(axis=1).tolist()
+    wrong = {k: away_m for k, away_m in enumerate(nearest_m) if k not in chosen and away_m <= _NEAR_M}
     return _Tie(cones, chosen, wrong, ambiguous)
 
 
