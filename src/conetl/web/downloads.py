@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path as FilePath
@@ -60,11 +61,10 @@ def download(
         if instant is not None and not 1 < instant.year < 9999:
             raise HTTPException(422, f"{instant.isoformat()}: expected a time between the years 2 and 9998.")
     pool: ReaderPool = request.app.state.pool
-    folder = TemporaryDirectory(prefix="conetl-download-")
     name = _file_name(map_name, file_format, valid_at, from_valid_at)
-    path = FilePath(folder.name) / name
     try:
-        with pool.exporting() as conn:
+        with ExitStack() as kept, pool.exporting() as conn:
+            path = FilePath(kept.enter_context(TemporaryDirectory(prefix="conetl-download-"))) / name
             if find_map(conn, map_name) is None:
                 raise HTTPException(404, f"There is no map {map_name}.")
             if file_format == "wzdx":
@@ -80,21 +80,12 @@ def download(
                 if from_valid_at is not None:
                     asked = replace(asked, what=ExportContent.CHANGES, as_of=None, since=from_valid_at, until=valid_at)
                 export_map(conn, path, file_format, asked)
+            sent = BackgroundTask(kept.pop_all().close)
     except InputError as error:
-        folder.cleanup()
         raise HTTPException(400, str(error)) from error
-    except BaseException:
-        folder.cleanup()
-        raise
     # Not compressed: the browser can show the progress of the download.
     headers = {"Content-Encoding": "identity", "Cache-Control": "no-store"}
-    return FileResponse(
-        path,
-        filename=name,
-        headers=headers,
-        media_type=_MEDIA_TYPES[file_format],
-        background=BackgroundTask(folder.cleanup),
-    )
+    return FileResponse(path, filename=name, headers=headers, media_type=_MEDIA_TYPES[file_format], background=sent)
 
 
 def _corners(box: str | None) -> tuple[float, float, float, float] | None:

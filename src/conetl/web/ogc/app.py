@@ -217,14 +217,24 @@ async def items(
     limit = min(limit, p.MAX_LIMIT)  # a larger one is not an error (17-069r4, 7.15.2)
     wanted = None if properties is None else [name.strip() for name in properties.split(",")]
     asked = _pinned(request, collection)
-    before, after = orjson.dumps(_item_links(request, collection, asked)).decode().split(_ID)
+    here = f"{request.base_url}collections/{collection.id}"
+    to_collection = _link(here, "collection", MediaType.json, "Collection")
+    to_item = _link(f"{here}/items/{_ID}?{_carried(asked)}", "item", MediaType.geojson, "Item")
+    before, after = orjson.dumps([to_collection, to_item]).decode().split(_ID)
     async with request.app.state.pool.acquire() as conn:
         page = await collection.page(
             conn, limit=limit, offset=offset, ids=ids.split(",") if ids else None, box=box, interval=interval,
             values=properties_filter_query(request, collection), sortby=sortby, properties=wanted, links=(before, after),
         )  # fmt: skip
     if f == "geojson":
-        return _geojson(request, collection, page, asked, limit, offset)
+        links = [to_collection, *_page_links(f"{here}/items", page, asked, limit, offset)]
+        head = {
+            "type": "FeatureCollection", "id": collection.id, "title": collection.title,
+            "description": collection.description, "numberMatched": page.matched, "numberReturned": page.returned,
+            "links": links,
+        }  # fmt: skip
+        body = b'%b,"features":[%b]}' % (orjson.dumps(head)[:-1], page.items)
+        return Response(body, media_type=MediaType.geojson.value)
     if f == "geojsonseq":
         return _lines(page.parsed(), MediaType.geojsonseq, "items.geojson")
     rows = [
@@ -254,34 +264,14 @@ def _pinned(request: Request, collection: AsOfCollection) -> dict[str, str]:
     return {**request.query_params} | ({} if name in request.query_params else {name: latest})
 
 
-def _item_links(request: Request, collection: AsOfCollection, asked: dict[str, str]) -> list[dict[str, str]]:
-    here = f"{request.base_url}collections/{collection.id}"
-    item = f"{here}/items/{_ID}?{_carried(asked)}"
-    return [_link(here, "collection", MediaType.json, "Collection"), _link(item, "item", MediaType.geojson, "Item")]
-
-
-def _geojson(
-    request: Request, collection: AsOfCollection, page: Page, asked: dict[str, str], limit: int, offset: int
-) -> Response:
-    """A page with links to itself and its neighbours."""
-    here = f"{request.base_url}collections/{collection.id}"
-
-    def page_at(at: int) -> str:
-        return f"{here}/items?{urlencode(asked | {'offset': str(at)})}"
-
-    links = [
-        _link(here, "collection", MediaType.json, "Collection"),
-        _link(f"{here}/items?{urlencode(asked)}", "self", MediaType.geojson, "Items"),
-    ]
+def _page_links(url: str, page: Page, asked: dict[str, str], limit: int, offset: int) -> list[dict[str, str]]:
+    """Links from a page of items to itself and its neighbours."""
+    pages = [("self", asked, "Items")]
     if page.returned and offset + page.returned < page.matched:
-        links.append(_link(page_at(offset + page.returned), "next", MediaType.geojson, "Next page"))
+        pages.append(("next", asked | {"offset": str(offset + page.returned)}, "Next page"))
     if offset:
-        links.append(_link(page_at(max(offset - limit, 0)), "prev", MediaType.geojson, "Previous page"))
-    head = {
-        "type": "FeatureCollection", "id": collection.id, "title": collection.title, "description": collection.description,
-        "numberMatched": page.matched, "numberReturned": page.returned, "links": links,
-    }  # fmt: skip
-    return Response(b'%b,"features":[%b]}' % (orjson.dumps(head)[:-1], page.items), media_type=MediaType.geojson.value)
+        pages.append(("prev", asked | {"offset": str(max(offset - limit, 0))}, "Previous page"))
+    return [_link(f"{url}?{urlencode(query)}", rel, MediaType.geojson, title) for rel, query, title in pages]
 
 
 def _lines(rows: list[dict[str, Any]], kind: MediaType, name: str) -> Response:
