@@ -33,8 +33,7 @@ from conetl.readers.drives.formats import image_files
 from conetl.readers.drives.pairs import ContentHash, Couple, Image, PairError, Source, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
 from conetl.readers.drives.sparse_poses import pose_reader
-from conetl.readers.trajectories.image_names import times_of_names
-from conetl.readers.trajectories.times import OFFSET, clock_problem, decimal_ns, parse_timestamp
+from conetl.readers.trajectories.times import OFFSET, clock_problem, decimal_ns, parse_timestamp, times_of_names
 from conetl.tracking.clock import estimate_clock
 from conetl.tracking.clock_search import LEAST_SIGMA_S, ImageClock, find_clock_offset, rates_of
 from conetl.tracking.trajectory import measured_motions, read_log

@@ -1,5 +1,6 @@
 """Times of trajectories and images -> exact UTC nanoseconds since 1970: texts, seconds since 1970 or 1980, of a GPS week or of a
-day; and which of them cannot be true.
+day, names of images such as `20260302_104107_250`, `left_20260302T104107.250Z`, `1772444467_250`; and which of them cannot be
+true.
 
 GPS time has no leap seconds: it was equal to UTC on 1980-01-06 and is ahead of it by one second for each that UTC has had since
 (IS-GPS-200; IERS Bulletin C). Within a leap second, whose nanoseconds UTC counts twice, times repeat those of the second after.
@@ -14,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, date, datetime, tzinfo
 from decimal import ROUND_DOWN, Context, Decimal, InvalidOperation
-from itertools import islice
+from itertools import islice, pairwise
 from statistics import median_low
 from typing import Literal, NamedTuple
 from zoneinfo import ZoneInfo
@@ -59,6 +60,16 @@ _STAMP = re.compile(
     r"\s*(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})(?:T|[ ,]\s*)(\d\d?):(\d\d):(\d\d)(?:[.,](\d+))?\s*(Z|UTC|[+-]\d\d(?::?\d\d)?)?\s*",
     re.ASCII,
 )
+
+#: Text, the time, text that begins with a letter. 14 digits, in groups or not, are a date and time since 2000, else 10 are
+#: seconds since 1970, from 2008 on.
+_NAME = re.compile(
+    r"(?:.*\D)?(?:(20\d\d)([-_.]?)([01]\d)\2([0-3]\d)[-_. T]*([0-2]\d)([-_.:]?)([0-5]\d)\6([0-5]\d)|(1[2-9]\d{8}))"
+    r"(?:([-_.,]?)(\d+))?(Z|\+\d{4})?(?:[-_. ]*[A-Za-z].*)?",
+    re.ASCII,
+)
+#: Digits of ms, us and ns.
+_WHOLE_UNITS = frozenset({3, 6, 9})
 
 
 def clock_problem(time_ns: int, earliest_ns: int = EARLIEST_NS) -> str | None:
@@ -319,3 +330,31 @@ def time_reader(clock: TimeFormat) -> TimeReader:
         return times, wrong
 
     return read
+
+
+def times_of_names(stems: Sequence[str]) -> tuple[list[str], str | None]:
+    """Names of consecutive images with those that are times as `parse_timestamp` or `decimal_ns` read them; and what makes it
+    doubtful that they are the times of the images."""
+    texts, seconds, fractions = [*stems], dict[int, str](), dict[int, tuple[str, str]]()
+    for n, stem in enumerate(stems):
+        if (match := _NAME.fullmatch(stem)) is None:
+            continue
+        year, _, month, day, hour, _, minute, second, since_1970, mark, fraction, offset = match.groups(default="")
+        seconds[n] = since_1970 or f"{year}-{month}-{day} {hour}:{minute}:{second}"
+        fractions[n] = mark, fraction
+        texts[n] = f"{seconds[n]}{'.' * bool(fraction)}{fraction}{offset}"
+    problem = _doubt([*fractions.values()])
+    return texts, problem and next(f"{stems[n]}: {text}{problem}" for n, text in seconds.items())
+
+
+def _doubt(fractions: Sequence[tuple[str, str]]) -> str | None:
+    """Why the digits after the seconds are no fraction of them. fractions: their mark and digits, by image."""
+    if fractions and not any(digits for _, digits in fractions):
+        return ", but whole seconds: when in this second is unknown"
+    lengths = sorted({len(digits) for mark, digits in fractions if mark != "."})
+    if len(lengths) > 1 or not _WHOLE_UNITS.issuperset(lengths):
+        return f", then numbers of {' or '.join(map(str, lengths))} digits; read are 3, 6 or 9 digits for all images"
+    numbers = [int(digits) for mark, digits in fractions if mark in {"_", "-"}]
+    if sum(0 < b - a < 10 for a, b in pairwise(numbers)) > len(numbers) // 2:
+        return ", then numbers that count the images"
+    return None
