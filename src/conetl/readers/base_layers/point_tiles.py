@@ -74,9 +74,7 @@ def tile_side_m(level: int) -> float:
 
 def join(clouds: Iterable[Cloud]) -> Cloud:
     """Several clouds as one."""
-    parts = list(clouds)
-    if not parts:
-        return Cloud(np.zeros((0, 3)), np.zeros(0, np.uint8))
+    parts = [Cloud(np.zeros((0, 3)), np.zeros(0, np.uint8)), *clouds]
     return Cloud(np.concatenate([p.xyz_m for p in parts]), np.concatenate([p.shade for p in parts]))
 
 

@@ -26,9 +26,8 @@ from conetl.readers.rigs.common import Pair, rectified_rig
 from conetl.readers.trajectories.times import misplaced
 
 #: Images per side whose size is part of the header: a drive that is copied again with other images is another drive.
-SAMPLED_IMAGES = 16
-#: Pose files, or pieces of a trajectory, that are part of the header: corrected poses often have as many digits.
-SAMPLED_POSES = 16
+#: And pose files, or pieces of a trajectory: corrected poses often have as many digits.
+_SAMPLES = 16
 _SAMPLED_BYTES = 4096
 
 
@@ -77,7 +76,7 @@ class HeaderFacts:
             if not data.is_dir():
                 raise InputError(f"{folder}: the folder {side} is missing")
             names = names_in(data, IMAGE_SUFFIXES)
-            sizes = [f"{name} {(data / name).stat().st_size}" for name in every_nth(names, SAMPLED_IMAGES)]
+            sizes = [f"{name} {(data / name).stat().st_size}" for name in samples_of(names)]
             self.content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
             stems |= {name.rsplit(".", 1)[0] for name in names}
         self.frame_pairs = len(stems)
@@ -90,7 +89,7 @@ class HeaderFacts:
         size = path.stat().st_size
         pieces = [f"{size}\n".encode()]
         with path.open("rb") as file:
-            for start in range(0, size, max(_SAMPLED_BYTES, (size - _SAMPLED_BYTES) // (SAMPLED_POSES - 1))):
+            for start in range(0, size, max(_SAMPLED_BYTES, (size - _SAMPLED_BYTES) // (_SAMPLES - 1))):
                 file.seek(start)
                 pieces.append(file.read(_SAMPLED_BYTES))
         self.content.add(name, b"".join(pieces))
@@ -115,9 +114,9 @@ def image_files(data: Path) -> list[Path]:
     return [data / name for name in names_in(data, IMAGE_SUFFIXES)]
 
 
-def every_nth(names: Sequence[str], count: int) -> Sequence[str]:
-    """About `count` names, evenly distributed."""
-    return names[:: max(1, len(names) // count)]
+def samples_of(names: Sequence[str]) -> Sequence[str]:
+    """About 16 of the names, evenly distributed."""
+    return names[:: max(1, len(names) // _SAMPLES)]
 
 
 def rig_on_body(rig: Rig, sensor_SE3_left: Floats, settings: DriveYaml, source: Path) -> tuple[Rig, Floats]:

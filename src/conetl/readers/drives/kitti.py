@@ -26,7 +26,7 @@ from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
 from conetl.readers.drives import oxts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
-from conetl.readers.drives.formats import SAMPLED_POSES, HeaderFacts, every_nth, image_files, names_in
+from conetl.readers.drives.formats import HeaderFacts, image_files, names_in, samples_of
 from conetl.readers.drives.pairs import (
     ContentHash,
     PairError,
@@ -112,7 +112,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
     records = names_in(data, (".txt",)) if data.is_dir() else []
     if data.is_dir():
         header.content.add("oxts/data", "\n".join(records).encode(errors="surrogateescape"))
-    for name in every_nth(records, SAMPLED_POSES):
+    for name in samples_of(records):
         header.add_file(path, f"oxts/data/{name}")
     stamps = f"{settings.cameras.left}/timestamps.txt"
     header.set_times([*_stamps(path, stamps, settings, header.content).values()], path / stamps)

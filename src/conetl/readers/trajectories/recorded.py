@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.files.documents import first_message
 from conetl.geometry import pose as se3
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Bools, Floats
 from conetl.model.base import MAX_HEIGHT_M, MIN_HEIGHT_M, GeodeticPosition
 from conetl.model.errors import InputError
 from conetl.readers.trajectories.times import EARLIEST_NS, MAX_AHEAD_NS, Times, clock_problem
@@ -149,29 +149,25 @@ def assembled(
         # A bad line of another time, such as a header, is not the cause.
         cause = "" if found_ns and not bad else first_problem
         raise InputError(f"{path}: no usable pose: {cause or 'there are no records' + of_images(between_ns, found_ns)}")
-    times = np.concatenate([piece.times_ns for piece in kept])
-    order = np.argsort(times, kind="stable")
-    first = np.diff(times[order], prepend=0) > 0
-    for time_ns in times[order[~first]][: MAX_BAD - len(bad)].tolist():
+    order = np.argsort(np.concatenate([piece.times_ns for piece in kept]), kind="stable")
+    times, positions, sigma = (np.concatenate([piece[k] for piece in kept])[order] for k in (0, 1, 3))
+    first = np.diff(times, prepend=0) > 0
+    for time_ns in times[~first][: MAX_BAD - len(bad)].tolist():
         bad[time_ns] = "a second record of this time"
     if not first.all():
-        _require_one_receiver(path, kept, order, first, is_local)
-    keep = order[first]
-    positions = np.concatenate([piece.positions for piece in kept])[keep]
-    sigma = np.concatenate([piece.sigma for piece in kept])[keep]
+        _require_one_receiver(path, times, positions, sigma, first, is_local)
     sigma[~(np.isfinite(sigma) & (sigma > 0.0))] = np.nan
     parts = [piece.rotations for piece in kept if piece.rotations is not None]
-    kept.clear()
-    rotations = np.concatenate(parts)[keep] if parts else None
-    return RecordedTrajectory(name, times[keep], positions, is_local, rotations, sigma, dict(sorted(bad.items())))
+    rotations = np.concatenate(parts)[order[first]] if parts else None
+    bad = dict(sorted(bad.items()))
+    return RecordedTrajectory(name, times[first], positions[first], is_local, rotations, sigma[first], bad)
 
 
-def _require_one_receiver(path: Path, kept: Sequence[Records], order: Any, first: Any, is_local: bool) -> None:
+def _require_one_receiver(path: Path, times: Times, at: Floats, sigma: Floats, first: Bools, is_local: bool) -> None:
     """Raise InputError where many records have the time of another one and a position that contradicts it.
 
-    order (N,): of the records of all pieces by time; first (N,): which of them are the first of their time.
+    times (N,), at (N, 3), sigma (N, 6): of all records, by time; first (N,): which of them are the first of their time.
     """
-    times, at, sigma = (np.concatenate([part[k] for part in kept])[order] for k in (0, 1, 3))
     other = np.flatnonzero(first)[np.cumsum(first) - 1]
     metres = 1.0 if is_local else np.column_stack([np.full(len(at), DEGREE_M), DEGREE_M * np.cos(np.radians(at[:, 0]))])
     apart_m = np.linalg.norm((at - at[other])[:, :2] * metres, axis=1)
