@@ -66,7 +66,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     right = _numbered_images(camera_folder(root, settings.cameras.right, settings), path, rejections)
     if not left and not right:
         raise InputError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
-    size = first_size((paths[0] for _, paths in sorted(left.items())))
+    size = first_size((paths[0] for _, paths in sorted(left.items())), content)
     rig = read_rig_for(root, calibration, size, settings, content)
     name = f"{settings.cameras.left}/timestamps.txt"
     stamps = _stamps(root, name, settings, content)

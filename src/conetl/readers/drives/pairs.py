@@ -34,6 +34,8 @@ class ContentHash:
         """headers_only: only the first and last bytes of images are checked, and images are not part of the hash."""
         self.headers_only = headers_only
         self._files: dict[str, bytes] = {}
+        self.read_ahead: dict[Path, bytes] = {}
+        """Images that were read before their turn, for their size."""
 
     def add(self, name: str, data: bytes) -> str:
         """Add one file that was read; its SHA-256. Names are posix paths relative to the drive folder."""
@@ -139,7 +141,7 @@ def check_images(
             if content.headers_only:
                 check_image_ends(paths[0], name, (camera.width_px, camera.height_px))
             else:
-                data = read_bytes(paths[0])
+                data = content.read_ahead.pop(paths[0], None) or read_bytes(paths[0])
                 sha256 = content.add(name, data)
                 remember(paths[0], sha256, data)
                 check_image_bytes(data, name, (camera.width_px, camera.height_px))
@@ -151,11 +153,17 @@ def check_images(
     return good[0], good[1]
 
 
-def first_size(paths: Iterable[Path]) -> tuple[int, int] | None:
-    """Width and height of the first image whose header can be read; None where there is none."""
+def first_size(paths: Iterable[Path], content: ContentHash | None = None) -> tuple[int, int] | None:
+    """Width and height of the first image whose header can be read; None where there is none.
+
+    content: of the drive that is read; its image need not be read again.
+    """
     for path in paths:
         with suppress(ImageFileError, ValueError):
-            header = inspect_image(read_bytes(path))
+            data = read_bytes(path)
+            header = inspect_image(data)
+            if content is not None:
+                content.read_ahead[path] = data
             return header.width_px, header.height_px
     return None
 
