@@ -76,7 +76,7 @@ def ingest_drives(
     map_srid: int | None,
     show: Callable[[IngestReport], None],
 ) -> tuple[list[IngestReport], int]:
-    """Ingest drives one after the other; their reports, and the worst exit code."""
+    """Ingest drives one after the other. Returns their reports, and the worst exit code."""
     drives = [as_path(drive) for drive in drives]
     missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
     if missing and len(missing) == len(drives) and drives[0].is_file():

@@ -83,7 +83,7 @@ def find_base_file(conn: Connection, file: BaseFile) -> int | None:
 
 
 def write_points(conn: Connection, file: BaseFile, counts: BaseCounts, tiles: Iterable[Tile]) -> int | None:
-    """Write a file's tiles; the number of points kept, None if another import of the same file finished first."""
+    """Write a file's tiles. Returns the number of points kept, None if another import of the same file finished first."""
     source_id = uuid4()
     blocks = (
         (_tile_columns(source_id, batch), sum(t.points for t in batch)) for batch in _batches(tiles, _TILES_AT_ONCE)
@@ -92,7 +92,7 @@ def write_points(conn: Connection, file: BaseFile, counts: BaseCounts, tiles: It
 
 
 def write_lines(conn: Connection, file: BaseFile, counts: BaseCounts, lines: Iterable[Line], srid: int) -> int | None:
-    """Write a file's lines, in the map's CRS; their number, None if another import of the same file finished first."""
+    """Write a file's lines, in the map's CRS. Returns their number, None if another import of the same file finished first."""
     source_id = uuid4()
     blocks = ((_line_columns(source_id, batch, srid), len(batch)) for batch in _batches(lines, _LINES_AT_ONCE))
     return _write(conn, source_id, file, counts, "conetl.base_line", blocks)
@@ -104,7 +104,7 @@ def list_base_sources(conn: Connection, map_name: str) -> list[dict[str, Any]]:
 
 
 def drop_base_layer(conn: Connection, map_name: str, layer_name: str) -> list[int]:
-    """Drop a layer; numbers of points or lines of its files, [] if there was no such layer."""
+    """Drop a layer. Returns the numbers of points or lines of its files, [] if there was no such layer."""
     with transaction(conn, f"The base layer {layer_name} of map {map_name} was not dropped"):
         rows = query(conn, "base_layers.drop_layer", map_name=map_name, layer_name=layer_name)
     return [int(row["kept_count"]) for row in rows]

@@ -203,21 +203,21 @@ def transaction(conn: Connection, what: str) -> Iterator[None]:
 
 
 def execute(conn: Connection, sql: str, parameters: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
-    """Run one statement; its rows as dictionaries, [] if it returns none."""
+    """Run one statement. Returns its rows as dictionaries, [] if it returns none."""
     with conn.cursor(cursor_factory=psycopg2.extras.RealDictCursor) as cursor:
         cursor.execute(sql, parameters)
         return [dict(row) for row in cursor.fetchall()] if cursor.description else []
 
 
 def execute_count(conn: Connection, sql: str, parameters: Mapping[str, Any] | None = None) -> int:
-    """Run one statement; the number of rows it affected."""
+    """Run one statement. Returns the number of rows it affected."""
     with conn.cursor() as cursor:
         cursor.execute(sql, parameters)
         return int(cursor.rowcount)
 
 
 def query(conn: Connection, name: str, /, **parameters: Any) -> list[dict[str, Any]]:
-    """Run a named statement of sql/, such as "map.find_map"; its rows as dictionaries, [] if it returns none."""
+    """Run a named statement of sql/, such as "map.find_map". Returns its rows as dictionaries, [] if it returns none."""
     return execute(conn, load_sql(name), parameters)
 
 
@@ -256,7 +256,7 @@ def or_infinity(instant: datetime | None) -> str:
 
 
 def copy_out(conn: Connection, sql: str, parameters: Mapping[str, Any], sink: IO[bytes], options: str = "") -> int:
-    """Write the rows of a query (without its final semicolon) in COPY's text format, or as `options` say; their number."""
+    """Write the rows of a query (without its final semicolon) in COPY's text format, or as `options` say. Returns the number."""
     with conn.cursor() as cursor:
         query = cursor.mogrify(sql, parameters).decode()
         cursor.copy_expert(f"copy ({query}) to stdout {options}", sink, COPY_CHUNK_BYTES)

@@ -36,7 +36,7 @@ def watch_lock(map_name: str, drive_id: str) -> str:
 
 
 def clear_watches(conn: Connection, *, map_name: str, drive_id: str) -> int:
-    """Remove earlier watches of this drive, interrupted ones, and those older than a week; the number of watches removed.
+    """Remove earlier watches of this drive, interrupted ones, and those older than a week. Returns the number of watches removed.
 
     The caller holds the drive's own `watch_lock`. Watches whose lock another process holds are running and stay.
     """
@@ -86,7 +86,7 @@ def end_watch(conn: Connection, watch: WatchedDrive) -> None:
 
 
 def drop_watched_recording(conn: Connection, drive: Drive, *, map_name: str) -> int:
-    """Remove the watches of a drive that is now on the map, inside the caller's transaction; their number."""
+    """Remove the watches of a drive that is now on the map, inside the caller's transaction. Returns their number."""
     captured_from_ns, captured_to_ns = drive.captured_ns
     parameters = {
         "map_name": map_name, "drive_id": clean_text(drive.drive_id),

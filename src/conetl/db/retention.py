@@ -59,7 +59,7 @@ def prunable_drives(conn: Connection, before: datetime) -> list[PrunableDrive]:
 
 
 def prune_drives(conn: Connection, drives: Sequence[PrunableDrive], *, now: datetime | None = None) -> int:
-    """Delete the raw records of drives, map by map, each under its lock and in one transaction; the number of rows deleted."""
+    """Delete the raw records of drives, map by map, each under its lock and in one transaction. Returns the number of rows."""
     deleted = 0
     for map_name in sorted({drive.map_name for drive in drives}):
         own = [drive.drive_uuid for drive in drives if drive.map_name == map_name]
@@ -86,7 +86,7 @@ def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
 
 
 def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: datetime | None = None) -> int:
-    """Move the raw records of a drive to Parquet files in a folder of its own, under the map's lock; the bytes of the files.
+    """Move the raw records of a drive to Parquet files in a folder of its own, under the map's lock. Returns their size in bytes.
 
     The files are complete on the disk before the rows are deleted. 0 where another process was faster, whose files stay. Raises
     InputError, StorageError where they cannot be written, MapMismatchError where the drive has not the records that it should.
@@ -119,7 +119,7 @@ def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: 
 
 
 def restore_drives(conn: Connection, map_name: str, drive_id: str | None = None) -> list[str]:
-    """Bring the archived raw records of drives of a map back into the tables, of one or of all; the ids of the drives."""
+    """Bring the archived raw records of drives of a map back into the tables, of one or of all. Returns the ids of the drives."""
     with map_transaction(conn, map_name):
         found = db.query(conn, "retention.archived_drives", map_name=map_name, drive_id=drive_id)
         require_comparable(conn, [drive["drive_uuid"] for drive in found])

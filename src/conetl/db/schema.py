@@ -25,7 +25,7 @@ SHOWN_ROWS = 100
 
 
 def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
-    """Bring the schema up to date, all or nothing; the names of the migrations that were applied now.
+    """Bring the schema up to date, all or nothing. Returns the names of the migrations that were applied now.
 
     Migrations only go forwards. Raises `DatabaseError` if an applied one was changed afterwards, the database is newer than this
     conetl or older than its baseline, PostGIS is missing or cannot be created. Two calls at once wait for each other; if nothing
@@ -85,7 +85,7 @@ def database_status(conn: Connection) -> dict[str, Any]:
 
 
 def prefect_database(url: str) -> str:
-    """Create the Prefect server's database on the server of `url` if it is missing; its address in SQLAlchemy's form."""
+    """Create the Prefect server's database on the server of `url` if it is missing. Returns its address in SQLAlchemy's form."""
     with (
         closing(db.connect(url)) as conn,
         db.database_errors(

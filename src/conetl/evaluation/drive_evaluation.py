@@ -303,7 +303,7 @@ def write_pooled_page(folder: Path, drives: Sequence[DriveEvaluation]) -> Path:
 def _write_page(
     folder: Path, title: str, summary: Sequence[str], sections: Sequence[Section], images: Mapping[str, bytes]
 ) -> Path:
-    """Write images and page into a folder; the path of the page. Raises InputError."""
+    """Write images and page into a folder. Returns the path of the page. Raises InputError."""
     with library_errors(f"{folder} cannot be written", OSError, hint=": choose another folder with --out"):
         folder.mkdir(parents=True, exist_ok=True)
         for file, data in images.items():

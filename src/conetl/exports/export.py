@@ -26,7 +26,7 @@ _WORK_MEM = {ExportContent.FEATURES: "128MB", ExportContent.CHANGES: "64MB", Exp
 
 
 def export_map(conn: Connection, path: Path, file_format: str, request: ExportRequest) -> dict[str, Any]:
-    """Write the rows of `request` to `path` and a manifest to `path` + '.manifest.json'; the manifest.
+    """Write the rows of `request` to `path` and a manifest to `path` + '.manifest.json'. Returns the manifest.
 
     All rows come from one snapshot of the database, in batches. All files appear at the end, or none. If the map has lane
     markings and a file of the format holds one type of geometry only, they are in a second file (`cones_lane_markings.csv`)

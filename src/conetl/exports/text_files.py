@@ -170,7 +170,7 @@ def _plain(name: str, column: pa.Array) -> list[Any]:
 
 
 def export_geojson(conn: Connection, path: Path, *, map_name: str = "default") -> int:
-    """Write the standing features as GeoJSON without a manifest; their number. See `write_features`."""
+    """Write the standing features as GeoJSON without a manifest. Returns their number. See `write_features`."""
     with open_source(conn, ExportRequest(map_name)) as sources, atomic_files(path) as (file,):
         write_features(sources, file)
         return sum(source.counts.total() for source in sources)
@@ -203,7 +203,7 @@ def write_features(sources: Sequence[ExportSource], path: Path) -> None:
 def export_diff_geojson(
     changes: Sequence[FeatureChange], path: Path, *, srid: int, origins: Mapping[UUID, Mapping[str, Any]] | None = None
 ) -> int:
-    """Write the difference of two maps: a point per changed feature, a line if it moved; the number of features.
+    """Write the difference of two maps: a point per changed feature, a line if it moved. Returns the number of features.
 
     origins: by feature id, the row of `history.origins`; without one the time and the drive are null.
     """
@@ -238,7 +238,7 @@ def export_diff_geojson(
 
 
 def export_layout_geojson(findings: Sequence[Finding], path: Path, *, srid: int) -> int:
-    """Write one point or line per finding of the layout check; the number of features."""
+    """Write one point or line per finding of the layout check. Returns the number of features."""
     features = [
         {
             "type": "Feature",

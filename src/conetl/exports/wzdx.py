@@ -96,7 +96,7 @@ class FeedContext:
 
 
 def export_work_zone_feed(zones: Sequence[WorkZone], path: Path, context: FeedContext) -> int:
-    """Write a WorkZoneFeed with one road event per zone that exists or ended recently; their number."""
+    """Write a WorkZoneFeed with one road event per zone that exists or ended recently. Returns their number."""
     oldest_ns = ns_from_utc(context.at - timedelta(days=context.params.keep_ended_days))
     shown = [z for z in zones if z.history.end_ns is None or z.history.end_ns >= oldest_ns]
     ids = {zone.history.zone_id for zone in shown}
@@ -105,7 +105,7 @@ def export_work_zone_feed(zones: Sequence[WorkZone], path: Path, context: FeedCo
 
 
 def export_device_feed(cones: Sequence[MapFeature], zones: Sequence[WorkZone], path: Path, context: FeedContext) -> int:
-    """Write a DeviceFeed with one location marker per standing cone, which names its zone; their number."""
+    """Write a DeviceFeed with one location marker per standing cone, which names its zone. Returns their number."""
     of_cone = {cone.feature_id: zone for zone in zones if zone.history.end_ns is None for cone in zone.layout.cones}
     ordered = sorted(cones, key=lambda cone: str(cone.feature_id))
     features = [_location_marker(cone, of_cone.get(cone.feature_id), context) for cone in ordered]

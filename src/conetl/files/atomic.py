@@ -131,7 +131,7 @@ def size_bytes(paths: Sequence[Path]) -> int:
 
 
 def remove(paths: Sequence[Path]) -> int:
-    """Delete files and folders, skipping missing ones; the number of bytes freed. Raises InputError."""
+    """Delete files and folders, skipping missing ones. Returns the number of bytes freed. Raises InputError."""
     freed = 0
     for path in paths:
         size = size_bytes([path])

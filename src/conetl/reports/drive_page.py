@@ -54,7 +54,7 @@ class Alert(NamedTuple):
 def write_drive_page(
     conn: Connection, changeset: CommittedChangeset, path: Path, *, map_name: str, plan_path: Path | None = None
 ) -> Path:
-    """Write the page of one changeset; its path. Raises InputError for an imported map and where it cannot be written.
+    """Write the page of one changeset. Returns its path. Raises InputError for an imported map and where it cannot be written.
 
     plan_path: also write its plan there, as PNG.
     """

@@ -232,7 +232,7 @@ def change_of_row(row: Mapping[str, Any]) -> MarkingChange | None:
 
 
 def draw_markings(axes: Axes, changes: Sequence[MarkingChange]) -> list[Line2D]:
-    """Draw the lines below all objects; the entries of the legend with their counts."""
+    """Draw the lines below all objects. Returns the entries of the legend with their counts."""
 
     def drawn(lines: Iterable[Floats], colour: str, width_pt: float, **style: object) -> None:
         flat = [line[:, :2] for line in lines]

@@ -50,7 +50,7 @@ def draw_drive(drive: Drive, summary: DriveSummary) -> bytes:
 
 
 def draw_coverage(path: Path, bundle: Bundle, views: Sequence[BoardView], title: str) -> Path:
-    """Write the corners of a calibration in both images with their residuals as enlarged arrows (PNG); the path."""
+    """Write the corners of a calibration in both images with their residuals as enlarged arrows (PNG). Returns the path."""
     figure = new_figure(13, 7.2, dpi=110)
     panels = figure.subplots(1, 2)
     typical_px = float(np.median(np.concatenate([np.hypot(*residuals_px(bundle, v).T) for v in views])))

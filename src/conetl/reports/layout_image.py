@@ -25,7 +25,7 @@ def draw_layout(
     *,
     title: str,
 ) -> Path:
-    """Write an image (PNG) with a panel and a numbered list of findings per zone; the path."""
+    """Write an image (PNG) with a panel and a numbered list of findings per zone. Returns the path."""
     notes = [[_note(n, finding) for n, finding in enumerate(findings, 1)] for _, findings in zones]
     heights = [part for some in notes for part in (2.9, 0.3 + 0.2 * max(sum(len(note) for note in some), 1))]
     figure = new_figure(11, sum(heights) + 0.5, dpi=120)

@@ -182,7 +182,7 @@ def _compose(content: PlanContent, bbox: Bbox, title: str, footer: str, size_mm:
 
 
 def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
-    """Draw points, lane boundaries and paths; their lines of the legend."""
+    """Draw points, lane boundaries and paths. Returns their lines for the legend."""
     handles: list[Line2D] = []
     for path in content.paths_m:
         axes.plot(path[:, 0], path[:, 1], color=marks.DRIVE_PATH, linewidth=1.1, zorder=3)
@@ -215,7 +215,7 @@ def _ground(axes: Axes, content: PlanContent) -> list[Line2D]:
 
 
 def _markings(axes: Axes, content: PlanContent, bbox: Bbox) -> list[Line2D]:
-    """Draw lane markings and their changes; their lines of the legend."""
+    """Draw lane markings and their changes. Returns their lines for the legend."""
     low, high = np.array(bbox[:2]), np.array(bbox[2:])
     shown = [
         one
@@ -227,7 +227,7 @@ def _markings(axes: Axes, content: PlanContent, bbox: Bbox) -> list[Line2D]:
 
 
 def _objects(axes: Axes, content: PlanContent, bbox: Bbox) -> list[figures.Handle]:
-    """Draw cones and other objects, and changes; their entries of the legend count those inside the picture."""
+    """Draw cones and other objects, and changes. Returns their entries of the legend, with the counts inside the picture."""
     xy_m = np.reshape([mark.xy_m for mark in content.marks], (-1, 2))
     inside = np.asarray(((xy_m >= bbox[:2]) & (xy_m <= bbox[2:])).all(axis=1))
     shown = [content.marks[k] for k in np.flatnonzero(inside).tolist()]

@@ -89,7 +89,7 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
 
 
 def write_night_page(conn: Connection, path: Path, *, map_name: str, since: datetime, until: datetime) -> NightFacts:
-    """Write the page; its facts. Raises InputError as `read_night`, and where the file cannot be written."""
+    """Write the page. Returns its facts. Raises InputError as `read_night`, and where the file cannot be written."""
     facts = read_night(conn, map_name=map_name, since=since, until=until)
     write_page(path, night_page(facts))
     return facts

@@ -91,7 +91,7 @@ class ClusterStatus:
 
 
 def cluster_up(home: Path) -> str:
-    """Start the private cluster of `home`, created if it is missing; the libpq URL of its database.
+    """Start the private cluster of `home`, created if it is missing. Returns the libpq URL of its database.
 
     Idempotent and safe against a second call at the same time. Raises `DatabaseError` if PostGIS is not installed, the cluster
     belongs to another user or is used by another machine or container, or the server does not start (with the end of its log).
@@ -264,7 +264,7 @@ def _write_as(location: ClusterLocation, relative_path: str, text: str) -> None:
 
 
 def _run(location: ClusterLocation, command: list[str], what: str, *, stdin: str = "", timeout_s: float = 10) -> str:
-    """Run a command as the cluster's user; what it printed. Raises `DatabaseError` that says `what` if it fails."""
+    """Run a command as the cluster's user. Returns what it printed. Raises `DatabaseError` that says `what` if it fails."""
     done = run_as(location, command, stdin=stdin, timeout_s=timeout_s)
     if done.returncode != 0:
         raise DatabaseError(f"{what} in {location.directory} (as user {location.user.pw_name}): {done.stdout.strip()}")

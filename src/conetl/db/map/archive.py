@@ -69,7 +69,7 @@ def rename_map(conn: Connection, map_name: str, new_name: str) -> None:
 
 
 def delete_map(conn: Connection, map_name: str, dump: Path) -> dict[str, int]:
-    """Write the map to the file `dump`, then delete it, in one transaction; the number of rows by table.
+    """Write the map to the file `dump`, then delete it, in one transaction. Returns the number of rows by table.
 
     Raises InputError if the map does not exist, a drive is being ingested into it, or the file cannot be written. Then nothing
     was deleted.

@@ -50,7 +50,7 @@ def insert_decision(
     location: Location | None = None,
     **about: UUID | None,
 ) -> UUID:
-    """Write a decision inside the caller's `map_transaction`; its id.
+    """Write a decision inside the caller's `map_transaction`. Returns its id.
 
     kind: suppress, pin, classify (with a `Classification`), revert, accept or withdraw. about: feature_id, changeset_id and the
     decision that it withdraws, as far as there are any.

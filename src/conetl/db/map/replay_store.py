@@ -121,7 +121,7 @@ def read_deltas(conn: Connection, drive_uuids: Sequence[UUID]) -> StoredDeltas:
 
 
 def write_replay(conn: Connection, info: MapInfo, replay: Replay, committed_at: datetime) -> int:
-    """Write the new state where it differs from the old one; the number of versions written. Does not commit."""
+    """Write the new state where it differs from the old one. Returns the number of versions written. Does not commit."""
     return apply_stages(conn, load_stages(conn, info, replay), replay, committed_at)
 
 
@@ -148,7 +148,7 @@ def load_stages(conn: Connection, info: MapInfo, replay: Replay) -> dict[str, An
 
 
 def apply_stages(conn: Connection, staged: dict[str, Any], replay: Replay, committed_at: datetime) -> int:
-    """Write what `load_stages` loaded; the number of versions written. MapMismatchError if the map has changed meanwhile."""
+    """Write what `load_stages` loaded. Returns the number of versions. Raises MapMismatchError if the map has changed since."""
     parameters = staged | {"committed_at": committed_at}
     db.query(conn, "replay.insert_staged_features", **parameters)
     for rows in ("versions", "deltas"):

@@ -20,7 +20,7 @@ from conetl.model.arrays import Floats, Image, Ints
 from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 
-#: A blurred edge is at most this wide (contrast over steepest slope, px); what is wider is refused.
+#: A blurred edge is at most this wide (contrast over steepest slope, px); what is wider is rejected.
 MAX_EDGE_WIDTH_PX = 6.0
 #: Chessboards are measured in a copy enlarged so far that a square is about this wide: the sector-based detector looks at a
 #: neighbourhood of fixed size, and on small squares its corners are pulled by the next ones.

@@ -38,7 +38,7 @@ class ContentHash:
         """Images that were read before their turn, for their size."""
 
     def add(self, name: str, data: bytes) -> str:
-        """Add one file that was read; its SHA-256. Names are posix paths relative to the drive folder."""
+        """Add one file that was read. Returns its SHA-256. Names are posix paths relative to the drive folder."""
         found = hashlib.sha256(data)
         self._files[name] = found.digest()
         return found.hexdigest()
