@@ -15,10 +15,10 @@ from math import exp, log, sqrt
 import numpy as np
 from scipy.special import betaln
 
+from conetl.mapping.association import MAX_SIGMAS
 from conetl.mapping.displacement import (
     LEAST_OFFSET_M,
     LEAST_PAIRS,
-    MAX_SIGMAS,
     agreement_hold,
     check_arrangement,
     check_classes,

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.packing import cov_matrices
-from conetl.mapping.association import assign, classes_of, common_offset, near_pairs, xyz_of
+from conetl.mapping.association import MAX_SIGMAS, assign, classes_of, common_offset, near_pairs, xyz_of
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import Track
 from conetl.model.health import AGREEMENT, HealthCheck, hold
@@ -26,8 +26,6 @@ from conetl.model.params import ReconcileParams
 
 #: Positions (N, 3) and classes (N,) of tracks or features.
 _Located = tuple[Floats, NDArray[np.str_]]
-#: Sigmas of a common displacement that the stated ones do not explain.
-MAX_SIGMAS = 5.0
 #: Smaller displacements and height differences are left to the fusion.
 LEAST_OFFSET_M = 0.1
 #: Cones or stretches that must agree on a small displacement; on a height difference beyond any error of measurement one does.

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from conetl.geometry.packing import cov_matrix
+from conetl.mapping.agreement import check_agreement
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext, confirm_features
@@ -131,6 +132,16 @@ def test_a_shift_that_all_cones_share_beyond_the_sigmas_widens_those_of_the_map(
 
 def absent(_feature: MapFeature, _offset: object, _others: object) -> NotObserved:
     return NotObserved(20, START_NS + DAY_NS, -3.5)
+
+
+def test_an_offset_below_that_of_a_hold_is_not_left_in_new_cones() -> None:
+    features, east_m = [feature(i, *at) for i, at in enumerate(ROW[:4])], 4.6 * np.sqrt(2) * RTK
+    tracks = [track(i, east + east_m, north) for i, (east, north) in enumerate(ROW)]
+    deltas = changes(tracks, features)
+    assert check_agreement(tracks, features, [d for some in deltas.values() for d in some], PARAMS) is None
+    (added,) = deltas[DeltaKind.ADDED]
+    assert added.new is not None
+    assert added.new.xyz_m[0] - ORIGIN_M[0] - ROW[4][0] == pytest.approx(east_m / 2, abs=0.001)
 
 
 def test_a_pinned_cone_is_neither_removed_nor_moved() -> None:
