@@ -6,7 +6,7 @@ import csv
 import json
 import math
 import struct
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
 import numpy as np
@@ -23,6 +23,7 @@ from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportContent, ExportRequest
 from conetl.files.parquet_store import file_sha256
+from conetl.model.base import ns_from_utc
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ImportParams
@@ -662,6 +663,14 @@ def test_a_survey_before_2000_or_in_the_future_is_refused(tmp_path):
     path = geojson(tmp_path / "map.geojson", [(OTHER, {})])
     for year in (1970, 2199):
         complaint(path, f"--surveyed-at.*{year}.*(before 2000|future)", stated_at=datetime(year, 1, 2, tzinfo=UTC))
+
+
+def test_rows_that_nobody_saw_at_the_survey_are_refused(tmp_path):
+    """Drives may have removed them between."""
+    path = geojson(tmp_path / "map.geojson", [(OTHER, SEEN)])
+    seen = datetime.fromisoformat(SEEN["last_seen_at"])
+    assert read(path, stated_at=seen + timedelta(hours=20)).stated_at_ns == ns_from_utc(seen + timedelta(hours=20))
+    complaint(path, "--surveyed-at.*latest last_seen_at", stated_at=seen + timedelta(hours=25))
 
 
 @pytest.mark.parametrize("name", ["map.geojson", "map.csv"])

@@ -19,14 +19,14 @@ from conetl.files.documents import error_key, expectation, input_errors, shown
 from conetl.files.parquet_store import file_sha256
 from conetl.geometry.geodesy import check_map_srid, to_ellipsoidal, utm_srid
 from conetl.model.arrays import Floats
-from conetl.model.base import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3, ns_from_utc
+from conetl.model.base import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3, ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.readers.base_layers.georeferencing import in_area, parse_crs
 from conetl.readers.maps.tables import MapTable, read_table
 from conetl.readers.surveyed_points import require_exact
-from conetl.readers.trajectories.times import clock_problem
+from conetl.readers.trajectories.times import DAY_NS, clock_problem
 
 _NAMESPACE = UUID("5f0f6f0a-1c1b-4a53-9d0e-3c7a4a5be9a1")
 #: Coordinates may be outside the area of use of their CRS by this much (degrees): maps at a zone's edge.
@@ -113,9 +113,17 @@ def read_map_file(
     if table.layer not in (None, *table.layers[:1]):  # the hash identifies an import: of a later layer, that of both
         sha256 = hashlib.sha256(f"{sha256}/{table.layer}".encode()).hexdigest()
     rows = _Rows(table, params)
-    stated_ns = rows.latest_ns() if stated_at is None else ns_from_utc(stated_at)
+    latest_ns = rows.latest_ns()
+    stated_ns = latest_ns if stated_at is None else ns_from_utc(stated_at)
+    if stated_ns is None:
+        raise InputError(f"{path} does not state times: give the time of the survey (--surveyed-at)")
     if problem := clock_problem(stated_ns, _EARLIEST_NS):
         raise InputError(f"{path}: the time of the survey (--surveyed-at), {stated_at}, {problem}; nothing was written")
+    if latest_ns is not None and stated_ns - latest_ns > DAY_NS:
+        raise InputError(
+            f"{path}: the time of the survey (--surveyed-at), {stated_at}, is more than a day after the latest last_seen_at, "
+            f"{utc_from_ns(latest_ns)}: leave it out, or remove this column; nothing was written"
+        )
     ids = rows.ids(sha256)
     statements = [rows.statement(i, ids[i], xyz_m[i], stated_ns) for i in range(len(table))]
     require_exact(table, file_crs, np.sqrt([[one.feature.cov_m2[k] for k in (0, 3, 5)] for one in statements]))
@@ -165,13 +173,10 @@ class _Rows:
             first[feature_id] = index
         return list(first)
 
-    def latest_ns(self) -> int:
-        """The latest `last_seen_at`. Raises InputError where no row has one."""
+    def latest_ns(self) -> int | None:
+        """The latest `last_seen_at`; None if no row has one."""
         seen = [self.instant_ns(index, self.values(index), "last_seen_at", None) for index in range(len(self.table))]
-        known: list[int] = [instant for instant in seen if instant is not None]
-        if not known:
-            raise InputError(f"{self.table.path} does not state times: give the time of the survey (--surveyed-at)")
-        return max(known)
+        return max((instant for instant in seen if instant is not None), default=None)
 
     def statement(self, index: int, feature_id: UUID, xyz_m: Floats, stated_ns: int) -> ImportedFeature:
         values = self.values(index)
