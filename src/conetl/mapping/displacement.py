@@ -32,8 +32,8 @@ LEAST_OFFSET_M = 0.1
 LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
 #: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
 _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
-#: Rotation of two cones of a part of a drive by their errors.
-_MAX_PART_TURN = np.radians(0.5)
+#: Rotation of two cones of a part of a drive by their errors; displacement by the lever arm of another vehicle.
+_MAX_PART_TURN, _MAX_LEVER_M = np.radians(0.5), 4.0
 #: No road connects two cones this near in plan with such a height difference; bridges are lower.
 _BESIDE_M, _CLIFF_M = 30.0, 20.0
 #: The fold compares everything on the map within this distance.
@@ -161,7 +161,8 @@ def check_arrangement(
 def check_parts(tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams) -> HealthCheck | None:
     """A hold if the arrangement of a part of the drive matches the map elsewhere. No cone was observed both before and in it.
 
-    GNSS may get another fix while the vehicle waits or drives on without recording; it does not turn the positions.
+    GNSS may get another fix while the vehicle waits or drives on without recording; it does not turn the positions. A drive with
+    one part, which may show few cones, is compared with cones that a wrong lever arm can reach.
     """
     parts: list[list[Track]] = []
     end_ns = 0
@@ -170,11 +171,12 @@ def check_parts(tracks: Sequence[Track], features: Sequence[MapFeature], params:
             parts.append([])
         parts[-1].append(track)
         end_ns = max(end_ns, track.last_seen_ns)
-    for part in parts if features and len(parts) > 1 else ():
+    within_m = _MAX_DISPLACEMENT_M if len(parts) > 1 else _MAX_LEVER_M
+    for part in parts if features else ():
         found = len(_same_positions(_located(part), _located(features), np.zeros(3), params))
-        check = _match_arrangement(part, features, found, params, LEAST_PAIRS, _MAX_DISPLACEMENT_M, _MAX_PART_TURN)
+        check = _match_arrangement(part, features, found, params, LEAST_PAIRS, within_m, _MAX_PART_TURN)
         if check is not None:
-            return _of_part(check, len(part))
+            return _of_part(check, len(part)) if len(parts) > 1 else check
     return None
 
 

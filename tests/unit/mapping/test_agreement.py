@@ -174,6 +174,16 @@ def test_a_displaced_part_behind_a_pause_is_found(first: int, shift: tuple[float
         assert f"{np.hypot(*shift):.1f} m from those of the map" in detail
 
 
+@pytest.mark.parametrize("shift", [(0.55, 0.25), (-1.1, 1.0), (3.0, 1.0)])
+def test_a_displaced_drive_that_shows_few_cones_is_found(shift: tuple[float, float]) -> None:
+    """Another vehicle's lever arm; it shows the last three cones of the map and a new one."""
+    places = np.vstack([UNEVEN[6:], UNEVEN[-1:] + np.array((2.0, 1.4, 0.0))])
+    for seed in range(3):
+        assert finding(places, UNEVEN, seed=seed, in_view=False) is None
+        detail = finding(places + np.array((*shift, 0.0)), UNEVEN, seed=seed, in_view=False) or ""
+        assert f"{np.hypot(*shift):.1f} m from those of the map" in detail
+
+
 def test_another_zone_behind_a_pause_is_none() -> None:
     """It begins where the map's one ends, with distances like those."""
     for seed in range(20, 40):
