@@ -233,6 +233,7 @@ def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):
         "update delta set shift_m = 0",
         "update feature set cell = 0",
         "update map set srid = 32633",
+        "update receipt set reason = 'x'",
         "insert into schema_migration values ('x', 'y')",
     ):
         execute(conn, "savepoint s")

@@ -48,15 +48,6 @@ def test_own_errors_may_hang_together(seed: int) -> None:
     assert (result.absolute.dof, result.relative.dof, result.common.dof) == (27, 23, 4)
 
 
-def test_a_common_error_is_no_relative_error() -> None:
-    rng, own, jacobian, cov = random_drive(3)
-    error = draw(rng, own, jacobian, cov)
-    shifted = error + jacobian @ np.array([5.0, -3.0, 2.0, 1.0])
-    a, b = (consistency(e, whole(own), jacobian, cov) for e in (error, shifted))
-    assert b.relative.value == pytest.approx(a.relative.value, rel=1e-6)
-    assert not b.common.holds(0.999)
-
-
 def test_no_common_error_leaves_every_degree_of_freedom_to_the_points() -> None:
     rng, own, jacobian, _ = random_drive(5)
     error = draw(rng, own, jacobian, np.zeros((4, 4)))
