@@ -63,16 +63,6 @@ def test_errors_of_calibration_and_range_are_separated() -> None:
     assert bias.range_offset_m == pytest.approx(offset_m, abs=0.02)
 
 
-def test_without_errors_nothing_is_found() -> None:
-    rig = make_rig()
-    walls = [wall(z_m, seed, 0.0, 0.0) for seed, z_m in enumerate((6.0, 9.0, 15.0))]
-    samples = np.concatenate([scene_samples(w.points, w.left, w.right, rig, []) for w in walls])
-    bias = fit_scene_bias(samples, rig)
-    assert bias is not None
-    assert bias.disparity_error_px(np.zeros(2)) == pytest.approx(0.0, abs=0.04)
-    assert bias.range_offset_m == pytest.approx(0.0, abs=0.02)
-
-
 def test_cones_are_left_out() -> None:
     left, right, points = wall(8.0, 0, 0, 0)
     box = records.box(0.0, 0.0, 400.0, 200.0)

@@ -46,12 +46,6 @@ def test_the_ray_through_an_image_point_passes_through_its_point(x: float, y: fl
         assert np.linalg.norm(uv - cam.project(CAMERA, np.array([x, y, 1.0]))) > 1.0, "a lens that does nothing"
 
 
-def test_projection_is_that_of_the_calibration_matrix() -> None:
-    point = np.array([1.0, 2.0, 10.0])
-    homogeneous = cam.matrix_k(CAMERA) @ point
-    np.testing.assert_allclose(cam.project(CAMERA, point), homogeneous[:2] / homogeneous[2])
-
-
 def test_a_point_behind_the_camera_has_no_image() -> None:
     with pytest.raises(ValueError, match="in front"):
         cam.project(CAMERA, np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))
@@ -76,15 +70,6 @@ def test_camera_centres_follow_the_body() -> None:
     np.testing.assert_allclose(right - left, [0.5, 0, 0], atol=1e-9)
     assert rig.baseline_m == pytest.approx(0.5)
     np.testing.assert_allclose(rigs.left_SE3_right(rig), se3.se3(np.eye(3), [0.5, 0, 0]), atol=1e-12)
-
-
-def test_up_is_the_bodys_or_the_cameras() -> None:
-    np.testing.assert_allclose(rigs.up_in_left_camera(make_rig()), [0, -1, 0], atol=1e-12)
-    tilted = rigs.up_in_left_camera(make_rig(math.radians(10)))
-    assert tilted[2] < 0, "looking down, up leans towards the viewer"
-    bare = make_rig().model_copy(update={"body_SE3_left": se3.to_matrix4(np.eye(4))})
-    assert rigs.body_is_left_camera(bare)
-    np.testing.assert_allclose(rigs.up_in_left_camera(bare), [0, -1, 0])
 
 
 @given(st.floats(-0.2, 0.2), st.floats(-0.05, 0.05), st.floats(2.0, 60.0), st.floats(-8.0, 8.0))

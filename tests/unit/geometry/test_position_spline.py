@@ -74,12 +74,6 @@ def test_pitch_is_the_grade() -> None:
     np.testing.assert_allclose(rotations[0], se3.rotation_from_rpy(0.0, np.arctan(0.05), 0.0), atol=1e-3)
 
 
-def test_a_vehicle_that_never_moves_has_no_heading() -> None:
-    found = spline(np.arange(0.0, 10.0), np.zeros((10, 3)), 0.4)
-    with pytest.raises(ValueError, match="never show the vehicle moving"):
-        course_attitude(found, [5.0])
-
-
 @pytest.mark.parametrize(
     ("times_s", "positions_m"),
     [

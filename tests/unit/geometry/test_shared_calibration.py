@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
@@ -11,7 +10,6 @@ from conetl.geometry.calibration.covariance import (
     calibration_id,
     calibration_jacobian,
     jacobian_of,
-    pack_jacobians,
     shared_cov,
     shared_errors,
     square_root,
@@ -96,13 +94,3 @@ def test_a_rig_of_unknown_accuracy_has_no_levers() -> None:
 def test_a_calibration_that_is_stated_to_be_exact_has_none_either() -> None:
     exact = CalibrationCovariance(names=("left.fx_px",), matrix=((0.0,),))
     assert jacobian_of(np.ones((3, 1)), with_covariance(make_rig(), exact)) is None
-
-
-@pytest.mark.parametrize("count", [0, 1, 3])
-def test_levers_are_unpacked_as_they_were_packed(count: int) -> None:
-    ids = tuple(sorted(calibration_id(with_covariance(RIG, covariance(0.1 * k))) for k in range(count)))
-    moved = np.random.default_rng(0).normal(0, 0.1, (4, count, 3, 5)).astype(np.float32).astype(np.float64)
-    packed = pack_jacobians(ids, moved)
-    assert (packed == [None] * 4) == (count == 0)
-    if count:
-        np.testing.assert_array_equal(unpack_jacobians(ids, packed), moved)

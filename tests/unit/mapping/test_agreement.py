@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from conetl.mapping.agreement import _check_removals, check_agreement
+from conetl.mapping.agreement import check_agreement
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
 from conetl.mapping.displacement import check_far_positions, check_import
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
-from conetl.model.map_records import DeltaKind, MapFeature
+from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from tests import records
 from tests.synthetic.world import ORIGIN_M, START_NS
@@ -249,13 +248,6 @@ def test_the_same_zone_farther_along_the_road_is_told_from_one_like_it() -> None
             found = finding(places, zone, in_view=False)
             assert (found is not None) == same
             assert found is None or "50.0 m from those of the map" in found
-
-
-def test_a_blind_drive_is_found_on_maps_of_any_size() -> None:
-    for removed, confirmed in ((9, 0), (50, 10), (5000, 1000)):
-        kinds = Counter({DeltaKind.REMOVED: removed, DeltaKind.CONFIRMED: confirmed})
-        found = _check_removals(kinds, PARAMS)
-        assert found is not None and f"remove {removed} of the {removed + confirmed}" in found.detail
 
 
 @pytest.mark.parametrize(("renamed", "found"), [(9, True), (5, True), (4, False), (2, False)])

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 
 from conetl.geometry.packing import vec3
 from conetl.mapping.existence_update import miss_of
-from conetl.mapping.history import DriveEvidence, MapHistory, apply_drive, replay_drives
+from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
 from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import Decisions, DeltaKind, DriveOrder, FeatureVersion, Location, MissSummary
-from tests.synthetic.changing_road import take
 from tests.synthetic.painted_road import random_painted_drives
 from tests.synthetic.road import HOUR_NS, SECOND_NS, random_drive, random_world
 from tests.synthetic.world import START_NS
@@ -172,22 +171,6 @@ def assert_one_map(drives: list[DriveEvidence], decisions: Decisions, chance: Ra
         assert ingest.state == state(replay_drives([drive for drive in drives if drive.key in keys], decisions))
 
 
-def test_a_held_drive_changes_nothing_until_it_is_accepted() -> None:
-    rng = np.random.default_rng(4)
-    world = random_world(rng, 100.0, DAYS)
-    drives = [random_drive(rng, world, day, start_ns=START_NS + day * HOUR_NS, span_m=(0.0, 100.0)) for day in range(4)]
-    lower = replace(drives[2], tracks=[t.model_copy(update={"xyz_m": (*t.xyz_m[:2], -48.0)}) for t in drives[2].tracks])
-    others = [*drives[:2], *drives[3:]]
-    with_it = replay_drives([*others, lower])
-    assert holds(with_it).keys() == {lower.changeset_id}
-    assert with_it.chains == replay_drives(others).chains
-    accepted = replay_drives([*others, lower], Decisions(accepted=frozenset({lower.changeset_id})))
-    assert not holds(accepted).get(lower.changeset_id)
-    assert accepted.chains != with_it.chains
-    alone = replay_drives([lower])
-    assert not holds(alone), "there is nothing that it contradicts"
-
-
 def test_drives_in_order_are_compared_once_and_in_reverse_again() -> None:
     drives = sorted(random_case(20260303, 5), key=lambda drive: drive.key)
     history = replay_drives(drives)
@@ -200,21 +183,6 @@ def test_drives_in_order_are_compared_once_and_in_reverse_again() -> None:
         backwards.add(drive)
     assert forwards.state == backwards.state == state(history)
     assert forwards.compared == len(drives) < backwards.compared
-
-
-def test_drives_in_order_are_one_update_each() -> None:
-    drives = sorted(random_case(7, 5), key=lambda drive: drive.key)
-    standing: dict[UUID, FeatureVersion] = {}
-    summaries: dict[UUID, MissSummary] = {}
-    deltas = {}
-    for drive in drives:
-        update = apply_drive(standing, drive, Decisions(), summaries)
-        deltas[drive.changeset_id] = update.deltas
-        take(update, standing, summaries)
-    history = replay_drives(drives)
-    assert {key: update.deltas for key, update in history.updates.items()} == deltas
-    last = {feature_id: chain[-1] for feature_id, chain in history.chains.items() if chain[-1].present}
-    assert last == standing
 
 
 @settings(max_examples=20, deadline=None)

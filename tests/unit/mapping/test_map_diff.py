@@ -25,12 +25,6 @@ MAPS = st.dictionaries(
 )
 
 
-def test_kinds() -> None:
-    before, after = [cone(1, 0), cone(2, 0), cone(3, 0), cone(4, 0)], [cone(1, 0), cone(2, 0.1), cone(3, 2), cone(5, 0)]
-    found = [(change.feature_id.int, change.kind) for change in diff(before, after)]
-    assert found == [(2, DeltaKind.CONFIRMED), (3, DeltaKind.MOVED), (4, DeltaKind.REMOVED), (5, DeltaKind.ADDED)]
-
-
 def test_a_cone_that_was_looked_for_in_vain_is_not_confirmed() -> None:
     """A miss lowers the existence probability of a version and makes no other one."""
     before = cone(1, 0)

@@ -69,24 +69,6 @@ def test_a_first_drive_founds_rows_of_stretches_and_the_next_ones_confirm_them()
         assert shape.width_sigma_m == pytest.approx(0.01 / np.sqrt(3))
 
 
-def test_one_marking_removed_and_one_moved_are_exactly_these_changes() -> None:
-    moved = replace(LEFT, aside_m=-2.5)
-    drives = drives_of([ROAD, (EDGE, moved, YELLOW), (EDGE, moved, YELLOW)])
-    history = replay_drives(drives)
-    rows = Counter(round(2 * aside_m(delta.new)) / 2 for delta in deltas_of(history, drives[0]))
-    counts = {paint.aside_m: rows[paint.aside_m] for paint in ROAD}
-    assert kinds_of(history, drives[1]) == {
-        "removed": counts[1.5], "moved": counts[-2.0], "confirmed": counts[4.5] + counts[-4.0],
-    }  # fmt: skip
-    for delta in deltas_of(history, drives[1]):
-        if delta.kind == "removed":
-            assert abs(aside_m(delta.old) - 1.5) < 0.2
-        if delta.kind == "moved":
-            assert abs(aside_m(delta.old) + 2.0) < 0.2 and delta.shift_m == pytest.approx(0.5, abs=0.1)
-            assert delta.new.first_seen_ns == delta.old.first_seen_ns
-    assert kinds_of(history, drives[2]) == {"confirmed": sum(counts.values()) - counts[1.5]}
-
-
 def test_where_half_of_a_stretch_is_gone_the_rest_is_split_off() -> None:
     gap = (Paint(1.5, (-1e9, 43.0)), Paint(1.5, (61.0, 1e9)))
     drives = drives_of([ROAD, (EDGE, LEFT, YELLOW, *gap), (EDGE, LEFT, YELLOW, *gap)])

@@ -103,12 +103,6 @@ def empty_frames(positions: list[Position], offset_m: tuple[float, float, float]
     return 0 if found is None else found.frames
 
 
-def test_only_an_empty_location_is_evidence() -> None:
-    assert empty_frames([]) == len(in_view(CONE))
-    _, _, positions = observe([CONE], PAIRS, RIG)
-    assert empty_frames(positions) == 0
-
-
 def test_images_without_detail_show_no_absence() -> None:
     """Fog, or a lens that is covered: the first half of the drive."""
     half = len(PAIRS) // 2

@@ -20,7 +20,7 @@ from conetl.model.rejections import RejectionReason
 from conetl.readers.drives import oxts, read_drive
 from conetl.readers.drives.drive_yaml import Sigmas
 from conetl.readers.trajectories.oxts import OxtsRecord
-from conetl.readers.trajectories.times import misplaced, out_of_order, parse_timestamp, parse_timestamps
+from conetl.readers.trajectories.times import misplaced, parse_timestamp
 from tests.prepared import prepared
 
 FRAMES = 6
@@ -391,21 +391,6 @@ def test_the_content_hash_depends_on_bytes_and_not_on_the_path(drive: Path, tmp_
         change(copy)
         seen.add(read_drive(copy)[0].content_sha256)
     assert len(seen) == 7
-
-
-def test_time_stamps_keep_their_nanoseconds() -> None:
-    assert parse_timestamp("2011-09-26 13:04:32") == 1_317_042_272_000_000_000
-    assert parse_timestamp("2011-09-26T13:04:32.5", "Europe/Berlin") == 1_317_035_072_500_000_000
-    stamps = parse_timestamps("2011-09-26 13:04:32.1\nlater\n\n2011-09-26 13:04:32.3\n\n")
-    assert isinstance(stamps[1], str) and isinstance(stamps[2], str) and isinstance(stamps[3], int)
-    assert len(stamps) == 4
-
-
-def test_the_fewest_time_stamps_are_removed() -> None:
-    assert out_of_order({0: 10, 1: 20, 2: 9000, 3: 30, 4: 40}) == {2}
-    assert out_of_order({0: 10, 1: 20, 2: 3, 3: 30}) == {2}
-    assert len(out_of_order({0: 10, 1: 10})) == 1
-    assert out_of_order({}) == set()
 
 
 def test_a_clock_that_was_not_set_is_found_although_its_times_rise() -> None:

@@ -115,10 +115,3 @@ def test_an_unusable_drive_raises_one_message(drive: Path, name: str) -> None:
         read_drive(drive)
     assert words in str(raised.value)
     assert "plain_run" in str(raised.value)
-
-
-def test_sigmas_of_drive_yaml_override_those_of_the_rows(drive: Path) -> None:
-    (drive / "drive.yaml").write_text("sigmas: {horizontal_m: 0.5, roll_deg: 1}")
-    pose = read_drive(drive)[0].frame_pairs[0].pose
-    assert pose.sigma_enu_m == (0.5, 0.5, 0.75)
-    np.testing.assert_allclose(pose.sigma_rpy_rad, np.radians([1, 0.1, 0.2]))

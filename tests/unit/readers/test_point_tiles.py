@@ -105,9 +105,3 @@ def test_tiles_do_not_depend_on_how_the_points_were_cut_into_chunks(tmp_path):
         chunks = (cloud.take(some) for some in np.array_split(np.arange(20_000), parts))
         found.append(list(tiles_of(read_cells(folder, spill(chunks, folder, 0.1, "x").cells), 4, 0.1)))
     assert found[0] == found[1]
-
-
-def test_the_top_level_covers_the_cloud():
-    assert top_level(10_000.0) == 0
-    assert top_level(300.0) == 3 and tile_side_m(3) >= 300.0 > tile_side_m(4)
-    assert top_level(0.0) == 6

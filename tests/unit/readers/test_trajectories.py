@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry.geodesy import grid_convergence_rad
 from conetl.model.errors import InputError
-from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, read_drive_yaml
+from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
 from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.drives.poses import placed, stated_sigmas
 from conetl.readers.trajectories import READERS, find_trajectories, read_trajectory, trajectory_format
@@ -505,9 +505,3 @@ def test_stated_sigmas_take_the_place_of_recorded_ones(
     across_m, up_m = recorded_m
     found = stated_sigmas(np.array([[across_m, 0.1, up_m, np.nan, np.nan, np.nan]]), Sigmas(**stated))
     np.testing.assert_allclose(found[0, :3], [found_m[0], *found_m])
-
-
-def test_an_unknown_time_system_in_drive_yaml_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "drive.yaml").write_text("trajectory: {time: Mars}")
-    with pytest.raises(InputError, match="time system"):
-        read_drive_yaml(tmp_path)

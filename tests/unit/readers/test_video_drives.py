@@ -150,37 +150,6 @@ def test_cones_are_where_those_of_the_images_are(whole: Drive, cones: np.ndarray
     assert largest_m(read_drive(alone)[0], cones, tmp_path) < 0.02, "upright edges show the roll"
 
 
-@pytest.fixture(scope="module")
-def videos(folder: Path) -> Path:
-    """Without a trajectory."""
-    return copied(folder, folder.parent, "drive.csv", settings=(folder / "drive.yaml").read_text())
-
-
-@pytest.mark.parametrize("name", video_drives.LOGS)
-def test_every_log_gives_the_poses_of_the_drive(name: str, videos: Path, tmp_path: Path, sample: Drive) -> None:
-    """Positions alone show neither attitude nor, by their heading, how far the camera is from the antenna."""
-    log, t = video_drives.LOGS[name], video_drives.known_of(sample)
-    drive, _ = read_drive(video_drives.with_log(videos, tmp_path / "run", log, t))
-    assert len(drive.frame_pairs) >= COUNT - 2
-    true = {pair.captured_at_ns // 10**6: pair.pose for pair in sample.frame_pairs}
-    attitude = name not in ("RTKLIB .pos", "NMEA, positions", "GPX")
-    for pair in drive.frame_pairs:
-        pose = true[min(true, key=lambda t, at=pair.captured_at_ns // 10**6: abs(t - at))]  # type: ignore[misc]
-        off_m = np.linalg.norm(np.subtract(pair.pose.map_t_body_m, pose.map_t_body_m))
-        turned = np.arccos(min(1.0, (np.trace(np.transpose(pose.map_R_body) @ pair.pose.map_R_body) - 1) / 2))
-        assert off_m < (2e-3 if attitude else 0.1)
-        assert turned < (1e-3 if attitude else 0.05)
-
-
-def test_a_part_of_the_recording(folder: Path, tmp_path: Path, sample: Drive) -> None:
-    text = (folder / "drive.yaml").read_text().replace("}", ", every: 3, from_s: 0.3, to_s: 1.2}")
-    drive, _ = read_drive(copied(folder, tmp_path, settings=text))
-    start_ns = sample.frame_pairs[0].captured_at_ns
-    inside = [t for pair in sample.frame_pairs if 0.3e9 <= (t := pair.captured_at_ns) - start_ns <= 1.2e9]
-    assert len(drive.frame_pairs) == len(inside[::3])
-    assert all(abs(p.captured_at_ns - t) < 20_000 for p, t in zip(drive.frame_pairs, inside[::3], strict=True))
-
-
 @pytest.mark.parametrize("folders", [("image_02", "image_03"), ("left", "right")])
 def test_images_with_times_of_their_own(tmp_path: Path, sample: Drive, folders: tuple[str, str]) -> None:
     root = tmp_path / "run"

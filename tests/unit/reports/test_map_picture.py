@@ -96,11 +96,6 @@ def test_each_class_has_its_letter_and_its_line_in_the_legend(samples, tmp_path)
         assert text.count(f"<!-- {entry} -->") == 1
 
 
-def test_of_cones_alone_the_legend_names_no_class(samples, tmp_path):
-    made = content([cone(samples, "a", 0, 0), cone(samples, "b", 5, 0)])
-    assert "<!-- standing (2) -->" in draw(tmp_path / "map.svg", made).read_text()
-
-
 def test_the_plan_of_a_drive_tells_classes_apart():
     marks = [
         PlanMark("traffic_cone", DeltaKind.ADDED, (0.0, 0.0)),

@@ -45,20 +45,6 @@ def test_reader_gets_the_true_poses_back_from_noiseless_records(pass_number: int
     np.testing.assert_allclose(read.map_SE3_body[:, :3, :3], poses[:, :3, :3], atol=1e-8)
 
 
-def test_yaw_counts_from_true_east() -> None:
-    """Against the azimuth of a geodesic along the body's x axis: no use of a convergence on this side."""
-    times, poses = _drive(1)
-    yaw = _exact(poses, times)[10][5]
-    ahead = poses[10, :3, 3] + 50.0 * poses[10, :3, 0]
-    to_lonlat = Transformer.from_crs(trajectory.MAP_SRID, 4326, always_xy=True)
-    azimuth, _, _ = Geod(ellps="WGS84").inv(
-        *to_lonlat.transform(*poses[10, :2, 3]), *to_lonlat.transform(ahead[0], ahead[1])
-    )
-    assert yaw == pytest.approx(math.radians(90.0 - azimuth), abs=2e-5)
-    grid_yaw = Rotation.from_matrix(poses[10, :3, :3]).as_euler("ZYX")[0]
-    assert abs(yaw - grid_yaw) > math.radians(0.3)  # the site is far enough from the central meridian to tell
-
-
 def test_velocities_belong_to_the_path() -> None:
     times, poses = _drive(1)
     record = _exact(poses, times)[20]
