@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import getpass
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 from uuid import UUID
 
 import typer
@@ -37,7 +37,7 @@ def suppress(
     as_json: ui.JsonOption = False,
 ) -> None:
     """Mark a feature as a false positive. No drive can add a cone at this location again."""
-    _decide_place("suppress", feature, by, map_name, as_json, radius_m=radius, note=note)
+    _decide_place("suppress", feature, radius, note, by, map_name, as_json)
 
 
 def pin(
@@ -49,7 +49,7 @@ def pin(
     as_json: ui.JsonOption = False,
 ) -> None:
     """Pin a cone: drives can confirm it, but cannot move or remove it."""
-    _decide_place("pin", feature, by, map_name, as_json, radius_m=radius, note=note)
+    _decide_place("pin", feature, radius, note, by, map_name, as_json)
 
 
 def classify(
@@ -62,7 +62,7 @@ def classify(
     as_json: ui.JsonOption = False,
 ) -> None:
     """Correct the class of an object that the detector classifies wrongly here."""
-    _decide_place("classify", feature, by, map_name, as_json, radius_m=radius, note=note, category=category)
+    _decide_place("classify", feature, radius, note, by, map_name, as_json, category)
 
 
 def revert(
@@ -157,16 +157,20 @@ def accept(
 def _decide_place(
     kind: Literal["suppress", "pin", "classify"],
     feature: str,
+    radius: float,
+    note: str,
     by: str | None,
     map_name: str | None,
     as_json: bool,
-    **values: Any,
+    category: str | None = None,
 ) -> None:
-    """values: further arguments of `decide_location`."""
     from conetl.pipeline.maps.decisions import decide_location
 
     with open_map(map_name) as (conn, info):
-        decided = decide_location(conn, kind, feature, map_name=info.map_name, decided_by=who_decides(by), **values)
+        decided = decide_location(
+            conn, kind, feature, map_name=info.map_name, radius_m=radius, category=category, note=note,
+            decided_by=who_decides(by),
+        )  # fmt: skip
         finish(conn, decided, info.map_name, as_json)
 
 

@@ -48,12 +48,13 @@ def insert_decision(
     note: str,
     decided_by: str | None = None,
     location: Location | None = None,
-    **about: UUID | None,
+    feature_id: UUID | None = None,
+    changeset_id: UUID | None = None,
+    withdraws: UUID | None = None,
 ) -> UUID:
     """Write a decision inside the caller's `map_transaction`. Returns its id.
 
-    kind: suppress, pin, classify (with a `Classification`), revert, accept or withdraw. about: feature_id, changeset_id and the
-    decision that it withdraws, as far as there are any.
+    kind: suppress, pin, classify (with a `Classification`), revert, accept or withdraw.
     """
     decision_id = uuid4()
     easting_m, northing_m = location.xy_m if location else (None, None)
@@ -69,7 +70,9 @@ def insert_decision(
         radius_m=location.radius_m if location else None,
         category=getattr(location, "category", None),
         found_as=getattr(location, "found_as", None),
-        **dict.fromkeys(("feature_id", "changeset_id", "withdraws")) | about,
+        feature_id=feature_id,
+        changeset_id=changeset_id,
+        withdraws=withdraws,
         note=clean_text(note),
         decided_by=clean_text(decided_by) if decided_by else None,
         decided_at=decided_at,
