@@ -177,7 +177,7 @@ def test_nothing_can_be_written(server):
 def test_extreme_requests(server):
     for path in (f"{MAP}/features?valid_at=", f"{ITEMS}?ids=", f"{ITEMS}?bbox="):
         assert ask(server, path + "1," * MAX_URL_BYTES)[0] in (400, 414)
-    assert ask(server, f"{ITEMS}?" + "&".join(["at=2026-03-01"] * 500))[0] == 200
+    assert ask(server, f"{ITEMS}?" + "&".join(["at=2026-03-01"] * 500))[0] == 400
     assert ask(server, f"{ITEMS}?ids=" + ",".join(["00000000-0000-4000-8000-000000000000"] * 150))[0] == 200
     assert ask(server, f"{ITEMS}?sortby=" + ",".join(["version"] * 900))[0] == 200
     for box in ("-180,-90,180,90", "-1e308,-1e308,1e308,1e308", "-180,-90,-180,-90", "180,-90,-180,90", "8,49,8,49"):
