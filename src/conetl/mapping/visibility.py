@@ -309,8 +309,8 @@ def markings_in_view(
     """Where vertices (n, 3), in the drive's map frame, lie inside both images at the ranges in which markings are searched.
 
     blur_px: sigma by which the images blur the edges of markings; it limits the range at which they show absence. Empty for a
-    drive that did not search for markings. A vertex inside the box of a detection is hidden. Images without
-    detail show no absence.
+    drive that did not search for markings. A vertex inside the box of a detection is hidden. Images without detail show no
+    absence.
     """
     rows = np.flatnonzero(drive.shows_absence) if LANE_MARKING in drive.figures.categories else np.empty(0, np.int64)
     middle_m = vertices_m.mean(axis=0)

@@ -51,7 +51,7 @@ async def prepare(request: Request) -> None:
         if name not in known:
             raise BadParameterError(f"Unknown parameter {name!r}; known are: {', '.join(sorted(known))}.")
         if (times := len(request.query_params.getlist(name))) > 1:  # the standard's parameters have one value
-            raise BadParameterError(f"The parameter {name} is given {times} times: expected is one value.")
+            raise BadParameterError(f"The parameter {name} is given {times} times: expected one value.")
         if not value.isprintable():
             raise BadParameterError(f"The parameter {name} contains control characters: {value!r}.")
         if name == "limit" and value.strip("+0") == "":
