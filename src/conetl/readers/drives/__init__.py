@@ -20,7 +20,8 @@ from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
 from conetl.readers.drives.formats import DriveFormat, image_files
 from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
-from conetl.readers.surveyed_points import implausible_sigma, read_surveyed_points
+from conetl.readers.stated_sigmas import implausible_sigma
+from conetl.readers.surveyed_points import read_surveyed_points
 
 __all__ = ["FORMATS", "drive_format", "find_format", "read_drive"]
 

@@ -25,7 +25,7 @@ from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.readers.base_layers.georeferencing import in_area, parse_crs
 from conetl.readers.maps.tables import MapTable, read_table
-from conetl.readers.surveyed_points import require_exact
+from conetl.readers.stated_sigmas import require_exact
 from conetl.readers.trajectories.times import DAY_NS, clock_problem
 
 _NAMESPACE = UUID("5f0f6f0a-1c1b-4a53-9d0e-3c7a4a5be9a1")

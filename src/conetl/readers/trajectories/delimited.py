@@ -10,6 +10,7 @@ import re
 import unicodedata
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -86,6 +87,17 @@ _LEAST_STEPS = 10
 _MARKS = (",", ";", "\t", None)
 
 
+class _Header(NamedTuple):
+    """The line that names the columns, and how its values are separated."""
+
+    line: int
+    """Index; -1 without a header."""
+    names: list[str]
+    columns: dict[str, Column]
+    """By our name."""
+    delimiter: str | None
+
+
 def read(path: Path, settings: TrajectoryFile) -> Reading:
     """The records of a table. Raises InputError that names its columns where they are not understood."""
     lines = head_lines(path)
@@ -143,13 +155,8 @@ def check_yaw(path: Path, found: RecordedTrajectory, column: str) -> None:
         )
 
 
-def _header(
-    path: Path, lines: list[str], settings: TrajectoryFile
-) -> tuple[int, list[str], dict[str, Column], str | None]:
-    """Index of the line that names most columns (-1: none does), their names, columns by our name, and the delimiter.
-
-    Raises InputError.
-    """
+def _header(path: Path, lines: list[str], settings: TrajectoryFile) -> _Header:
+    """The line that names most columns. Raises InputError."""
     marks: tuple[str | None, ...] = _MARKS
     if settings.delimiter is not None:
         marks = (None if settings.delimiter == " " else settings.delimiter,)
@@ -158,8 +165,8 @@ def _header(
         needed = max(int(at) for at in settings.columns.values())
         mark = next((mark for mark in marks if len(split_line(first, mark)) >= needed), marks[0])
         columns = {role: _numbered(path, role, int(at), settings) for role, at in settings.columns.items()}
-        return -1, [], columns, mark
-    best: tuple[int, list[str], dict[str, Column], str | None] | None = None
+        return _Header(-1, [], columns, mark)
+    best: _Header | None = None
     for i, whole in enumerate(lines[:_HEADER_LINES]):
         line = whole[:_LONGEST_HEADER]
         text = line.lstrip("#% \t\ufeff") if line.startswith(("#", "%", "\ufeff")) else line
@@ -172,18 +179,18 @@ def _header(
                 continue
             found = _columns(path, names, settings)
             # White space is in names of columns, too.
-            if best is None or len(found) > max(len(best[2]), 2 if mark is None else 0):
-                best = i, names, found, mark
+            if best is None or len(found) > max(len(best.columns), 2 if mark is None else 0):
+                best = _Header(i, names, found, mark)
     if best is None:
         raise InputError(
             f"{path}: there is no line with the names of the columns; write one, or number the columns in drive.yaml, for "
             "example trajectory: {columns: {time: 1, lat: 2, lon: 3, height: 4}}"
         )
-    missing = [str(name) for name in settings.columns.values() if isinstance(name, str) and name not in best[1]]
+    missing = [str(name) for name in settings.columns.values() if isinstance(name, str) and name not in best.names]
     if missing:
         raise InputError(
             f"{path}: has no column {shown(missing[0])}, which trajectory.columns names; its columns are "
-            f"{', '.join(best[1])[:200]}"
+            f"{', '.join(best.names)[:200]}"
         )
     return best
 
