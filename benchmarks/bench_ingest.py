@@ -22,16 +22,13 @@ from benchmarks.harness import Peak, arguments_of, load, own_home, processor_s, 
 def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
     """A function that decodes every image of a drive and runs the network on it, in `workers` threads, and drops the results.
 
-    The drive is read beforehand, and the memory of freed images is used again, as in the complete job. numpy is imported after
-    conetl, which gives its linear algebra one thread; several burn processor time while they wait for each other.
+    The drive is read beforehand, and the memory of freed images is used again, as in the complete job.
     """
-    import cv2
-    import numpy as np
-
     from conetl.geometry.camera import first_road_row
     from conetl.geometry.rig import map_SE3_left
     from conetl.model.params import IngestParams
     from conetl.perception.detector import MAX_SIDE_PX, load_detector, network_input
+    from conetl.perception.images import read_image
     from conetl.perception.worker_setup import set_up_worker
     from conetl.readers.drives import read_drive
 
@@ -45,9 +42,9 @@ def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
     def some(mine: list[str]) -> None:
         detector = load_detector(threads=1)
         for path in mine:
-            picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
+            image = read_image(Path(path))
             blob, _, _ = network_input(
-                np.asarray(picture[row:], dtype=np.uint8), detector.card.pad_multiple_px, MAX_SIDE_PX,
+                image[row:], detector.card.pad_multiple_px, MAX_SIDE_PX,
                 layout=detector.card.input_layout,
             )  # fmt: skip
             detector.session.run(None, {detector.input_name: blob})

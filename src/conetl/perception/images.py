@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+import simplejpeg
 from numpy.typing import NDArray
 
 from conetl.files.storage import is_present, is_remote, object_bytes, recall, remember
@@ -214,11 +215,25 @@ def read_image(path: Path, expected_size: tuple[int, int] | None = None, *, grey
 
 def decode_image(data: bytes, name: str, expected_size: tuple[int, int] | None = None, *, grey: bool = False) -> Image:
     """Like `read_image`, of a file's bytes; `name` is for ImageFileError."""
-    check_image_bytes(data, name, expected_size)
-    image = _decoded(data, name, (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION)
+    if check_image_bytes(data, name, expected_size).format == "jpeg":
+        image = _decoded_jpeg(data, name, grey)
+    else:
+        image = _decoded(
+            data, name, (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION
+        )
     if expected_size is not None and image.shape[:2] != (expected_size[1], expected_size[0]):
         raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: header and decoded image differ in size")
     return np.asarray(image, dtype=np.uint8)
+
+
+def _decoded_jpeg(data: bytes, name: str, grey: bool) -> NDArray[Any]:
+    """A JPEG's pixels; the same as OpenCV's, which takes twice as long and accepts damaged data. Raises ImageFileError."""
+    try:
+        return np.asarray(simplejpeg.decode_jpeg(data, "GRAY")[..., 0] if grey else simplejpeg.decode_jpeg(data, "BGR"))
+    except ValueError as error:
+        raise ImageFileError(
+            RejectionReason.IMAGE_UNREADABLE, f"{name}: the image cannot be decoded ({error}); copy it again"
+        ) from error
 
 
 def _decoded(data: bytes, name: str, flags: int) -> NDArray[Any]:

@@ -56,6 +56,7 @@ def test_whole_images_are_read(tmp_path: Path, data: bytes) -> None:
     image = read_image(written(tmp_path, data), SIZE)
     assert image.shape == (48, 64, 3)
     assert image.dtype == np.uint8
+    np.testing.assert_array_equal(image, cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))
     if data is PNG:
         np.testing.assert_array_equal(image, IMAGE)
 
@@ -106,6 +107,15 @@ def test_a_png_with_a_damaged_chunk_is_unreadable() -> None:
     damaged[len(PNG) // 2] ^= 0xFF
     with pytest.raises(ImageFormatError, match="checksum"):
         inspect_image(bytes(damaged))
+
+
+def test_a_jpeg_with_damaged_pixels_is_unreadable(tmp_path: Path) -> None:
+    """Its header and end are whole; OpenCV shows grey or torn pixels from the damage on."""
+    damaged = JPEG[: len(JPEG) // 2] + JPEG[len(JPEG) // 2 + 40 :]
+    inspect_image(damaged)
+    with pytest.raises(ImageFileError, match=r"0000000001\.jpg: .*[Cc]orrupt JPEG data.*; copy it again") as raised:
+        read_image(written(tmp_path, damaged), SIZE)
+    assert raised.value.reason is RejectionReason.IMAGE_UNREADABLE
 
 
 @pytest.mark.parametrize("data", [b"", b"GIF89a" + bytes(100), b"<html>not found</html>", b"\xff\xd8\x00\x00" * 9])
