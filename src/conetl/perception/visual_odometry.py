@@ -25,9 +25,13 @@ from conetl.perception.working_size import ImageReader, WorkingImages, WorkingSi
 Points = NDArray[np.float32]
 _Found = tuple[Floats, Floats, float, NoMeasurement | None]
 
-#: Side of the windows that are followed, px. Time grows with their area and cones gain nothing from it; the few spans of
-#: self-calibration, where 0.01 px counts, use larger ones.
-_WINDOW_PX, _WINDOW_OF_SPANS_PX = 11, 15
+_Size = tuple[int, int]
+
+#: Width and height of the windows that are followed, px. Time grows with their area and cones gain nothing from it; the few
+#: spans of self-calibration, where 0.01 px counts, use larger ones. OpenCV computes eight columns at once and the rest of a row
+#: one by one: windows of 11 x 11, which are no more accurate, take half as long again.
+_WINDOW_PX: _Size = (16, 7)
+_WINDOW_OF_SPANS_PX: _Size = (16, 14)
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 #: For backward checks, whose tolerance is most of a pixel.
 _STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
@@ -35,8 +39,9 @@ _STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
 _WEAK_SHARE = 0.004
 #: Side of the blocks that are matched, at a quarter of the size.
 _BLOCK_PX = 9
-#: Disparities are searched up to this share of the image width.
-_WIDEST_DISPARITY = 0.12
+#: Disparities are searched up to this share of the image width. Points as near to the left border get none, since block matching
+#: leaves it out: a wider search costs more points than it finds.
+_WIDEST_DISPARITY = 0.10
 
 
 def follow_drive(
@@ -90,7 +95,7 @@ def _follow_pair(
     cameras: StereoCameras,
     expected: Floats,
     params: TrajectoryParams,
-    window_px: int = _WINDOW_PX,
+    window_px: _Size = _WINDOW_PX,
 ) -> _Found:
     """Points (N, 4) in stored pixels of the first and second pair and their sigma; without points, the reason."""
     if isinstance(first, NoMeasurement):
@@ -112,7 +117,7 @@ def _follow(
     cameras: StereoCameras,
     expected: Floats,
     params: TrajectoryParams,
-    window_px: int,
+    window_px: _Size,
 ) -> _Found:
     """As `_follow_pair`, for images that can be followed. Points are in working pixels until the end."""
     left, right = _stereo_points(first, working, params, window_px)
@@ -146,7 +151,7 @@ def _follow(
 
 
 def _stereo_points(
-    images: WorkingImages, working: WorkingSize, params: TrajectoryParams, window_px: int
+    images: WorkingImages, working: WorkingSize, params: TrajectoryParams, window_px: _Size
 ) -> tuple[Points, Points]:
     """Corners (N, 2) of the left image that are near enough, and their image points (N, 2) in the right one."""
     corners = _corners(images.half_left, params)
@@ -162,7 +167,7 @@ def _stereo_points(
 
 
 def _expected_points(
-    left: Points, right: Points, working: WorkingSize, cameras: StereoCameras, expected: Floats, window_px: int
+    left: Points, right: Points, working: WorkingSize, cameras: StereoCameras, expected: Floats, window_px: _Size
 ) -> tuple[Points, Bools]:
     """Expected image points in the next pair of static points, by the expected motion, and which are inside the image.
 
@@ -231,7 +236,7 @@ def _flow(
     points: Points,
     guess: NDArray[np.floating],
     levels: int,
-    window_px: int,
+    window_px: _Size,
     stop: tuple[int, int, float] = _STOP,
 ) -> tuple[Points, Bools]:
     """Image points (N, 2) in another image, from a guess on the `levels`-th pyramid level, and which were found."""
@@ -239,29 +244,28 @@ def _flow(
         return points, np.zeros(0, dtype=bool)
     found, status, _ = cv2.calcOpticalFlowPyrLK(
         source, target, np.ascontiguousarray(points), np.array(guess, np.float32, order="C"), maxLevel=levels,
-        winSize=(window_px, window_px), criteria=stop, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        winSize=window_px, criteria=stop, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
     return np.asarray(found, dtype=np.float32), status.reshape(-1).astype(bool) & np.isfinite(found).all(axis=1)
 
 
-def _centre_of_texture(image: Image, points: Points, window_px: int) -> Points:
+def _centre_of_texture(image: Image, points: Points, window_px: _Size) -> Points:
     """Centre of the texture of a window (N, 2), relative to the window's centre: the point nearest to all its edges, by their
     gradients (Förstner & Gülch 1987).
 
     The measured shift of a window is that of this point. The window's own centre moves differently if the image grows towards the
     camera or is foreshortened: 2 px off and 15 % larger are 0.3 px, to the same side in all intervals that see a corner.
     """
-    reach = np.arange(-(window_px // 2) - 1, window_px // 2 + 2, dtype=np.float32)
-    size = len(reach)
-    columns, rows = points[:, :1] + np.tile(reach, size), points[:, 1:] + np.repeat(reach, size)
+    across, down = (np.arange(-1, size + 1, dtype=np.float32) - np.float32((size - 1) / 2) for size in window_px)
+    columns, rows = points[:, :1] + np.tile(across, len(down)), points[:, 1:] + np.repeat(down, len(across))
     seen = cv2.remap(image.astype(np.float32), columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    patches = seen.reshape(-1, size, size)
+    patches = seen.reshape(-1, len(down), len(across))
     along_u, along_v = patches[:, 1:-1, 2:] - patches[:, 1:-1, :-2], patches[:, 2:, 1:-1] - patches[:, :-2, 1:-1]
-    towards = along_u * reach[1:-1] + along_v * reach[1:-1, None]
-    terms = np.stack([along_u, along_v, towards], axis=1).reshape(-1, 3, window_px**2)
+    towards = along_u * across[1:-1] + along_v * down[1:-1, None]
+    terms = np.stack([along_u, along_v, towards], axis=1).reshape(-1, 3, window_px[0] * window_px[1])
     (uu, uv, u), (_, vv, v) = np.moveaxis(terms[:, :2] @ terms.transpose(0, 2, 1), 0, -1)
     found = np.stack([vv * u - uv * v, uu * v - uv * u], axis=1) / np.maximum(uu * vv - uv**2, 1e-6)[:, None]
-    return np.asarray(np.clip(found, -window_px / 2, window_px / 2), dtype=np.float32)
+    return np.asarray(np.clip(found, -np.array(window_px) / 2, np.array(window_px) / 2), dtype=np.float32)
 
 
 def _offset(columns: NDArray[np.floating], rows: NDArray[np.floating]) -> Points:
@@ -279,9 +283,9 @@ def _on_equal_rows(left: Points, right: Points, shift: NDArray[np.floating], par
     return np.asarray(np.abs(right[:, 1] - left[:, 1] + shift[:, 1]) <= params.epipolar_tolerance_px)
 
 
-def _clear_of_padding(points: Points, working: WorkingSize, side: Side, window_px: int) -> Bools:
+def _clear_of_padding(points: Points, working: WorkingSize, side: Side, window_px: _Size) -> Bools:
     """(N,) whether windows are clear of the padding, whose streaks do not move with the car."""
-    return np.asarray((points <= working.seen_px(side) - 0.5 - window_px / 2).all(axis=1))
+    return np.asarray((points <= working.seen_px(side) - 0.5 - np.array(window_px) / 2).all(axis=1))
 
 
 def _stored(working: WorkingSize, left: Points, right: Points) -> Floats:
