@@ -6,7 +6,7 @@ A step (w, d), in radians and metres, gives R = exp([w]x) R_before, t = t_before
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from conetl.model.arrays import Floats, Ints
@@ -22,6 +22,11 @@ def nearest_index(known: Floats | Ints, wanted: Floats | Ints) -> Ints:
 def robust_std(values: Floats) -> float:
     """Standard deviation of (n,) numbers, n > 0, by the median of their distances from the median, for a normal distribution."""
     return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+
+
+def upper_median(values: NDArray[np.floating]) -> float:
+    """The median of (n,) numbers, n > 0; of an even number the upper of the middle two. `np.median` takes 9 us longer."""
+    return float(np.partition(values, len(values) // 2)[len(values) // 2])
 
 
 def cross_matrix(vectors: ArrayLike) -> Floats:

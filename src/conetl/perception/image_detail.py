@@ -13,6 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.small_arrays import upper_median
+from conetl.perception.working_size import half_size
+
 _SHRINK, _SQUARE, _SIGMA = 4, 8, 1.5
 #: Side of the squares in which sharpness is compared, px.
 SQUARE_PX = 64
@@ -27,7 +30,7 @@ def fine_detail(image: NDArray[np.uint8]) -> float:
     if _inside_blocks(green[::_SHRINK]) < _LEAST_INSIDE:
         return 0.0
     squares = _squares(green)
-    return float(np.sqrt(np.median(squares))) if squares.size else 0.0
+    return upper_median(squares.ravel()) ** 0.5 if squares.size else 0.0
 
 
 def local_detail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -41,11 +44,10 @@ def detail_by_octaves(image: NDArray[np.uint8]) -> NDArray[np.float32]:
 
     Blur removes the former, not the latter.
     """
-    height, width = image.shape[0] // _SHRINK, image.shape[1] // _SHRINK
     squares = image.shape[0] // SQUARE_PX, image.shape[1] // SQUARE_PX
     if min(squares) < 1:
         return np.empty((2, 0, 0), np.float32)
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+    small = half_size(half_size(image)).astype(np.float32)
     levels = small, cv2.GaussianBlur(small, (0, 0), _SIGMA), cv2.GaussianBlur(small, (0, 0), 3 * _SIGMA)
     own = SQUARE_PX // _SHRINK
     used = np.s_[: squares[0] * own, : squares[1] * own]
@@ -65,12 +67,9 @@ def _inside_blocks(image: NDArray[np.uint8]) -> float:
 
 def _squares(image: NDArray[np.uint8]) -> NDArray[np.float32]:
     """(H // 32, W // 32) variance of the fine structure of every square; image: (H, W)."""
-    height, width = image.shape[0] // _SHRINK, image.shape[1] // _SHRINK
-    if min(height, width) < _SQUARE:
+    height, width = (size // _SHRINK // _SQUARE for size in image.shape)
+    if min(height, width) < 1:
         return np.empty((0, 0), np.float32)
-    # Whole squares only: OpenCV is five times faster at a ratio of whole numbers.
-    whole = image[: height * _SHRINK, : width * _SHRINK]
-    small = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
-    fine = small - cv2.GaussianBlur(small, (0, 0), _SIGMA)
-    squares = cv2.resize(fine * fine, (width // _SQUARE, height // _SQUARE), interpolation=cv2.INTER_AREA)
-    return np.asarray(squares, np.float32)
+    small = half_size(half_size(image)).astype(np.float32)
+    fine = (small - cv2.GaussianBlur(small, (0, 0), _SIGMA))[: height * _SQUARE, : width * _SQUARE]
+    return np.asarray(cv2.resize(fine * fine, (width, height), interpolation=cv2.INTER_AREA), np.float32)

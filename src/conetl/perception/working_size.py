@@ -100,9 +100,9 @@ def read_working_images(pair: FramePair, read: ImageReader, working: WorkingSize
                 return NoMeasurement.IMAGE_BLANK
             grey.append(image)
         left, right = grey
-        half_left, half_right = _half_size(left), _half_size(right)
+        half_left, half_right = half_size(left), half_size(right)
         seen = _crop_padding(half_left, working.seen_px("left") / 2)
-        return WorkingImages(left, right, seen, _half_size(half_left), _half_size(half_right))
+        return WorkingImages(left, right, seen, half_size(half_left), half_size(half_right))
     except ImageFileError:
         return NoMeasurement.IMAGE_UNREADABLE
     except cv2.error:
@@ -132,7 +132,7 @@ def _crop_padding(image: Image, seen_px: Floats) -> Image:
     return image[: max(height, 1), : max(width, 1)]
 
 
-def _half_size(image: Image) -> Image:
+def half_size(image: Image) -> Image:
     """Half the size, without a last odd row or column: OpenCV is 30 times faster at a ratio of exactly two."""
     height, width = (size // 2 for size in image.shape)
     if not height or not width:

@@ -168,7 +168,9 @@ def _doubts_px2(cone: ObservedCone) -> Floats:
     stated = cone.stated_px2 + cone.fixed_px2
     own = stated.copy()
     for _ in range(own.size):
-        unknown, inverse, weighted = _solved(cone, 1 / own)
+        weighted, normal, score = _normal_equations(cone, 1 / own)
+        inverse = np.asarray(np.linalg.inv(normal))
+        unknown = inverse @ score
         redundancy = _redundancy(cone, inverse, weighted)
         known = np.maximum(redundancy, _LEAST_REDUNDANCY)
         residual = np.where(redundancy < _LEAST_REDUNDANCY, 0.0, cone.residual_px - cone.design @ unknown)
@@ -260,20 +262,20 @@ def adjusted(cone: ObservedCone, own_px2: Floats) -> tuple[Floats, Floats, Float
     """
     huber = np.ones_like(own_px2)
     for _ in range(_ROBUST_ROUNDS):
-        unknown, inverse, weighted = _solved(cone, huber / own_px2)
+        weighted, normal, score = _normal_equations(cone, huber / own_px2)
+        unknown = np.asarray(np.linalg.solve(normal, score))
         ratio = np.abs(cone.residual_px - cone.design @ unknown) / own_px2**0.5
         huber = np.minimum(1.0, _HUBER_SIGMAS / np.maximum(ratio, 1e-9))
-    return unknown, inverse, weighted, np.asarray(ratio)
+    return unknown, np.asarray(np.linalg.inv(normal)), weighted, np.asarray(ratio)
 
 
-def _solved(cone: ObservedCone, weights: Floats) -> tuple[Floats, Floats, Floats]:
-    """Unknowns (K,), their covariance (K, K) and the weighted design (F, 3, K), by weights (F, 3) of the observations."""
+def _normal_equations(cone: ObservedCone, weights: Floats) -> tuple[Floats, Floats, Floats]:
+    """The weighted design (F, 3, K), normal matrix (K, K) and right side (K,), by weights (F, 3) of the observations."""
     weighted = cone.design * weights[:, :, None]
     normal = np.tensordot(cone.design, weighted, axes=((0, 1), (0, 1)))
     prior = np.arange(3, len(normal))
     normal[prior, prior] += 1.0  # shared and pose errors have a prior of one sigma
-    inverse = np.asarray(np.linalg.inv(normal))
-    return inverse @ np.einsum("fik,fi->k", weighted, cone.residual_px), inverse, weighted
+    return weighted, normal, np.einsum("fik,fi->k", weighted, cone.residual_px)
 
 
 def _redundancy(cone: ObservedCone, inverse: Floats, weighted: Floats) -> Floats:

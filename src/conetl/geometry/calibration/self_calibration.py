@@ -26,7 +26,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.motion.stereo_motion import MotionStatus, StereoCameras, estimate_motion, triangulate
-from conetl.geometry.small_arrays import apply_steps, cross_matrix, inverse_of_symmetric
+from conetl.geometry.small_arrays import apply_steps, cross_matrix, inverse_of_symmetric, upper_median
 from conetl.model.arrays import Floats
 from conetl.model.params import TrajectoryParams
 
@@ -182,7 +182,7 @@ def _step_spans(cameras: StereoCameras, skew: float, spans: _JointSpans) -> tupl
     misfit = np.einsum("ni,ni->n", rest, rest) / _FREEDOM
     products = np.empty((len(parts), 6 + _TRIED, 7 + _TRIED))
     for k, part in enumerate(parts):
-        factor = max(float(np.median(misfit[part])) / _MEDIAN_CHI2, 1e-6)
+        factor = max(upper_median(misfit[part]) / _MEDIAN_CHI2, 1e-6)
         weight = 1 / (1 + misfit[part] / factor / _CAUCHY_SIGMAS**2) / factor
         columns = free[part].reshape(-1, free.shape[2])
         products[k] = columns[:, :-1].T @ (columns * np.repeat(weight, free.shape[1])[:, None])

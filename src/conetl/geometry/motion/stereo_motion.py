@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
-from conetl.geometry.small_arrays import apply_steps, cross_matrix, inverse_of_symmetric, pose_distance
+from conetl.geometry.small_arrays import apply_steps, cross_matrix, inverse_of_symmetric, pose_distance, upper_median
 from conetl.model.arrays import Bools, Floats
 from conetl.model.base import Matrix4, Record
 from conetl.model.params import TrajectoryParams
@@ -272,7 +272,7 @@ def _refine(
         spread.reshape(9, -1)[::4] += 1.0  # the diagonals
         information = inverse_of_symmetric(var * spread)
         misfit2 = np.einsum("in,ijn,jn->n", r, information, r) / 3
-        factor2 = max(float(np.median(misfit2)) / 0.7887, 1e-6)  # median of chi-square(3) / 3
+        factor2 = max(upper_median(misfit2) / 0.7887, 1e-6)  # median of chi-square(3) / 3
         information *= 1 / (1 + misfit2 / factor2 / _CAUCHY_SIGMAS**2)
         # By (w, d): the rows' cross products with the turned point, and the rows.
         design = np.empty((6, 3, turned.shape[1]))

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from conetl.geometry.small_arrays import upper_median
 from conetl.model.arrays import Floats, Image
 from conetl.model.rig import Camera
 from conetl.tracking.matching.cone_outline import Outline
@@ -175,7 +176,7 @@ def _least_squares(
         move = np.clip(step_of.inverse @ step_of.pull, -0.7, 0.7)
         unknown = unknown + move
         size = np.sqrt(step_of.residual**2 @ (1 / step_of.noise) / len(step_of.noise))
-        size /= max(1.2 * float(np.median(size)), 1e-6)
+        size /= max(1.2 * upper_median(size), 1e-6)
         settled = bool(np.abs(move[:2]).max() < _CONVERGED_PX)
         if settled and iteration >= _SOFT_ITERATIONS + 2:
             break

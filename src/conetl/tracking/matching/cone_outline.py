@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from conetl.geometry.small_arrays import upper_median
 from conetl.model.arrays import Floats, Image
 from conetl.model.drive import Detection
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
@@ -88,7 +89,7 @@ def find_outline(image: Image, detection: Detection) -> Outline:
     steps[:, 1:-1] = np.sqrt((((patch[:, 2:] - patch[:, :-2]) / 2) ** 2).sum(axis=2))
     rows = np.arange(first, last + 1, dtype=np.float64)
     share = expected.share(rows)
-    floor = max(float(np.median(steps)), _LEAST_STEP)
+    floor = max(upper_median(steps.ravel()), _LEAST_STEP)
     tops = np.array([expected.left_top, expected.right_top]) - column0
     feet = np.array([expected.left_foot, expected.right_foot]) - column0
     (left_top, right_top), (left_foot, right_foot) = (_edges(steps, share, tops, feet, width, floor) + column0).tolist()
