@@ -234,8 +234,8 @@ def compound_crs(srid: int, vertical_srid: int | None) -> CRS:
 def to_crs(xyz_m: ArrayLike, source_srid: int, srid: int, vertical_srid: int | None) -> Floats:
     """Positions (N, 3) with ellipsoidal heights in metres -> (N, 3) in EPSG:srid with heights of the system.
 
-    Geographic CRS have longitude, latitude in degrees. Raises InputError where a grid is missing, which it names, or a position
-    is outside of the area.
+    vertical_srid: None for heights above the WGS 84 ellipsoid. Geographic CRS have longitude, latitude in degrees. Raises
+    InputError where a grid is missing, which it names, or a position is outside of the area.
     """
     xyz = np.asarray(xyz_m, dtype=np.float64).reshape(-1, 3)
     if (source_srid == srid and vertical_srid is None) or not len(xyz):
@@ -313,18 +313,20 @@ def area_of_interest(lon: float, lat: float) -> AreaOfInterest | None:
 @cache
 def _height_transformer(source_srid: int, srid: int, vertical_srid: int | None) -> Transformer:
     """From EPSG:source_srid with ellipsoidal heights."""
-    source, flat = _known(source_srid).to_3d(), _known(srid)
-    target = flat.to_3d() if vertical_srid is None else compound_crs(srid, vertical_srid)
-    use = _known(source_srid).area_of_use
+    # In two dimensions heights stay above the WGS 84 ellipsoid, whatever the ellipsoid of the CRS.
+    source, target = _known(source_srid), compound_crs(srid, vertical_srid)
+    source = source if vertical_srid is None else source.to_3d()
+    use = source.area_of_use
     area = AreaOfInterest(*use.bounds) if use is not None and use.west < use.east else None
     try:
         group = operations(source, target, area)
     except (ProjError, CRSError) as error:
         raise InputError(f"no transformation to {_named_crs(srid, vertical_srid)}: {error}") from error
     missing = missing_grids(group)
-    if vertical_srid is not None and missing and not (group.transformers and group.best_available):
+    if missing and not (group.transformers and group.best_available):
+        what, code = ("positions in", srid) if vertical_srid is None else ("heights of", vertical_srid)
         raise InputError(
-            f"heights of EPSG:{vertical_srid} ({_known(vertical_srid).name}) need the grid {missing[0]}, which is not installed: "
+            f"{what} EPSG:{code} ({_known(code).name}) need the grid {missing[0]}, which is not installed: "
             f"put it into {get_user_data_dir()} (`projsync --file {missing[0]}` does)"
         )
     if not group.transformers:

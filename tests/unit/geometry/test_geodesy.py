@@ -13,6 +13,7 @@ from pyproj import Transformer
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import local_to_map, sensor_R_body
+from conetl.model.errors import InputError
 
 ANGLE = st.floats(-math.pi, math.pi)
 
@@ -64,6 +65,20 @@ def test_grids_of_surveys_are_taken(srid: int, lat: float, lon: float) -> None:
 def test_grids_with_wrong_lengths_or_angles_are_refused(srid: int, lat: float, lon: float, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         geodesy.check_scale(srid, lat, lon)
+
+
+def test_heights_without_a_system_are_those_of_wgs_84_in_every_datum() -> None:
+    """Not those above the ellipsoid of Bessel, 45 m away."""
+    xyz_m = [[500000.0, 5316000.0, 430.0]]
+    moved = geodesy.to_crs(xyz_m, 32633, 31287, None)
+    expected = Transformer.from_crs(32633, 31287, always_xy=True).transform(500000.0, 5316000.0)
+    assert moved[0, 2] == 430.0 and moved[0, :2].tolist() == pytest.approx(expected, abs=0.01)
+
+
+def test_a_datum_shift_without_its_grid_is_refused() -> None:
+    """A shift without the grid has an error of 3 m, more than any sigma of the map."""
+    with pytest.raises(InputError, match=r"positions in EPSG:31467 .* need the grid de_adv_BETA2007.tif"):
+        geodesy.to_crs([[458330.0, 5427854.0, 115.0]], 32632, 31467, None)
 
 
 def test_the_poles_have_no_utm_zone() -> None:
