@@ -19,7 +19,7 @@ from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, InputError
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.stereo_check import TRIGGER, check_stereo
 from conetl.perception.video import video_facts
-from conetl.readers.drives import find_format, plain
+from conetl.readers.drives import find_format, kitti, plain
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.proposal import (
@@ -124,8 +124,9 @@ def init(
     if not root.is_dir():
         raise InputError(f"{folder}: there is no such folder")
     kind = find_format(root)
-    # Folders called left and right may be a plain drive, or images with a log of any format.
-    lacks_poses = kind is plain and not (root / plain.TRAJECTORY).is_file()
+    # Folders called left and right may be a plain drive, or images with a log of any format; a drive.yaml alone is no drive.
+    poses = root / (plain.TRAJECTORY if kind is plain else "oxts")
+    lacks_poses = kind in (plain, kitti) and not poses.exists()
     if kind is not None and kind.NAME != NAME and not lacks_poses:
         _finish(folder, f"{folder} is already a drive ({kind.NAME}); it needs no drive.yaml.", {}, as_json)
         return

@@ -307,6 +307,18 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
     assert "one record per image;" not in str(init(root).exception)
 
 
+@pytest.mark.parametrize("broken", ["mount: {forward_m: 1070, left_m: 0, up_m: 0}\n", "mount: {\n"])
+def test_init_replaces_a_drive_yaml_with_a_wrong_value(broken: str, tmp_path: Path, sample: Drive) -> None:
+    """Its folders of images are no KITTI drive."""
+    root = tmp_path / "run"
+    named_by_time(root, sample, lambda ns: f"{ns}")
+    for side, name in (("left", "Cam_L"), ("right", "Cam_R")):
+        (root / side).rename(root / name)
+    (root / "drive.yaml").write_text(f"images: {{left: Cam_L, right: Cam_R}}\n{broken}")
+    made = init(root, "--force", "--mount", "1.07,0,0")
+    assert made.exit_code == 0 and "16 frame pairs" in made.output, (made.output, made.exception)
+
+
 def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -> None:
     start = "images: {start: '2026-03-02 10:00:00Z', right_offset_s: 0"
     for number, (text, message) in enumerate(

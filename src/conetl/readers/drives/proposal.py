@@ -31,7 +31,7 @@ from conetl.readers.trajectories.times import parse_timestamp
 _TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
 #: Assumptions about a table that does not state its time scale or heights.
 _TAKEN = {
-    "time": "times taken as UTC; if they are local or of GPS, state --time, like Europe/Berlin",
+    "time": "times taken as UTC; if they are local or GPS times, state --time, like Europe/Berlin or gps",
     "heights": "heights taken as ellipsoidal; if they are not, state --heights, like EPSG:7837",
 }
 #: No number of metres or degrees is written like 07 or -0, but what is behind a decimal comma is.
