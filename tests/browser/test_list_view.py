@@ -305,6 +305,14 @@ def test_a_phone_needs_no_sideways_scrolling(browser, address, features, long_na
             assert (
                 tab.locator(f".table:visible [title='{long_name}']").first.inner_text() == "2026-03-03…cle_07_run_004"
             )
+    tab.click("button.menu")
+    tab.click(".sidebar input >> nth=0")
+    assert tab.locator(".sidebar").is_visible()
+    tab.click("text=List")
+    assert tab.locator(".sidebar").is_hidden(), "the legend does not cover the list"
+    tab.click("button.menu")
+    tab.keyboard.press("Escape")
+    assert tab.locator(".sidebar").is_hidden() and tab.get_attribute("button.menu", "aria-expanded") == "false"
     tab.close()
 
 

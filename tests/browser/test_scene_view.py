@@ -327,6 +327,8 @@ def test_a_mini_map_shows_where_the_view_is(page, address, features):
 
 def test_layers_are_styled_and_the_address_says_so(page, address):
     open_view(page, address)
+    page.click(".map-tools >> text=Layers")
+    page.keyboard.press("Escape")
     assert page.locator(".layers-panel").is_hidden()
     page.click(".map-tools >> text=Layers")
     page.select_option("#grid", "none")

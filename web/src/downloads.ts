@@ -36,12 +36,13 @@ export function createDownloads(host: HTMLElement, actions: DownloadActions) {
     if (on) draw();
   };
   button.addEventListener("click", () => open(menu.hidden));
-  menu.addEventListener("keydown", (event) => {
-    if (event.key !== "Escape") return;
+  const onKey = (event: Event) => {
+    if (!(event instanceof KeyboardEvent) || event.key !== "Escape" || menu.hidden) return;
     event.stopPropagation();
     open(false);
     button.focus();
-  });
+  };
+  for (const part of [button, menu]) part.addEventListener("keydown", onKey);
   document.addEventListener("pointerdown", (event) => {
     if (!menu.hidden && event.target instanceof Node && !menu.contains(event.target) && event.target !== button) open(false);
   });

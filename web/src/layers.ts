@@ -37,12 +37,13 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
     toggle.setAttribute("aria-expanded", String(on));
   };
   toggle.addEventListener("click", () => open(panel.hidden));
-  panel.addEventListener("keydown", (event) => {
-    if (event.key !== "Escape") return;
+  const onKey = (event: Event) => {
+    if (!(event instanceof KeyboardEvent) || event.key !== "Escape" || panel.hidden) return;
     event.stopPropagation();
     open(false);
     toggle.focus();
-  });
+  };
+  for (const part of [toggle, panel]) part.addEventListener("keydown", onKey);
   const plan = el("button", { type: "button", id: "plan", title: "Switch between plan and 3D (T)", onclick: () => actions.change({ plan: plan.textContent === "Plan" }) });
   const measure = el("button", { type: "button", id: "measure", textContent: "Measure", title: "Measure distances and areas (M)", onclick: () => actions.measure() });
   host.append(el("div", { class: "map-tools", role: "toolbar", aria: { label: "Map" } }, plan, measure, toggle, panel));

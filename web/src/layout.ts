@@ -56,9 +56,17 @@ export function createLayout(app: HTMLElement) {
     el("p", { class: "hint", textContent: "Cones are drawn with their measured height and a standard width; markers have a fixed size. To share this view, send the address of this page." }),
     el("button", { type: "button", textContent: "Close", onclick: () => help.close() })); // prettier-ignore
   const menu = el("button", { type: "button", class: "menu", textContent: "☰ Legend", aria: { expanded: "false", controls: "sidebar" } });
-  menu.addEventListener("click", () => {
-    const open = app.classList.toggle("menu-open");
-    menu.setAttribute("aria-expanded", String(open));
+  const openMenu = (on: boolean) => {
+    app.classList.toggle("menu-open", on);
+    menu.setAttribute("aria-expanded", String(on));
+  };
+  menu.addEventListener("click", () => openMenu(!app.classList.contains("menu-open")));
+  // On narrow screens the legend covers the map.
+  document.addEventListener("pointerdown", (event) => {
+    if (event.target instanceof Node && !sidebar.contains(event.target) && event.target !== menu) openMenu(false);
+  });
+  document.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") openMenu(false);
   });
   const helpButton = el("button", { type: "button", class: "link help-button", onclick: () => help.showModal() }, "Shortcuts ", el("kbd", { textContent: "?" }));
   app.append(
