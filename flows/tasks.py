@@ -27,7 +27,7 @@ _NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
     odometry.follow_spans: ("follow points", "follow points {piece.value.frame_pairs[0].frame_index}"),
     odometry.self_calibrate: ("self-calibrate", None),
     odometry.refine: ("refine", None),
-    detect.detect: ("detect", "detect {chunk.value.frame_pairs[0].frame_index} {part}"),
+    detect.detect: ("detect", "detect {chunk.value.frame_pairs[0].frame_index} {part.value}"),
     detect.match: ("match", "match {chunk.value.frame_pairs[0].frame_index}"),
     analysis.locate: ("locate", None),
     analysis.fuse: ("fuse", None),

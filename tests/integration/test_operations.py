@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import tempfile
@@ -234,6 +235,7 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
     assert desk.rows("select count(*) as cones from conetl.feature_version")[0]["cones"] > 0
     tasks = desk.post("/task_runs/filter", {"task_runs": {"name": {"like_": "detect"}}})
     assert tasks and not any(task["tags"] for task in tasks), "each tag of a task costs a request before it begins"
+    assert all(re.fullmatch(r"detect \d+ \d+", task["name"]) for task in tasks), tasks[0]["name"]
     kept = [json.loads(p.read_text())["drive_id"] for p in (desk.home / "receipts" / "default").glob("2026-04-*.json")]
     assert sorted(kept) == [f"2026-04-{n:02d}{SMALL}" for n in (1, 2, 3)]
 

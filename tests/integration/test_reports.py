@@ -255,7 +255,7 @@ def test_the_commands(shown: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     last_day = runner.invoke(app, ["report", "night", "9999-12-31"])
     assert isinstance(last_day.exception, InputError)
     night = runner.invoke(app, ["report", "night", "2026-03-01", "--out", str(tmp_path / "night.html"), "--json"])
-    assert json.loads(night.stdout)["since"] == "2026-03-01T00:00:00+00:00"
+    assert json.loads(night.stdout)["since"] == "2026-03-01T00:00:00Z"
     assert json.loads(night.stdout)["drives"] == 1
     said = [runner.invoke(app, ["report", "night", day]).stdout for day in ("2026-03-01", "2026-02-01")]
     assert said[0].startswith("1 drive processed from 2026-03-01 00:00 to 2026-03-02 00:00 UTC.")
@@ -277,6 +277,7 @@ def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(
     assert [(one["drive_id"], one["checks"][0]["value"]) for one in night["held"]] == [(held.drive.drive_id, 5.0)]
     page = (tmp_path / "night.html").read_text()
     assert_loads_nothing(page)
+    assert "<b>1</b><span>drives added</span>" in page, "a drive on hold is not counted"
     assert "1 drive is on hold: accept or revert" in page and "All drives are on the map" not in page
     for said in ("jumps of the poses", "5.00 +- 0.10 m (limit 0.1)", "conetl drive accept 2 --note REASON"):
         assert said in page, said

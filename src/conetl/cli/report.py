@@ -57,7 +57,6 @@ def night(
     path = output or settings.reports_folder / f"night-{end:%Y%m%dT%H%M%SZ}.html"
     with open_map(map_name) as (conn, _):
         facts = write_night_page(conn, path, map_name=settings.map_name, since=begin, until=end)
-    period = {"since": begin.isoformat(), "until": end.isoformat()}
     if not as_json:
         ui.print_held(facts.held)
         ui.print_hold_events(facts.hold_events)
@@ -67,8 +66,8 @@ def night(
         failed = f", {len(facts.failures)} failed" if facts.failures else ""
         hint = "" if facts.drives or failed else " Drives are listed by the time of processing, not of recording."
         ui.say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.{hint}")
-    counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
-    _print_written(as_json, path, {**period, **counts, "held": facts.held, "hold_events": facts.hold_events})
+    counts = {"since": begin, "until": end, "drives": len(facts.drives), "failed": len(facts.failures)}
+    _print_written(as_json, path, {**counts, "held": facts.held, "hold_events": facts.hold_events})
     if facts.held:
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
