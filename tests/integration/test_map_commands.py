@@ -107,7 +107,7 @@ def test_the_picture_of_a_time_of_changes_and_of_a_place_in_degrees(conetl, conn
     for words, text in (
         (("--bbox", "99,0,99.001,0.001"), "does not exist in the map's CRS"),
         (("--size", "9x9"), "millimetres"),
-        (("--changes", "1", "2", "--at", "2026-03-02"), "omit --at"),
+        (("--changes", "1", "2", "--at", "2026-03-02"), "omit --as-of"),
         (("--at", "2020-01-01"), "the map has no cones"),
     ):
         out.unlink(missing_ok=True)

@@ -78,7 +78,7 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "show": ("map.show:show", "", "--as-of 2026-03-02 --map night_survey"),
             "log": ("map.show:log", "", "1c223030"),
             "diff": ("map.compare:diff", "1 2", "2026-03-01 2026-03-08 --out week.geojson --image week.png"),
-            "picture": ("map.compare:picture", 'map.png --at 2026-03-02 --title "L 605"', "changes.pdf --changes 1 2"),
+            "picture": ("map.compare:picture", "map.png --as-of 2026-03-02", "changes.pdf --changes 1 2"),
             "export": (
                 "map.exchange:export",
                 "--out cones.gpkg",
@@ -124,7 +124,7 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "import": (
                 "map.base_layers:import_files",
                 "survey.laz lanes.osm",
-                "lanes.geojson --layer lanes --crs 25832",
+                "lanes.geojson --layer lanes --crs EPSG:25832",
             ),
             "list": ("map.base_layers:list_layers", ""),
             "drop": ("map.base_layers:drop", "survey"),

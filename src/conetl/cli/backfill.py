@@ -35,7 +35,7 @@ def backfill(
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan and exit.")] = False,
     recheck: Annotated[bool, typer.Option(help="Also compare the content of drives already on the map.")] = False,
-    here: Annotated[bool, typer.Option("--here", help="Run in this process even if workers are running.")] = False,
+    here: Annotated[bool, typer.Option("--here", help="Run the drives here, even if workers are running.")] = False,
     params: ui.ParamsOption = None,
     category: ui.CategoryOption = None,
     map_srid: ui.MapSridOption = None,
@@ -107,8 +107,7 @@ def _print_summary(standing: Standing) -> None:
     failed = standing.failed
     may_pass = sum(receipt.may_pass for receipt in failed)
     on_hold = f"on hold: {len(standing.held)}; " if standing.held else ""
-    done = ui.counted(standing.done, "drive")
-    ui.say(f"On map {standing.plan.map_name}: {done}; {on_hold}failed: {len(failed)}.")
+    ui.say(f"On map {standing.plan.map_name}: {ui.counted(standing.done, 'drive')}; {on_hold}failed: {len(failed)}.")
     if may_pass:
         ui.say(f"The failure of {ui.counted(may_pass, 'drive')} may be temporary: run the same command again to retry.")
     if may_pass < len(failed):
@@ -147,9 +146,8 @@ def _print_plan(plan: Plan, parallel: int) -> None:
     ui.print_table("", ("plan", "drives"), reason_counts(plan))
     how_long = ""
     if plan.count("ingest"):
-        estimate = plan.estimate_s(parallel)
         how_long = ": time unknown until the first drive is done"
-        if estimate is not None:
+        if (estimate := plan.estimate_s(parallel)) is not None:
             how_long = f": about {minutes(estimate)}, {parallel} at a time, from the times of earlier drives"
     ui.say(
         f"{ui.counted(plan.count('ingest'), 'drive')} with {ui.counted(plan.frame_pairs, 'frame pair')} to ingest{how_long}."
@@ -158,7 +156,7 @@ def _print_plan(plan: Plan, parallel: int) -> None:
         "drive": lambda line: line.header.drive_id[:60],
         "recorded (UTC)": lambda line: f"{at:%Y-%m-%d %H:%M}" if (at := line.header.captured_from) else "?",
         "plan": lambda line: _ACTIONS[line.action],
-        "why": lambda line: line.why[:110],
+        "why": lambda line: line.why,
         "pairs": lambda line: line.header.frame_pairs,
     }
     ui.print_records("", columns, plan.lines[:_SHOWN], numbers_from=4)
@@ -172,13 +170,12 @@ def _print_plan(plan: Plan, parallel: int) -> None:
 def _print_receipt(receipt: Receipt) -> None:
     if not receipt.done:
         ui.say(f"{receipt.drive_id}: {receipt.state}: {receipt.reason}")
-        return
-    if receipt.state == "held":
+    elif receipt.state == "held":
         ui.say(receipt.reason)
-        return
-    took = f" in {receipt.seconds:.1f} s" if receipt.seconds else ""
-    reason = f"; {receipt.reason}" if receipt.reason else ""
-    ui.say(f"{receipt.drive_id}: {'on' if receipt.state == 'committed' else 'already on'} the map{took}{reason}")
+    else:
+        took = f" in {receipt.seconds:.1f} s" if receipt.seconds else ""
+        reason = f"; {receipt.reason}" if receipt.reason else ""
+        ui.say(f"{receipt.drive_id}: {'on' if receipt.state == 'committed' else 'already on'} the map{took}{reason}")
 
 
 def _receipt_as_dict(receipt: Receipt) -> dict[str, Any]:

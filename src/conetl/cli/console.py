@@ -82,6 +82,8 @@ def print_json(value: Any) -> None:
 def _json_value(value: Any) -> Any:
     if hasattr(value, "model_dump"):  # a pydantic model
         return value.model_dump(mode="json")
+    if isinstance(value, datetime):
+        return value.isoformat().replace("+00:00", "Z")  # as in the models
     return asdict(value) if is_dataclass(value) and not isinstance(value, type) else str(value)
 
 

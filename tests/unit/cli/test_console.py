@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 from datetime import UTC, datetime
 
 import pytest
@@ -21,6 +22,11 @@ def test_an_instant_of_a_day_is_its_end():
     end = datetime(2026, 3, 2, 23, 59, 59, 999999, tzinfo=UTC)
     assert parse_instant("2026-03-02") == parse_instant("20260302") == end
     assert parse_instant("2026-03-02T10:00") == parse_time("2026-03-02T10:00") and parse_instant(None) is None
+
+
+def test_times_in_json_have_the_form_of_the_models(capsys):
+    console.print_json({"at": datetime(2026, 3, 2, 10, tzinfo=UTC)})
+    assert json.loads(capsys.readouterr().out) == {"at": "2026-03-02T10:00:00Z"}
 
 
 @pytest.mark.parametrize("text", ["2026", "1772352000", "1772352000.5", "0", "2026-03", "yesterday", ""])

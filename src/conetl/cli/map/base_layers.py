@@ -33,7 +33,7 @@ def import_files(
     kind: Annotated[Literal["points", "lines"] | None, typer.Option(help="Only accept files of this kind.")] = None,
     crs: Annotated[
         str | None,
-        typer.Option(help="CRS of the files, e.g. 25832, if they contain none or a wrong one."),
+        typer.Option(help="CRS of the files, e.g. EPSG:25832, if they contain none or a wrong one."),
     ] = None,
     layer: Annotated[str | None, typer.Option(help="Name of the layer; default: the file name.")] = None,
     voxel: Annotated[

@@ -222,7 +222,8 @@ def _print(checked: CheckedMap, name: str, srid: int) -> None:
 def picture(
     output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .png, .svg, .pdf.")],
     at: Annotated[
-        str | None, typer.Option(help="State of the road at this time, e.g. 2026-03-02; default: latest.")
+        str | None,
+        typer.Option("--as-of", "--at", help="State of the road at this time, e.g. 2026-03-02; default: latest."),
     ] = None,
     known_at: Annotated[str | None, typer.Option(help="Database state at this time; default: now.")] = None,
     changes: Annotated[
@@ -245,7 +246,7 @@ def picture(
     if output.suffix.lower() not in SUFFIXES:
         raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
     if changes is not None and (at is not None or known_at is not None):
-        raise InputError("--changes already gives both states: omit --at and --known-at")
+        raise InputError("--changes already gives both states: omit --as-of and --known-at")
     valid_at, known = ui.parse_instant(at), ui.parse_instant(known_at)
     size_mm = ui.parse_size("--size", size, "millimetres", 60, 1200, "240x160")
     with open_map(map_name) as (conn, info):

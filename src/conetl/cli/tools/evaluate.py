@@ -39,7 +39,7 @@ _COLUMNS = ("range m", "matches", "median m", "median |m|", "robust std m", "std
 
 
 def evaluate(
-    drives: Annotated[list[Path], typer.Argument(metavar="DRIVE...", help="Drive folders.")],
+    drives: Annotated[list[Path], typer.Argument(metavar="DRIVE", help="Drive folders.")],
     truth: Annotated[
         Path | None,
         typer.Option(
