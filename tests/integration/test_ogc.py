@@ -505,6 +505,8 @@ def test_invalid_parameters_are_refused(client, query):
         ("properties=category,nope", "There is no property 'nope'; there are: feature_id, version"),
         ("properties=nope&f=csv", "There is no property 'nope'"),
         ("sortby=nope", "nope"),
+        ("change=moved", "Unknown parameter 'change'; known are: at, bbox, category"),
+        ("colour=white", "Unknown parameter 'colour'"),
         ("limit=1&limit=5", "limit is given 2 times: expected one value"),
         ("bbox=8,49,9,50&bbox=0,0,1,1", "bbox is given 2 times"),
         ("category=drum&category=traffic_cone", "category is given 2 times"),

@@ -41,12 +41,14 @@ RequestInstants = Annotated[Instants, Depends(read_instants)]
 
 
 async def prepare(request: Request) -> None:
-    """Raise BadParameterError for a parameter that the API definition does not list (requirement query-param-unknown), or that
-    is repeated (query-param-invalid)."""
+    """Raise BadParameterError for a parameter that the API definition does not list, or that is a property of other collections
+    only (requirement query-param-unknown), or that is repeated (query-param-invalid)."""
     request.scope["app_root_path"] = request.scope.get("root_path", "")  # links start where the application is mounted
     path = request.scope["route"].path
     defined = request.app.openapi()["paths"].get(path, {}).get("get", {}).get("parameters", ())
     known = {parameter["name"] for parameter in defined if parameter["in"] == "query"}
+    if own := COLLECTIONS.get(request.path_params.get("collectionId", "").rpartition(".")[2]):
+        known -= {name for each in COLLECTIONS.values() for name in each[2]} - set(own[2])
     for name, value in request.query_params.multi_items():
         if name not in known:
             raise BadParameterError(f"Unknown parameter {name!r}; known are: {', '.join(sorted(known))}.")
