@@ -9,7 +9,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
-from uuid import uuid4
+from uuid import UUID, uuid4
 
 import pytest
 from typer.testing import CliRunner
@@ -178,19 +178,22 @@ def test_an_empty_drive_has_a_report(shown: Any, samples: Any) -> None:
     shown.rollback()
 
 
-def failed(header: str, state: str, **values: Any) -> Receipt:
+def failed(drive: str, state: str, *, attempt: int = 1, header: str = "", **values: Any) -> Receipt:
     return Receipt(
-        attempt_id=uuid4(), map_name="default", drive_path=f"/in/{EVIL}", drive_id=f"{EVIL} {header}",
-        header_sha256=header * 64, analysis_sha256="0" * 64, frame_pairs=10, flow_run_id=None, host="here", state=state,
-        **values,
+        attempt_id=UUID(int=100 * int(drive) + attempt), map_name="default", drive_path=f"/in/{EVIL}",
+        drive_id=f"{EVIL} {drive}", header_sha256=(header or drive) * 64, analysis_sha256="0" * 64, frame_pairs=10,
+        flow_run_id=None, host="here", state=state, **values,
     )  # fmt: skip
 
 
 def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path: Path) -> None:
     for receipt in (
         failed("1", "started"), failed("1", "failed", reason=f"no usable pose {EVIL}"), failed("2", "started"),
-        failed("3", "failed", reason="it will pass"), failed("3", "started"),
-        failed("3", "committed", changeset_id=latest.changeset_id, seconds=12.0, content_sha256="0" * 64),
+        failed("3", "failed", reason="it will pass"), failed("3", "started", attempt=2),
+        failed("3", "committed", attempt=2, changeset_id=latest.changeset_id, seconds=12.0, content_sha256="0" * 64),
+        failed("4", "failed", reason="no calibration"), failed("4", "failed", attempt=2, reason="no calibration"),
+        failed("5", "failed", reason="no calibration"),  # it was repaired
+        failed("5", "known", attempt=2, header="6", changeset_id=latest.changeset_id, content_sha256="0" * 64),
     ):  # fmt: skip
         write_receipt(shown, receipt, tmp_path)
     until = datetime.now(UTC) + timedelta(hours=1)
@@ -199,7 +202,7 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
     page = (tmp_path / "night.html").read_text()
     assert_loads_nothing(page)
     assert [row["drive_id"] for row in facts.drives][-1] == EVIL
-    assert [(row["state"], row["attempts"]) for row in facts.failures] == [("failed", 1), ("started", 1)]
+    assert [(row["state"], row["attempts"]) for row in facts.failures] == [("failed", 1), ("started", 1), ("failed", 2)]
     assert facts.drives[-1]["seconds"] == 12.0
     assert [row["kind"] for row in facts.changes if row["number"] <= row["gone"]] == ["removed"]
     counted = sum(
@@ -213,7 +216,7 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
     assert facts.size_at(since) == 0
     assert [row["warnings"] for row in facts.drives] == [None, ["Clean <b>the lens</b>."]]
     for told in (
-        "2 drives failed", "no usable pose", "1 object was removed", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
+        "3 drives failed", "no usable pose", "1 object was removed", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
     ):  # fmt: skip
         assert told in page
 
