@@ -190,7 +190,7 @@ def prune(
     ] = None,
     keep_results: Annotated[str | None, typer.Option(help="Keep files of intermediate results this long.")] = None,
     keep_pictures: Annotated[
-        str | None, typer.Option("--keep-pictures", "--keep-images", help="Keep images unpacked from bags this long.")
+        str | None, typer.Option("--keep-images", "--keep-pictures", help="Keep images unpacked from bags this long.")
     ] = None,
     keep_publications: Annotated[
         str | None, typer.Option(help="Keep published files this long; the latest publication is always kept.")

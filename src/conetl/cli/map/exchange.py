@@ -46,7 +46,7 @@ def export(
         str | None, typer.Option(help="State of the road at this time, e.g. 2026-03-02T10:00+01:00; default: latest.")
     ] = None,
     believed_at: Annotated[
-        str | None, typer.Option("--believed-at", "--known-at", help="Database state at this time; default: now.")
+        str | None, typer.Option("--known-at", "--believed-at", help="Database state at this time; default: now.")
     ] = None,
     since: Annotated[
         str | None, typer.Option("--from", help="Only changes at or after this time; default: since the first drive.")
@@ -80,7 +80,7 @@ def export(
     if file_format in (WZDX, WZDX_DEVICES):
         if what is not ExportContent.FEATURES or believed_at or since or until or crs or category:
             raise InputError(
-                f"--what, --believed-at, --from, --to, --crs and --category cannot be used with --format {file_format}"
+                f"--what, --known-at, --from, --to, --crs and --category cannot be used with --format {file_format}"
             )
         with open_map(map_name) as (conn, info):
             count = export_wzdx(
