@@ -114,16 +114,10 @@ def ingest_drives(
             complaints: list[ConetlError | str] = []
             try:
                 with ui.progress_bar(header.drive_id, "images and motions") as update:
-                    show_progress = partial(_show_progress, update, header.drive_id)
                     work = partial(
-                        ingest_in_run,
-                        header,
-                        settings,
-                        params,
-                        map_srid=map_srid,
-                        database=database,
-                        progress=show_progress,
-                    )
+                        ingest_in_run, header, settings, params, map_srid=map_srid, database=database,
+                        progress=partial(_show_progress, update, header.drive_id),
+                    )  # fmt: skip
                     report = run_by_command(header, settings, work)
             except NeedsAttentionError as error:
                 report, complaints = error.report, [error]
