@@ -1,4 +1,4 @@
-"""Training samples: scale, stretch, paste, hide, blur and relight pictures; boxes always follow the geometry.
+"""Training samples: scale, stretch, paste, hide, blur and relight images; boxes always follow the geometry.
 
 Objects are (N, 9) as in `dataset.py`, fades (M, 5) [x0, y0, x1, y1, sum of 2**class] as in `loss.py`.
 """
@@ -73,7 +73,7 @@ def warp_into(
     rng: np.random.Generator,
     large: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Draw a picture, scaled, stretched, mirrored, slightly turned, into `area` of the canvas; boxes and fades there."""
+    """Draw an image, scaled, stretched, mirrored, slightly turned, into `area` of the canvas; boxes and fades there."""
     left, top, right, bottom = area
     stretch = 1.0
     if picture.source == "rf_traffic_cones":
@@ -88,7 +88,7 @@ def warp_into(
         cx, cy = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
     else:
         cx, cy = rng.uniform(0.2, 0.8) * width, rng.uniform(0.3, 0.8) * height
-    # Where the chosen point lands: anywhere in the area, but rather fill the area with picture than with nothing.
+    # Where the chosen point lands: anywhere in the area, but rather fill the area with the image than with nothing.
     margin = 0.3 if large else 0.0
     to_x, to_y = (
         left + rng.uniform(margin, 1 - margin) * (right - left),
@@ -107,7 +107,7 @@ def warp_into(
     # Boxes live on pixel edges, warpAffine on pixel centres: pixel u of a level has its centre at (u + 0.5) * shrink.
     local = np.column_stack((linear * shrink, offset + linear @ np.full(2, 0.5 * shrink) - 0.5 - (left, top)))
     size = (right - left, bottom - top)
-    transparent = cv2.BORDER_TRANSPARENT  # what the picture does not reach stays
+    transparent = cv2.BORDER_TRANSPARENT  # what the image does not reach stays
     cv2.warpAffine(levels[level], local, size, canvas[top:bottom, left:right], cv2.INTER_LINEAR, transparent)
 
     def follow(boxes: np.ndarray, cones: np.ndarray) -> np.ndarray:
@@ -137,7 +137,7 @@ def fade_rows(boxes: np.ndarray, classes: int = ALL_CLASSES) -> np.ndarray:
 
 
 def untaught(picture: Image, area: tuple[int, int, int, int]) -> np.ndarray:
-    """The classes that are not labelled in a picture, as a fade of the whole area (0 or 1, 5)."""
+    """The classes that are not labelled in an image, as a fade of the whole area (0 or 1, 5)."""
     classes = sum(2**k for k, name in enumerate(CLASSES) if name not in picture.taught)
     return fade_rows(np.array([area] if classes else []).reshape(-1, 4), classes)
 
@@ -195,7 +195,7 @@ def paste_cutout(
     """Paste one cut-out where it hides little of the objects `taken` (N, 9), with a shadow at its foot if it stands.
 
     Height and foot [x, y] px are random where they are not given. Returns it as an object (1, 9) with an exact box, or (0, 9)
-    when the place was taken or does not lie in the picture.
+    when the place was taken or does not lie in the image.
     """
     picture, stands = cutout.image, cutout.category in STANDING
     if height_px is None:
@@ -218,7 +218,7 @@ def paste_cutout(
     y = min(y, rows - height)
     if foot is not None:
         x, y = round(foot[0] - width / 2), round(foot[1] - height)
-    elif rng.random() < 0.2:  # cut by the picture's side, or by its lower edge
+    elif rng.random() < 0.2:  # cut by the image's side, or by its lower edge
         if rng.random() < 0.3:
             y = rows - height // 2
         else:
@@ -426,7 +426,7 @@ def draw_rails(canvas: np.ndarray, box: tuple[float, float, float, float], rng: 
 
 
 def relight(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Exposure, gamma, white balance, saturation, haze, blur, noise, JPEG: what cameras and days do to a picture."""
+    """Exposure, gamma, white balance, saturation, haze, blur, noise, JPEG: what cameras and days do to an image."""
     if rng.random() < 0.8:
         gain = np.exp(rng.normal(-0.05, 0.2)) * np.exp(rng.normal(0, 0.05, 3))
         gamma = np.exp(rng.normal(0, 0.2))
@@ -469,7 +469,7 @@ def make_sample(
 ) -> Sample:
     """One training sample: image (size, size, 3) BGR uint8, objects (N, 9), trust (N,) of their sides, fades (M, 5).
 
-    large: of one picture alone, its largest object large and rather in the middle, or with pasted objects of up to its size.
+    large: of one image alone, its largest object large and rather in the middle, or with pasted objects of up to its size.
     """
     background, levels = backgrounds[int(rng.integers(len(backgrounds)))]
     canvas = cv2.resize(levels[2], (size, size), interpolation=cv2.INTER_LINEAR)  # no black where the warp leaves a gap
@@ -508,7 +508,7 @@ def make_sample(
     boxes, trust, fades = np.concatenate(all_boxes), np.concatenate(all_trust), np.concatenate(all_fades)
     hide_cones(canvas, boxes, rng)
     canvas = relight(canvas, rng)
-    if rng.random() < 0.3:  # the picture ends before the network's input does, which repeats its last row and column
+    if rng.random() < 0.3:  # the image ends before the network's input does, which repeats its last row and column
         right, bottom = (size - rng.integers(0, PAD_PX, 2)).tolist()
         canvas[:, right:], canvas[bottom:] = canvas[:, right - 1 : right], canvas[bottom - 1 : bottom]
         area = (0, 0, right, bottom)
@@ -526,7 +526,7 @@ def one_of(cutouts: dict[str, list[CutOut]], rng: np.random.Generator, classes: 
 def uncovered(
     boxes: list[np.ndarray], trust: list[np.ndarray], area: tuple[int, int, int, int]
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Objects, and the trust of their sides, of which a picture drawn into this area hides nothing or little."""
+    """Objects, and the trust of their sides, of which an image drawn into this area hides nothing or little."""
     every, trusts = np.concatenate(boxes), np.concatenate(trust)
     low, high = np.maximum(every[:, :2], area[:2]), np.minimum(every[:, 2:4], area[2:])
     hidden = np.clip(high - low, 0, None).prod(1) / np.maximum((every[:, 2:4] - every[:, :2]).prod(1), 1.0)

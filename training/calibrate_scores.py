@@ -3,10 +3,10 @@
     python training/calibrate_scores.py MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES [--clips DIR]]
         [--labelled DIR] [--cone-free DIR] [--json OUT] [--write]
 
-Run it after `quantise.py`, on pictures that took no part in training. `--left-out` names sources and clips as for `train.py`:
+Run it after `quantise.py`, on images that took no part in training. `--left-out` names sources and clips as for `train.py`:
 with them, scores mean something away from the training sources, too. With `--clips` the false boxes of the other classes are
 counted on the clips left out. `--labelled` names renders (images/, labels/) with exact
-labels, `--cone-free` a folder of pictures without any cone. With `--write` the figures go into `MODEL.onnx.json` and the
+labels, `--cone-free` a folder of images without any cone. With `--write` the figures go into `MODEL.onnx.json` and the
 reliability curve beside the model, `MODEL.reliability.png`; the text for the model card is printed.
 """
 
@@ -123,7 +123,7 @@ def apply(calibration: ScoreCalibration, scores: np.ndarray) -> np.ndarray:
 
 
 def folds_of(pictures: list[Image]) -> np.ndarray:
-    """Fold (N,) of each picture: neighbours by name, which may be frames of one film or views of one scene, stay together."""
+    """Fold (N,) of each image: neighbours by name, which may be frames of one film or views of one scene, stay together."""
     folds = np.zeros(len(pictures), dtype=int)
     for source in sorted({p.source for p in pictures}):
         ours = sorted((k for k, p in enumerate(pictures) if p.source == source), key=lambda k: pictures[k].name)
@@ -208,7 +208,7 @@ def found_again(looks: Looks) -> tuple[int, list[float]]:
 
 
 def false_box_rates(looks: Looks) -> tuple[list[int], list[list[float]]]:
-    """Images, and boxes on no cone per picture by threshold and height (Gamma prior of half a box)."""
+    """Images, and boxes on no cone per image by threshold and height (Gamma prior of half a box)."""
     exact = np.array(looks.exact)
     pictures = [int(exact.sum()) if low < 20 else len(exact) for low in HEIGHTS_PX]
     rows = np.array(looks.false_boxes).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""The training pictures: where they come from and how their labels are cleaned.
+"""The training images: where they come from and how their labels are cleaned.
 
 An `Image` is one image with its objects (N, 9) [x0, y0, x1, y1, foot x, foot y, tip x, tip y, class] in pixels, foot and tip
 NaN where they are not known (only renders and drawn objects know them), `fade` = regions where an unlabelled object is
@@ -58,7 +58,7 @@ def read_labels(path: Path, width: int, height: int) -> np.ndarray:
 
 
 def black_corner_angle(image: np.ndarray) -> float:
-    """Angle in degrees by which a square picture was turned about its centre, read from its black corners; 0 if none.
+    """Angle in degrees by which a square image was turned about its centre, read from its black corners; 0 if none.
 
     Tries angles from -16 to 16 degrees and keeps the one whose predicted black corners agree best (intersection over
     union) with the black pixels that are there.
@@ -87,7 +87,7 @@ def turn_upright(picture: Image) -> Image:
     """Undo the turn of a turned training copy and shrink its boxes to what they were before the turn.
 
     A box of w x h turned by t has the upright hull W = w cos t + h sin t, H = w sin t + h cos t; solved for w and h.
-    Boxes cut by the picture's edge lost that information: they keep the turned hull and the picture is marked loose there.
+    Boxes cut by the image's edge lost that information: they keep the turned hull and the image is marked loose there.
     """
     height, width = picture.image.shape[:2]
     angle = black_corner_angle(picture.image) if width == height else 0.0
@@ -121,7 +121,7 @@ def objects_from(boxes: Sequence[Sequence[float]], classes: Sequence[int]) -> np
 
 
 def far_band(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
-    """The band of the road where far cones of an onboard picture stand, labelled or not, as one fade region."""
+    """The band of the road where far cones of an onboard image stand, labelled or not, as one fade region."""
     if len(boxes) == 0:
         return np.array([[0.0, 0.3 * height, width, 0.55 * height]])
     top = boxes[:, 1].min() - 0.02 * height
@@ -130,14 +130,14 @@ def far_band(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
 
 
 def read_cones(root: Path, split: str) -> list[Image]:
-    """All pictures of one split of the labelled cone data, labels cleaned for training, untouched for validation."""
+    """All images of one split of the labelled cone data, labels cleaned for training, untouched for validation."""
     pictures = []
     with (root / "manifest.csv").open() as lines:
         rows = [row for row in csv.DictReader(lines) if row["split"] == split]
     for row in rows:
         image = cv2.imread(str(root / split / "images" / row["file"]))
         if image is None:
-            raise SystemExit(f"unreadable training picture {row['file']}")
+            raise SystemExit(f"unreadable training image {row['file']}")
         height, width = image.shape[:2]
         boxes = read_labels((root / split / "labels" / row["file"]).with_suffix(".txt"), width, height)
         picture = Image(row["file"], row["source"], image, boxes)
@@ -150,7 +150,7 @@ def read_cones(root: Path, split: str) -> list[Image]:
 
 
 def read_more_cones(root: Path, left_out: frozenset[str] = frozenset()) -> list[Image]:
-    """The pictures of the further sources, but for those sources and clips that are left out to judge by."""
+    """The images of the further sources, but for those sources and clips that are left out to judge by."""
     pictures = []
     with (root / "manifest.csv").open() as lines:
         rows = list(csv.DictReader(lines))
@@ -160,7 +160,7 @@ def read_more_cones(root: Path, left_out: frozenset[str] = frozenset()) -> list[
             continue
         image = cv2.imread(str(root / source / "images" / name))
         if image is None:
-            raise SystemExit(f"unreadable training picture {name}")
+            raise SystemExit(f"unreadable training image {name}")
         height, width = image.shape[:2]
         labels = (root / source / "labels" / name).with_suffix(".txt")
         if source == "frc_conesandcubes":
@@ -170,7 +170,7 @@ def read_more_cones(root: Path, left_out: frozenset[str] = frozenset()) -> list[
 
 
 def read_left_out(root: Path, left_out: str) -> list[Image]:
-    """The pictures of those sources and clips, separated by commas."""
+    """The images of those sources and clips, separated by commas."""
     names = set(left_out.split(","))
     return [p for p in read_more_cones(root) if names & {p.source, p.name.rsplit("_", 1)[0]}]
 
@@ -217,7 +217,7 @@ def read_labelled_clips(clips: Path, labels: Path, left_out: frozenset[str] = fr
 
 
 def read_renders(root: Path, known: set[str], limit: int = 4000) -> list[Image]:
-    """Rendered pictures that are not in `known` yet: images/*.{jpg,png} with labels/*.txt beside them."""
+    """Rendered images that are not in `known` yet: images/*.{jpg,png} with labels/*.txt beside them."""
     pictures: list[Image] = []
     for path in sorted((root / "images").glob("*")):
         label = root / "labels" / f"{path.stem}.txt"

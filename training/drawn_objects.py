@@ -27,7 +27,7 @@ class CutOut:
     category: str = "traffic_cone"
     ends: np.ndarray = field(default_factory=lambda: np.full(4, np.nan))
     box: np.ndarray | None = None
-    """None: the whole picture."""
+    """None: the whole image."""
 
     @property
     def box_or_all(self) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Average precision of a model on labelled pictures (pycocotools), by source and by cone height, through conetl's own detector.
+"""Average precision of a model on labelled images (pycocotools), by source and by cone height, through conetl's own detector.
 
     python training/evaluate.py MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES [--clips DIR]] [--labelled DIR]
         [--json OUT.json]
@@ -98,7 +98,7 @@ def coco_tables(
 
 
 def at_score(pictures: list[Image], found: list[np.ndarray], score: float, overlap: float = 0.5) -> dict[str, float]:
-    """Share of cones that have a box of this score and overlap (IoU), and boxes on no cone a picture."""
+    """Share of cones that have a box of this score and overlap (IoU), and boxes on no cone per image."""
     hits = cones = false = 0
     for picture, boxes in zip(pictures, found, strict=True):
         free = np.ones(len(picture.boxes), bool)
@@ -146,7 +146,7 @@ def judge(pictures: list[Image], found: list[np.ndarray]) -> dict[str, dict[str,
 
 
 def off_unlabelled(picture: Image, found: np.ndarray, places: dict[str, np.ndarray]) -> np.ndarray:
-    """Boxes (N, 5 or more) x, y, w, h, score of a picture without those on an unlabelled cone and on no labelled one.
+    """Boxes (N, 5 or more) x, y, w, h, score of an image without those on an unlabelled cone and on no labelled one.
 
     On one: as `calibrate_scores.py` asks of a box that is to be right, not that it touches it only.
     """
@@ -161,7 +161,7 @@ def off_unlabelled(picture: Image, found: np.ndarray, places: dict[str, np.ndarr
 
 
 def of_class(picture: Image, found: np.ndarray, number: int) -> tuple[Image, np.ndarray]:
-    """A picture with its objects of one class, and the boxes of that class but for those in ignored regions on no object."""
+    """An image with its objects of one class, and the boxes of that class but for those in ignored regions on no object."""
     objects = picture.boxes[picture.boxes[:, 8] == number]
     boxes = found[found[:, 9] == number]
 

@@ -2,7 +2,7 @@
 
     python training/export.py RUN/last.pt --out RUN/conetl-road-10.onnx --version 10.0
 
-The exported network takes pictures of one size as they lie in memory, (P, H, W, 3) BGR 0 to 255: what would have to be done to
+The exported network takes images of one size as they lie in memory, (P, H, W, 3) BGR 0 to 255: what would have to be done to
 them before is folded into the first convolution.
 """
 
@@ -23,12 +23,12 @@ from network import BINS, STRIDES, ConeNet, fuse_batch_norms
 from torch import Tensor, nn
 from torch.nn import functional
 
-#: Cells a stride whose boxes are computed: more than the cones of any picture cover.
+#: Cells a stride whose boxes are computed: more than the cones of any image cover.
 BEST_CELLS = (512, 256, 128, 64)
 
 
 class PackedStem(nn.Module):
-    """The network's first convolution for pictures as they lie in memory: (P, H, W, 3) BGR 0 to 255 -> what `ConeNet.stem` gives.
+    """The network's first convolution for images as they lie in memory: (P, H, W, 3) BGR 0 to 255 -> what `ConeNet.stem` gives.
 
     Four pixels side by side are taken as one of 12 channels, and two output columns as one of twice the channels: the numbers
     stay where they are, and an 8-bit convolution is kept busy, which it is not by three channels. Of the columns 4j - 1 to 4j + 3
@@ -61,7 +61,7 @@ class CellOutputs(nn.Module):
     """The output layers of one stride, for the cells of the highest scores only: all of them would cost an eighth of the whole.
 
     Features (P, C, h, w) -> the cells' values (K, 4*BINS + 4 + classes) as in `ConeNet`, and their places (K,) in the row-major
-    maps of the pictures, one after the other: the cells are the best of all pictures together. They are chosen by a score that
+    maps of the images, one after the other: the cells are the best of all images together. They are chosen by a score that
     may be rounded to 8 bits; the scores given are not.
     """
 
@@ -75,7 +75,7 @@ class CellOutputs(nn.Module):
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         logits = self.score(features).amax(1).reshape(1, -1)
-        # A number of cells that depends on the picture's size has to be a tensor, or tracing would freeze it.
+        # A number of cells that depends on the image's size has to be a tensor, or tracing would freeze it.
         available = torch._shape_as_tensor(logits)[1]
         _, cells = logits.topk(torch.minimum(torch.tensor(self.count), available), 1)
         chosen = features.permute(0, 2, 3, 1).reshape(-1, len(self.weight)).index_select(0, cells[0])
@@ -83,7 +83,7 @@ class CellOutputs(nn.Module):
 
 
 class BestCells(nn.Module):
-    """The network as conetl runs it: pictures (P, H, W, 3) -> values and places of `CellOutputs`, stride by stride."""
+    """The network as conetl runs it: images (P, H, W, 3) -> values and places of `CellOutputs`, stride by stride."""
 
     def __init__(self, network: ConeNet) -> None:
         super().__init__()
@@ -134,7 +134,7 @@ def main() -> None:
     model = onnx.load(args.out)
     onnx.helper.set_model_props(model, {"names": str(dict(enumerate(CLASSES)))})  # as Ultralytics writes them
     onnx.save(model, args.out)
-    picture = 255 * torch.rand(2, 288, 416, 3)  # more pictures than the one that was traced, and of another size
+    picture = 255 * torch.rand(2, 288, 416, 3)  # more images than the one that was traced, and of another size
     with torch.no_grad():
         maps = network(picture.flip(3).permute(0, 3, 1, 2) / 255.0)
     given = onnxruntime.InferenceSession(str(args.out)).run(None, {"picture": picture.numpy()})

@@ -1,10 +1,10 @@
-"""What an earlier detector finds in the training pictures where no label is.
+"""What an earlier detector finds in the training images where no label is.
 
     python training/find_unlabelled.py MODEL.onnx --cones DIR --more-cones DIR --clips DIR --leave-out NAMES --out unlabelled.json
 
 Of `cones`, where labels are missing, such a box is either a cone without a label or a thing that looks like one: training neither
 teaches nor forbids a cone there (`train.py --unlabelled`), which is narrower than giving up the whole band of far cones
-(`dataset.far_band`). In the labelled clips and in the pictures without cones every such box is false: training centres samples
+(`dataset.far_band`). In the labelled clips and in the images without cones every such box is false: training centres samples
 on them.
 """
 
@@ -32,7 +32,7 @@ SCALES = (0.6, 1.0, 2.0)  #: at which false boxes are looked for
 def boxes_without_label(
     detector: Detector, picture: Image, scale: float, score: float, margin_px: float
 ) -> list[list[float]]:
-    """Boxes [x0, y0, x1, y1] px of the classes that are labelled in a picture, where no label and no fade is."""
+    """Boxes [x0, y0, x1, y1] px of the classes that are labelled in an image, where no label and no fade is."""
     image = picture.image if scale == 1 else cv2.resize(picture.image, None, fx=scale, fy=scale)
     known, found = np.concatenate((picture.boxes[:, :4], picture.fade)), []
     wanted = [name for name in CLASSES if name in picture.taught]

@@ -1,4 +1,4 @@
-"""Label the work-zone clips by eye: key boxes of objects, the frames between them filled in, pictures to look at it all.
+"""Label the work-zone clips by eye: key boxes of objects, the frames between them filled in, images to look at it all.
 
     python training/label_clips.py look KEYS/columbus.csv --clips DIR --frame 67 [--within 360 200 560 310] --out look.png
     python training/label_clips.py sheet KEYS/columbus.csv --clips DIR --out SHEETS
@@ -6,7 +6,7 @@
 
 A file of keys has a line `object,class,frame,x0,y0,x1,y1` a box, in pixels; what follows a # is a remark. One object has one
 number in its clip. Between two of its keys every labelled frame gets a box: a standing thing is approached at constant speed,
-then it is registered on the picture. `look` shows a frame, or a part of it enlarged, with ticks in pixels; `sheet` shows every
+then it is registered on the image. `look` shows a frame, or a part of it enlarged, with ticks in pixels; `sheet` shows every
 box enlarged, filled ones with a ~; `write` writes what `dataset.py` reads.
 """
 

@@ -47,7 +47,7 @@ def robust_scatter(values: np.ndarray) -> np.ndarray:
 
 
 def pairs_of(picture: Image, found: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(box, label), both (4,) x0, y0, x1, y1, of the cones from FROM_PX on that lie whole in the picture and were found."""
+    """(box, label), both (4,) x0, y0, x1, y1, of the cones from FROM_PX on that lie whole in the image and were found."""
     height, width = picture.image.shape[:2]
     pairs = []
     for x, y, w, h in found[:, :4]:

@@ -1,6 +1,6 @@
 """Looks at labelled cones and at what is taken for one: the raw material of `calibrate_scores.py`.
 
-Each picture is looked at several times: as it is, smaller and larger with other light (a look from another distance), and with
+Each image is looked at several times: as it is, smaller and larger with other light (a look from another distance), and with
 things pasted in front of its cones. A cone is found where a box overlaps its label as `tracking/existence.py` asks.
 """
 
@@ -20,12 +20,12 @@ from conetl.perception.decoding import intersection_over_union
 #: Scores below this are not looked at: nothing in the pipeline does.
 LEAST_SCORE = 0.05
 MATCH_IOU = 0.3
-#: Places of the validation pictures that hold a cone, or may, without a label; found by a person among the boxes of
+#: Places of the validation images that hold a cone, or may, without a label; found by a person among the boxes of
 #: conetl-cone-2 from 18 px and score 0.15 on. Boxes there count neither way.
 UNLABELLED = Path(__file__).with_name("val_unlabelled.csv")
 #: A box that touches a label by more than this is not called false: half a cone, or two in one.
 NEAR_IOU = 0.1
-#: Below this height the real pictures leave cones without a label (training/README.md): a box there counts neither way.
+#: Below this height the real images leave cones without a label (training/README.md): a box there counts neither way.
 LABELLED_FROM_PX = 20.0
 SCALES = (1.0, 0.5, 0.7, 0.85, 1.2, 0.99)
 HIDDEN = (0.25, 0.5)
@@ -35,22 +35,22 @@ Detect = Callable[[np.ndarray], np.ndarray]
 
 @dataclass
 class Looks:
-    """Rows of numbers; `picture` numbers pictures, `thing` cones and lookalikes over all pictures."""
+    """Rows of numbers; `image` numbers images, `thing` cones and lookalikes over all images."""
 
     cones: list[tuple[int, int, int, float, float, float]] = field(default_factory=list)
-    """picture, thing, look, height in px, hidden share, best score (0 where no box)"""
+    """image, thing, look, height in px, hidden share, best score (0 where no box)"""
     boxes: list[tuple[int, float, float, bool]] = field(default_factory=list)
-    """picture, height, score, whether on a cone: boxes of the plain look that count for or against"""
+    """image, height, score, whether on a cone: boxes of the plain look that count for or against"""
     lookalikes: list[tuple[int, int, int, float, float]] = field(default_factory=list)
-    """picture, thing, look, height in px, best score (0 where no box)"""
+    """image, thing, look, height in px, best score (0 where no box)"""
     false_boxes: list[tuple[float, float]] = field(default_factory=list)
     """height, score of the boxes of plain looks that are on no cone"""
     exact: list[bool] = field(default_factory=list)
-    """By picture: whether it has no cone without a label at any height."""
+    """By image: whether it has no cone without a label at any height."""
 
 
 def unlabelled_places() -> dict[str, np.ndarray]:
-    """UNLABELLED by picture: (N, 4) x0, y0, x1, y1."""
+    """UNLABELLED by image: (N, 4) x0, y0, x1, y1."""
     places: dict[str, list[list[float]]] = {}
     with UNLABELLED.open() as lines:
         for row in csv.DictReader(lines):
@@ -59,7 +59,7 @@ def unlabelled_places() -> dict[str, np.ndarray]:
 
 
 def look_at_pictures(pictures: list[Image], exact: Callable[[Image], bool], detect: Detect, seed: int = 5) -> Looks:
-    """All looks at all pictures. detect: image -> boxes (N, 5 or more) x, y, w, h, score down to LEAST_SCORE."""
+    """All looks at all images. detect: image -> boxes (N, 5 or more) x, y, w, h, score down to LEAST_SCORE."""
     rng = np.random.default_rng(seed)
     looks, places = Looks(), unlabelled_places()
     for number, picture in enumerate(pictures):
@@ -95,9 +95,9 @@ def _another_look(image: np.ndarray, scale: float, rng: np.random.Generator) -> 
 def _hide(
     image: np.ndarray, cones: np.ndarray, share: float, pictures: list[Image], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The picture with something before each cone that covers `share` of its box, and what was pasted (N, 4).
+    """The image with something before each cone that covers `share` of its box, and what was pasted (N, 4).
 
-    A post across it, or a car's side or front (from the left, the right or below), filled with a cut of some picture.
+    A post across it, or a car's side or front (from the left, the right or below), filled with a cut of some image.
     """
     image, covers = image.copy(), []
     rows, columns = image.shape[:2]
@@ -119,7 +119,7 @@ def _hide(
         source = pictures[int(rng.integers(len(pictures)))].image
         x, y = int(rng.integers(source.shape[1] // 2)), int(rng.integers(source.shape[0] // 2))
         cut = source[y : y + source.shape[0] // 2, x : x + source.shape[1] // 2]
-        # Upper halves of pictures hold cones, too: a cut turned on its head and without much colour is none.
+        # Upper halves of images hold cones, too: a cut turned on its head and without much colour is none.
         grey = cut[::-1].mean(axis=2, keepdims=True) * 0.8 + cut[::-1] * 0.2
         image[b:d, a:c] = cv2.resize(grey, (c - a, d - b), interpolation=cv2.INTER_AREA)[..., :3]
         covers.append((a, b, c, d))
@@ -134,7 +134,7 @@ def _add_cones(
     looks: Looks, number: int, first: int, look: int, cones: np.ndarray, found: np.ndarray,
     scale: float, covers: np.ndarray, picture: Image,
 ) -> None:  # fmt: skip
-    """Cones that lie wholly inside the picture, with the share of the box behind pasted things and behind nearer cones."""
+    """Cones that lie wholly inside the image, with the share of the box behind pasted things and behind nearer cones."""
     rows, columns = picture.image.shape[:2]
     for k, box in enumerate(cones):
         if min(box[0], box[1], columns - box[2], rows - box[3]) < EDGE_PX:
@@ -157,7 +157,7 @@ def hidden_share(box: np.ndarray, nearer: np.ndarray) -> float:
 
 
 def _countable(found: np.ndarray, picture: Image, places: dict[str, np.ndarray], exact: bool) -> np.ndarray:
-    """Boxes that can be judged: not cut by the picture's edge, not where an unlabelled cone stands or may stand."""
+    """Boxes that can be judged: not cut by the image's edge, not where an unlabelled cone stands or may stand."""
     rows, columns = picture.image.shape[:2]
     good = (found[:, :2] >= EDGE_PX).all(1) & (found[:, 2] <= columns - EDGE_PX) & (found[:, 3] <= rows - EDGE_PX)
     if not exact:

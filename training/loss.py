@@ -148,7 +148,7 @@ def detection_loss(
     side_loss = (cost.mean(1) * amount).sum()
     offsets = offsets_of(ends, truth)
     known = torch.isfinite(offsets).all(1)
-    # a cone cut by the picture's edge has its ends far outside its box
+    # a cone cut by the image's edge has its ends far outside its box
     offsets = torch.where(known[:, None], offsets, 0.0).clamp(-0.6, 0.9)
     apart = functional.smooth_l1_loss(end_offsets[image, cell], offsets, reduction="none", beta=0.03)
     end_loss = (apart.mean(1) * target * known).sum()

@@ -1,9 +1,9 @@
-"""fp32 network -> int8 (QDQ, static), with the ranges seen on training pictures.
+"""fp32 network -> int8 (QDQ, static), with the ranges seen on training images.
 
     python training/quantise.py RUN/conetl-road-10.onnx --cones DIR --renders DIR --out data/models/conetl-road-10.onnx
 
 Weights per channel, and in 7 bits: processors without VNNI add two 8-bit products in 16 bits and would overflow. The last layers
-stay fp32, as the sides of boxes suffer most from rounding. The quantised network takes the picture's bytes as they are.
+stay fp32, as the sides of boxes suffer most from rounding. The quantised network takes the image's bytes as they are.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LEFT_IN_FP32 = ("Gemm", "MatMul")
 
 
 class Images(CalibrationDataReader):
-    """Crops of training pictures, 640 x 384, one at a time."""
+    """Crops of training images, 640 x 384, one at a time."""
 
     def __init__(self, images: list[np.ndarray], seed: int = 3) -> None:
         self.images, self.rng = iter(images), np.random.default_rng(seed)
@@ -55,7 +55,7 @@ def rewire(graph: GraphProto, old: str, new: str, kinds: tuple[str, ...] = ()) -
 
 
 def pad_in_convolution(graph: GraphProto) -> None:
-    """The first convolution's padding, a node of its own in the export, becomes its attribute: one copy of the picture less."""
+    """The first convolution's padding, a node of its own in the export, becomes its attribute: one copy of the image less."""
     (pad,) = (node for node in graph.node if node.op_type == "Pad")
     (convolution,) = (node for node in graph.node if pad.output[0] in node.input)
     above_and_left = [1, 1, 0, 0]  # `export.PackedStem`

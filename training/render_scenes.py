@@ -1,10 +1,10 @@
-"""Labelled training pictures from conetl's renderer: random road scenes with exact, occlusion-aware boxes.
+"""Labelled training images from conetl's renderer: random road scenes with exact, occlusion-aware boxes.
 
     python training/render_scenes.py OUT --count 400 --seed 1
 
 writes OUT/images/*.jpg and OUT/labels/*.txt: `class cx cy w h foot_x foot_y tip_x tip_y`, shares of width and height. The foot
 is the centre of the base on the ground, the tip the top of the body, both also where something hides them; signs and boards have
-neither (nan). Equal seeds give equal pictures; pictures that are there already are kept. The layouts are random: the scenes of
+neither (nan). Equal seeds give equal images; images that are there already are kept. The layouts are random: the scenes of
 the sample drives and of `conetl simulate --world mixed` are not among them.
 """
 
@@ -38,7 +38,7 @@ COLOUR_SHARES = (0.42, 0.38, 0.1, 0.06, 0.04)
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path)
-    parser.add_argument("--count", type=int, default=400, help="number of pictures")
+    parser.add_argument("--count", type=int, default=400, help="number of images")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     for name in ("images", "labels"):
@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
-    """All pictures of one random scene; returns how many boxes were written."""
+    """All images of one random scene; returns how many boxes were written."""
     names = [f"render_{seed:03d}_{scene_number:05d}_{view}" for view in range(VIEWS_PER_SCENE)]
     if all((out / "images" / f"{name}.jpg").exists() for name in names):
         return 0
@@ -84,7 +84,7 @@ def render_scene_views(out: Path, seed: int, scene_number: int) -> int:
             for number, (a, b, c, d, *points) in zip(boxes[:, 0], shares, strict=True)
         )
         (out / "labels" / f"{name}.txt").write_text(lines)
-        partial = out / "images" / f".{name}.part"  # the label is there before its picture appears
+        partial = out / "images" / f".{name}.part"  # the label is there before its image appears
         partial.write_bytes(jpeg(picture, int(view_rng.integers(60, 96))))
         partial.rename(out / "images" / f"{name}.jpg")
     return written
@@ -126,7 +126,7 @@ def labelled_things(world: World, eye: np.ndarray) -> Iterator[Labelled]:
 
 
 def object_boxes(scene: object, world: World, camera: Camera, road_SE3_camera: np.ndarray) -> list[tuple[float, ...]]:
-    """[class, x0, y0, x1, y1, foot x, foot y, tip x, tip y] from the edge of the picture, in pixels, an object.
+    """[class, x0, y0, x1, y1, foot x, foot y, tip x, tip y] from the edge of the image, in pixels, an object.
 
     The box holds the visible part. A vertex is hidden where the ray to it meets something that is not the object itself.
     """

@@ -1,10 +1,10 @@
-"""A checkpoint to train on from, out of the shipped int8 network: for pictures of one's own, without a training from scratch.
+"""A checkpoint to train on from, out of the shipped int8 network: for images of one's own, without a training from scratch.
 
     python training/restore.py data/models/conetl-road-10.onnx --cones DIR --out RUN/start.pt
     python training/train.py --start RUN/start.pt ...
 
 Weights are the 8-bit ones, as floats. The shipped network has its batch norms folded into its convolutions; here each of them
-is given the mean and variance that its convolution has on training pictures, and the gain and offset that undo them, so that
+is given the mean and variance that its convolution has on training images, and the gain and offset that undo them, so that
 the restored network answers as the shipped one does, also while it is trained.
 """
 
@@ -80,7 +80,7 @@ def take_shipped_weights(network: ConeNet, constants: Constants) -> None:
 
 @torch.no_grad()
 def give_norms_their_statistics(network: ConeNet, pictures: list[Tensor]) -> None:
-    """Mean and variance of every convolution on these pictures (1, 3, H, W), and the gain and offset that undo them."""
+    """Mean and variance of every convolution on these images (1, 3, H, W), and the gain and offset that undo them."""
     sums: dict[str, list[Tensor]] = {name: [] for name in blocks_of(network)}
     hooks = []
     for name, (convolution, *_) in blocks_of(network).items():

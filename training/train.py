@@ -51,7 +51,7 @@ LARGE = 1.45
 #: Names of the networks in logs and checkpoints.
 SHIPPED, TEACHER = "small", "teacher"
 LABELS = Path(__file__).parent / "labels"
-#: Sources of pictures without cones that others are drawn on.
+#: Sources of images without cones that others are drawn on.
 BACKGROUNDS = ("css_safety_cone", "highway_tidar_negatives", "otonom_sign_negatives", "labelled_clips")
 
 
