@@ -28,7 +28,7 @@ from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings, prefect_environment, read_settings
-from conetl.readers.drives import drive_format, read_drive
+from conetl.readers.drives import find_format, read_drive
 from conetl.readers.drives.header import DriveHeader, read_header
 
 _log = logging.getLogger(__name__)
@@ -78,7 +78,7 @@ def ingest_drives(
 ) -> tuple[list[IngestReport], int]:
     """Ingest drives one after the other. Returns their reports, and the worst exit code."""
     drives = [as_path(drive) for drive in drives]
-    missing = [str(drive) for drive in drives if not drive.is_dir() and drive_format(drive) is None]
+    missing = [str(drive) for drive in drives if not drive.is_dir() and find_format(drive) is None]
     if missing and len(missing) == len(drives) and drives[0].is_file():
         raise InputError(
             f"{drives[0]}: is a file, expected a drive folder: put the videos, the GNSS/INS log and the calibration into one "
@@ -157,7 +157,10 @@ def _problem_of(header: DriveHeader) -> ConetlError | None:
 
     Bags must be unpacked first, and remote storage may be unavailable for a while: the flow checks those.
     """
-    if header.problem is None or is_remote(header.path) or drive_format(header.path) == "bag":
+    if header.problem is None or is_remote(header.path):
+        return None
+    found = find_format(header.path)
+    if found is not None and found.UNPACKS:
         return None
     with suppress(OSError):
         try:

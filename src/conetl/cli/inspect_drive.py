@@ -17,7 +17,8 @@ from conetl.model.health import Verdict
 from conetl.model.params import IngestParams
 from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline.settings import read_settings
-from conetl.readers.drives import FORMATS, drive_format, read_drive
+from conetl.readers.drives import find_format, read_drive
+from conetl.readers.drives.formats import DriveFormat
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.summary import DriveSummary, summarise
 from conetl.reports.html import render, write_page
@@ -46,10 +47,11 @@ def inspect(
     settings = read_settings()
     found, rejections = read_drive(drive, map_srid=map_srid, images_folder=settings.images_folder, headers_only=True)
     ui.note(*read_header(drive).remarks)
-    kind = str(drive_format(drive))
+    kind = find_format(drive)
+    assert kind is not None  # it was read
     summary = summarise(found, rejections)
     seconds = estimated_seconds(summary, settings.workers)
-    checks = [] if kind == "bag" else check_stereo(found)[1]  # nothing of a bag is unpacked
+    checks = [] if kind.UNPACKS else check_stereo(found)[1]  # here nothing is unpacked
     facts = _facts(kind, summary, seconds, settings.workers)
     if page is not None:
         from conetl.reports.inspection_images import draw_drive  # matplotlib takes half a second to load
@@ -57,13 +59,13 @@ def inspect(
         shown = {"facts": facts, "summary": summary, "checks": checks, "figure": draw_drive(found, summary)}
         write_page(page, render("inspection.html.j2", title=f"Drive {summary.drive_id}", **shown))
     if as_json:
-        values = {"format": kind, **summary.model_dump(mode="json"), "estimated_seconds": round(seconds, 1)}
+        values = {"format": kind.NAME, **summary.model_dump(mode="json"), "estimated_seconds": round(seconds, 1)}
         values["health"] = [check.model_dump(mode="json") for check in checks]
         ui.print_json({**values, "page": page and str(page)})
     else:
         _print(drive, facts, summary)
         ui.print_all_checks(checks)
-        if kind == "bag":
+        if kind.UNPACKS:
             ui.say(
                 "Health checks: not run, because `inspect` does not unpack the images of a bag; `conetl ingest` runs them."
             )
@@ -83,7 +85,7 @@ def estimated_seconds(summary: DriveSummary, workers: int) -> float:
     return START_CPU_S + CPU_S_PER_MEGAPIXEL * megapixels / workers
 
 
-def _facts(kind: str, summary: DriveSummary, seconds: float, workers: int) -> list[tuple[str, object]]:
+def _facts(kind: DriveFormat, summary: DriveSummary, seconds: float, workers: int) -> list[tuple[str, object]]:
     """Properties of a drive and their values, as a person reads them."""
     rig, poses, extent = summary.rig, summary.poses, summary.extent
     (west, east), (south, north), (low, high) = extent.lon_deg, extent.lat_deg, extent.height_m
@@ -92,7 +94,7 @@ def _facts(kind: str, summary: DriveSummary, seconds: float, workers: int) -> li
         how_read = f"lens {rig.lens}, resampled to {rig.width_px} x {rig.height_px} when read"
     rate = f"{summary.rate_hz:.2f} Hz" if summary.rate_hz else "one pair only"
     values: dict[str, object] = {
-        "format": next(known.TITLE for known in FORMATS if kind == known.NAME),
+        "format": kind.TITLE,
         "drive": summary.drive_id,
         "rig": f"{rig.rig_id}: baseline {rig.baseline_m:.4f} m, focal length {rig.focal_px:.1f} px",
         "images": f"{rig.stored_width_px} x {rig.stored_height_px}, {how_read}",

@@ -18,7 +18,7 @@ from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import Rig
 from conetl.perception.images import IMAGE_SUFFIXES
-from conetl.readers.drives import drive_format, kitti, oxts
+from conetl.readers.drives import find_format, kitti, oxts, plain
 from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
 from conetl.readers.drives.pairs import ContentHash, PairError, first_size
 from conetl.readers.drives.plain import TRAJECTORY, Rows, pose_of_row, read_plain_rig, time_of_row
@@ -43,13 +43,13 @@ class ArrivingPair(NamedTuple):
 def open_arriving(folder: Path) -> ArrivingDrive | None:
     """The drive that arrives in a folder; None until its format is known. Raises InputError."""
     root = folder.resolve()
-    found = drive_format(root)
-    if found not in (None, "kitti", "plain"):
+    found = find_format(root)
+    if found is not None and found not in (kitti, plain):
         raise InputError(
-            f"{folder}: a drive of the format '{found}' cannot be watched, only KITTI raw and plain folders: "
+            f"{folder}: a drive of the format '{found.NAME}' cannot be watched, only KITTI raw and plain folders: "
             "ingest it when it is complete"
         )
-    if found == "plain":
+    if found is plain:
         couples, path = _Couples(root / "left", root / "right"), root / TRAJECTORY
         return ArrivingPlain(
             root=root, settings=read_drive_yaml(root), couples=couples, rows=Rows(path), file=GrowingFile(path)

@@ -17,7 +17,7 @@ from conetl.model.errors import DriveFolderError, ServiceError
 from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError, read_bytes
 from conetl.perception.rectified_image import read_rig_image
-from conetl.readers.drives import drive_format, read_drive
+from conetl.readers.drives import find_format, read_drive
 from conetl.readers.drives.header import read_header
 from tests.object_storage import BUCKET, object_storage
 from tests.unit.readers.drive_formats import SAMPLE, Frame, sample_frames, write_kitti, write_plain
@@ -50,7 +50,7 @@ def test_a_drive_reads_as_it_does_from_disk(drive: tuple[str, Path], storage: py
     name, folder = drive
     remote = upload(folder, folder.name)
     assert is_remote(remote)
-    assert drive_format(remote) == drive_format(folder) == name
+    assert find_format(remote).NAME == find_format(folder).NAME == name
     ours, refused = read_drive(folder)
     theirs, refused_there = read_drive(Path(f"s3:/{BUCKET}/{folder.name}"))  # as `pathlib` writes an address
     assert theirs.content_sha256 == ours.content_sha256

@@ -24,7 +24,7 @@ from conetl.model.drive import Drive
 from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import Rejection
 from conetl.model.rejections import RejectionReason as R
-from conetl.readers.drives import FORMATS, drive_format, read_drive
+from conetl.readers.drives import FORMATS, find_format, read_drive
 from conetl.readers.drives.header import find_drives, read_header
 from conetl.readers.rigs import write_rig_yaml
 from tests.unit.readers.drive_formats import (
@@ -68,7 +68,7 @@ def test_every_format_is_tested() -> None:
 @pytest.mark.parametrize("name", OTHERS)
 def test_every_format_gives_the_same_drive(name: str, tmp_path: Path, reference: Drive) -> None:
     path = WRITERS[name](tmp_path / "run", FRAMES, RIG)
-    assert drive_format(path) == FORMAT_OF.get(name, "bag")
+    assert FORMAT_OF.get(name, "bag") == find_format(path).NAME
     drive, rejections = read(path)
     assert rejections == []
     assert (drive.drive_id, drive.map_srid, drive.expected_frame_count) == ("run", reference.map_srid, len(FRAMES))

@@ -31,7 +31,7 @@ from conetl.perception.video import index_video, video_facts
 from conetl.perception.video_sync import find_video_lag
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives import drive_format, read_drive, video_timing
+from conetl.readers.drives import find_format, read_drive, video, video_timing
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import Image, pair_by_stamp
 from conetl.readers.rigs import WRITERS, read_rig_yaml, write_rig_yaml
@@ -117,7 +117,7 @@ def start_of(drive: Drive) -> str:
 @pytest.mark.parametrize("name", VIDEOS)
 def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) -> None:
     root = video_drives.write_video_drive(tmp_path / "run", sample, **VIDEOS[name])
-    assert drive_format(root) == "video"
+    assert find_format(root) is video
     drive, rejections = read_drive(root)
     assert rejections == []
     assert (drive.map_srid, len(drive.frame_pairs)) == (sample.map_srid, len(sample.frame_pairs))

@@ -23,7 +23,7 @@ from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
 from conetl.readers.stated_sigmas import implausible_sigma
 from conetl.readers.surveyed_points import read_surveyed_points
 
-__all__ = ["FORMATS", "drive_format", "find_format", "read_drive"]
+__all__ = ["FORMATS", "find_format", "read_drive"]
 
 #: The first format that matches reads the drive.
 FORMATS: tuple[DriveFormat, ...] = (plain, euroc, ros_bag, video, kitti)
@@ -33,12 +33,6 @@ def find_format(path: Path) -> DriveFormat | None:
     """The format of a folder (or a bag's file), complete or not; None for anything else."""
     candidates = (found for found in FORMATS if found.READS_OBJECTS or not is_remote(path))
     return next((found for found in candidates if found.matches(path)), None)
-
-
-def drive_format(path: Path) -> str | None:
-    """`NAME` of the format; None for anything else."""
-    found = find_format(path)
-    return None if found is None else found.NAME
 
 
 def read_drive(
@@ -118,7 +112,7 @@ def _not_a_drive(path: Path) -> InputError:
         return InputError(f"{path}: the folder is empty; a drive contains image_02, image_03, oxts and the calibration")
     if recordings := [child for child in children if child.suffix.lower() in (".svo2", ".svo")]:
         return _of_zed(recordings[0], path)
-    drives = [child.name for child in children if drive_format(child)]
+    drives = [child.name for child in children if find_format(child)]
     if len(drives) == 1:
         return InputError(f"{path}: this folder contains one drive ({drives[0]}): conetl ingest {path / drives[0]}")
     if drives:

@@ -36,7 +36,7 @@ from conetl.readers.rigs.common import Node
 from conetl.readers.trajectories import read_trajectory
 
 NAME, TITLE = "euroc", "EuRoC / ASL folder"
-READS_OBJECTS = False
+READS_OBJECTS, UNPACKS = False, False
 #: Bytes of a file's name on most file systems.
 _LONGEST_NAME = 255
 SENSOR_YAML = "sensor.yaml"

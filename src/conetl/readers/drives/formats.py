@@ -39,6 +39,8 @@ class DriveFormat(Protocol):
     """For people, as `conetl inspect` prints it."""
     READS_OBJECTS: bool
     """Whether drives in object storage can be read, too."""
+    UNPACKS: bool
+    """Whether images must be unpacked to files before they can be read."""
 
     def matches(self, path: Path) -> bool:
         """Whether a folder (or a file) looks like a drive of this format, complete or not."""

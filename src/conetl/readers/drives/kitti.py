@@ -43,7 +43,7 @@ from conetl.readers.trajectories.oxts import OxtsRecord, parse_oxts
 from conetl.readers.trajectories.times import clock_problem, misplaced, parse_timestamps
 
 NAME, TITLE = "kitti", "KITTI raw layout"
-READS_OBJECTS = True
+READS_OBJECTS, UNPACKS = True, False
 MAX_CLOCK_DIFFERENCE_NS = 500_000_000
 """Image and OXTS record of one number that are farther apart in time do not belong together."""
 OXTS_STAMPS = "oxts/timestamps.txt"

@@ -46,7 +46,7 @@ from conetl.readers.rigs.common import rectified_rig
 from conetl.readers.trajectories.times import misplaced, stamp_or_problem
 
 NAME, TITLE = "plain", "plain folder"
-READS_OBJECTS = True
+READS_OBJECTS, UNPACKS = True, False
 TRAJECTORY = "trajectory.csv"
 Sigma = Annotated[float, Field(gt=0, le=1000)]
 

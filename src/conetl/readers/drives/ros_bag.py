@@ -52,7 +52,7 @@ _Row = tuple[int, tuple[Floats, Floats] | str]
 #: Variances of what a message does not have: a fix no attitude, an attitude no position.
 _NONE = np.full(3, np.nan)
 NAME, TITLE = "bag", "ROS bag or MCAP"
-READS_OBJECTS = False
+READS_OBJECTS, UNPACKS = False, True
 
 
 class _Recorded(NamedTuple):

@@ -38,7 +38,7 @@ from conetl.readers.trajectories import find_trajectories, read_trajectory, unkn
 from conetl.readers.trajectories.recorded import of_images
 
 NAME, TITLE = "video", "video or images with a trajectory file"
-READS_OBJECTS = False
+READS_OBJECTS, UNPACKS = False, False
 
 
 def matches(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""`rig.yaml`, conetl's own description of a rig (docs/reference/coordinates.md shows one), read and written.
+"""`rig.yaml`, conetl's own description of a rig (docs/reference/rigs.md shows one), read and written.
 
 Cameras in pixels or in millimetres with the sensor's size, with or without a lens; the pose of the right one in the left, and
 of the left one on the body; and, where known, the covariance or the sigmas of any of these parameters.
