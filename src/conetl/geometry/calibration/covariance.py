@@ -217,13 +217,12 @@ def with_covariance(rig: Rig, covariance: CalibrationCovariance) -> Rig:
 
 
 class RigCovariance(NamedTuple):
-    """matrix (k, k) of the rig's unknowns. least_squares (k, k): as if all corner errors were independent.
+    """matrix (k, k) of the rig's unknowns.
 
-    design_effect: mean ratio of the two variances, 1 for independent errors.
+    design_effect: mean ratio of their variances to those of independent corner errors.
     """
 
     matrix: Floats
-    least_squares: Floats
     design_effect: float
 
 
@@ -262,4 +261,4 @@ def rig_covariance(reduced: Reduced, rig_parameters: int, variance_factor: float
         raise BundleError("there are too few pairs to estimate their scatter")
     excess = found / expected - 1.0
     effect = 1.0 + excess * excess**2 / (excess**2 + scatter / expected**2)
-    return RigCovariance(effect * (least_squares - known) + known, least_squares, effect)
+    return RigCovariance(effect * (least_squares - known) + known, effect)
