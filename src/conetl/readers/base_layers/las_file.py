@@ -64,10 +64,7 @@ def las_chunks(path: Path, expected: int) -> Iterator[Cloud]:
             intensity = np.asarray(chunk.intensity, np.float64)
             if brightest is None:
                 brightest = float(np.percentile(intensity, 98)) if len(intensity) else 0.0
-            keep = ~np.isin(np.asarray(chunk.classification), _NOISE)
-            withheld = getattr(chunk, "withheld", None)
-            if withheld is not None:
-                keep &= ~np.asarray(withheld, bool)
+            keep = ~np.isin(np.asarray(chunk.classification), _NOISE) & ~np.asarray(chunk.withheld, bool)
             shade = intensity / brightest * 255 if brightest > 0 else np.full(len(intensity), _PLAIN_SHADE)
             yield Cloud(xyz[keep], np.clip(np.rint(shade[keep]), 0, 255).astype(np.uint8))
     if read != expected:

@@ -206,8 +206,7 @@ def tiles_of(cells: Iterable[tuple[int, int, Cloud]], top: int, voxel_m: float) 
             waiting[level].append(chosen)
         yield from _fine_tiles(cloud, CELL_LEVEL, ix, iy, voxel_m)
     for level in coarse:
-        if level in keys:
-            yield from close(level)
+        yield from close(level)
 
 
 def _split(cloud: Cloud, level: int) -> tuple[Cloud, Cloud]:
