@@ -14,12 +14,13 @@ from conetl.geometry import pose as se3
 from conetl.geometry.packing import cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
-from conetl.model.drive import Drive, FramePair, StereoMatch
+from conetl.model.drive import FramePair, StereoMatch
 from conetl.model.errors import InputError
-from conetl.model.params import IngestParams, TrajectoryParams
+from conetl.model.params import IngestParams
 from conetl.model.rig import Rig
 from conetl.perception.detector import Detector, load_detector
 from conetl.perception.images import ImageFileError
+from conetl.pipeline.odometry import calibrate_drive
 from conetl.pipeline.one_pair import match_images
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.velodyne import (
@@ -32,7 +33,7 @@ from conetl.readers.drives.velodyne import (
 )
 from conetl.tracking.matching.cone_outline import find_outline
 from conetl.tracking.positions import locate_positions
-from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+from conetl.tracking.self_calibration import SWITCHED_OFF, self_calibrated_rig
 
 
 class LidarCheck(NamedTuple):
@@ -53,21 +54,21 @@ class LidarCheck(NamedTuple):
 def lidar_residuals(
     drive_folder: Path,
     *,
-    model_path: Path | None = None,
-    calibrate: Callable[[Drive, TrajectoryParams], SelfCalibration] | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    model_path: Path | None,
+    self_calibrate: bool,
+    progress: Callable[[int, int], None],
 ) -> LidarCheck:
     """Stereo minus LiDAR for the cones of a drive, one frame pair at a time.
 
-    calibrate: self-calibration from the images alone; without it the calibration is used as delivered. progress: called with
-    (scans done, scans in total). Raises InputError if the drive has no LiDAR, no calibration of it, or cannot be read.
+    self_calibrate: from the images alone; without it the calibration is used as delivered. progress: called with (scans done,
+    scans in total). Raises InputError if the drive has no LiDAR, no calibration of it, or cannot be read.
     """
     params = IngestParams()
     drive, _ = read_drive(drive_folder)
     scans = list_scans(drive_folder)
     if not scans:
         raise InputError(f"{drive_folder}: no LiDAR scans; expected velodyne_points/data/0000000000.bin and so on")
-    calibration = calibrate(drive, params.trajectory) if calibrate else SWITCHED_OFF
+    calibration = calibrate_drive(drive, params.trajectory) if self_calibrate else SWITCHED_OFF
     rig = self_calibrated_rig(drive.rig, calibration, params.trajectory)
     velo, period_s = left_SE3_velo(rig, drive_folder), scan_period_s(drive_folder)
     pairs = {pair.frame_index: pair for pair in drive.frame_pairs}
@@ -88,8 +89,7 @@ def lidar_residuals(
                 problems.append(str(error))
             else:
                 residuals, matches, samples = [*residuals, *found], [*matches, *used], [*samples, seen]
-        if progress is not None:
-            progress(done, len(scans))
+        progress(done, len(scans))
     scene = fit_scene_bias(np.concatenate(samples), rig) if samples else None
     corrected = (
         [steps.without_scene_bias(r, m, rig, scene) for r, m in zip(residuals, matches, strict=True)] if scene else []

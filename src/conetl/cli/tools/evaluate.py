@@ -27,7 +27,6 @@ from conetl.model.errors import InputError
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES, known_classes
 from conetl.model.params import IngestParams
 from conetl.perception.model_card import read_model_card
-from conetl.pipeline.odometry import calibrate_drive
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives import read_drive
 from conetl.reports.html import Section
@@ -212,10 +211,7 @@ def lidar_check(
     """Compare stereo ranges of cones with the drive's own LiDAR, with and without a correction of the calibration."""
     with ui.progress_bar("LiDAR check", "scans") as update:
         check = lidar_residuals(
-            drive,
-            model_path=read_settings().model_path,
-            calibrate=calibrate_drive if self_calibrate else None,
-            progress=update,
+            drive, model_path=read_settings().model_path, self_calibrate=self_calibrate, progress=update
         )
     scene = check.scene
     bands, corrected = summarise(check.residuals), summarise(check.corrected)
