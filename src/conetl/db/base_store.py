@@ -15,6 +15,7 @@ import shapely
 from conetl.db import copy_rows as copy
 from conetl.db.connection import Connection, copy_columns, query, read, stream_values, transaction
 from conetl.db.copy_rows import Columns
+from conetl.geometry.pose import se3
 from conetl.model.arrays import Floats
 from conetl.model.work_zone_records import LaneLine
 from conetl.readers.base_layers.georeferencing import MapGround, ground_under
@@ -68,10 +69,8 @@ def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) ->
     what = f"The poses of a drive of map {map_name} cannot be read"
     poses = {}
     for row in read(conn, what, "base_layers.ingested_poses", map_name=map_name, content_sha256=content_sha256):
-        pose = np.eye(4)
-        pose[:3, :3] = np.reshape(row["map_r_body"], (3, 3))
-        pose[:3, 3] = row["easting_m"], row["northing_m"], row["height_m"]
-        poses[int(row["frame_index"])] = pose
+        place = row["easting_m"], row["northing_m"], row["height_m"]
+        poses[int(row["frame_index"])] = se3(np.reshape(row["map_r_body"], (3, 3)), place)
     return poses
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from conetl.geometry.pose import se3
 from conetl.model.arrays import Floats, Image
 from conetl.simulation import meshes, textures
 from conetl.simulation.meshes import Mesh
@@ -50,11 +51,9 @@ def _lean(angle_rad: float, azimuth_rad: float, height_m: float = 0.0) -> Floats
     """(4, 4) lean towards an azimuth, about a horizontal axis at a height."""
     axis = np.array([-math.sin(azimuth_rad), math.cos(azimuth_rad), 0.0])
     cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
-    matrix = np.eye(4)
-    matrix[:3, :3] += math.sin(angle_rad) * cross + (1.0 - math.cos(angle_rad)) * cross @ cross
+    turn = np.eye(3) + (math.sin(angle_rad) * cross + (1.0 - math.cos(angle_rad)) * cross @ cross)
     pivot = np.array([0.0, 0.0, height_m])
-    matrix[:3, 3] = pivot - matrix[:3, :3] @ pivot
-    return matrix
+    return se3(turn, pivot - turn @ pivot)
 
 
 def cone_parts(cone: Cone, seed: int) -> list[Part]:

@@ -73,10 +73,7 @@ ATTITUDE_RAD = DriftModel(math.radians(0.02), 20.0, math.radians(0.002))
 
 def map_SE3_road() -> Floats:
     """(4, 4) pose of the road frame in the map."""
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_euler("ZY", [SITE_GRID_YAW_RAD, SITE_SLOPE_RAD]).as_matrix()
-    pose[:3, 3] = SITE_MAP_M
-    return pose
+    return se3(Rotation.from_euler("ZY", [SITE_GRID_YAW_RAD, SITE_SLOPE_RAD]).as_matrix(), SITE_MAP_M)
 
 
 def true_poses(scenario: ScenarioPass, times_s: Floats) -> Floats:
@@ -94,9 +91,7 @@ def true_poses(scenario: ScenarioPass, times_s: Floats) -> Floats:
         pitch = math.radians(0.22) * math.sin(5.3 * t + 1.0)
         roll = math.radians(0.30) * math.sin(3.1 * t + 2.0)
         z = CAMERA_HEIGHT_M - above_imu_m + 0.008 * math.sin(6.1 * t)
-        poses[n] = np.eye(4)
-        poses[n, :3, :3] = Rotation.from_euler("ZYX", [heading, pitch, roll]).as_matrix()
-        poses[n, :3, 3] = (x, y, z)
+        poses[n] = se3(Rotation.from_euler("ZYX", [heading, pitch, roll]).as_matrix(), (x, y, z))
     return np.asarray(map_SE3_road() @ poses)
 
 
