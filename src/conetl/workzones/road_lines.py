@@ -52,8 +52,7 @@ def passes_beside(paths: Sequence[DrivePath], cones_m: Floats, params: WorkZoneP
             continue
         line = smoothed(points, _STEP_M, params.axis_smoothing_m)
         near = tree.query(line, distance_upper_bound=reach_m)[0] < np.inf
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], near, [False]]).astype(int)))
-        for start, end in edges.reshape(-1, 2):
+        for start, end in np.flatnonzero(np.diff(near, prepend=False, append=False)).reshape(-1, 2):
             stretch = line[start:end]
             if len(stretch) > 1 and stations(stretch)[-1] >= _LEAST_PASS_M:
                 found.append(replace(path, xy_m=stretch))
@@ -186,7 +185,7 @@ def _offsets_along(axis_m: Floats, line_m: Floats, at: Floats, reach_m: float) -
     ahead = np.concatenate([steady, [False]])
     behind = np.concatenate([[False], steady])
     good = (ahead | behind) & (np.abs(o) <= reach_m) & (s >= at[0] - _STEP_M) & (s <= at[-1] + _STEP_M)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], good, [False]]).astype(int))).reshape(-1, 2)
+    edges = np.flatnonzero(np.diff(good, prepend=False, append=False)).reshape(-1, 2)
     found = [
         np.interp(at, s[start:end], o[start:end], left=np.nan, right=np.nan) for start, end in edges if end - start > 1
     ]

@@ -233,7 +233,7 @@ def _overlaid(dashes: Floats, searched: Searched) -> tuple[float, float] | None:
     step = _CELL_M * rough / (end - start)
     period = max(np.arange((1 - _PERIOD_SHARE) * rough, (1 + _PERIOD_SHARE) * rough, step).tolist(), key=explained)
     bare = np.tile(shares(period)[0] < least, 2)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], bare, [0]])))
+    edges = np.flatnonzero(np.diff(bare, prepend=False, append=False))
     # Smoothed, paint seems to begin where its share of hits is `_PAINTED`, a little before its edge.
     gap = float(2 * period / len(bare) * np.diff(edges)[::2].max(initial=0) - 2 * _SMOOTHING_M * ndtri(_PAINTED))
     return (period - gap, gap) if gap >= _LEAST_GAP_M else None
