@@ -61,7 +61,7 @@ def read_trajectory(
         )
     pieces = reading.pieces if is_local else in_wgs84(reading, settings, path)
     with np.errstate(all="ignore"):  # damaged numbers become NaN, and their records bad
-        found = assembled(path, path.name, pieces, is_local=is_local, between_ns=between_ns)
+        found = assembled(path, pieces, is_local=is_local, between_ns=between_ns)
     if reading.yaw_column is not None:
         delimited.check_yaw(path, found, reading.yaw_column)
     return found

@@ -110,7 +110,7 @@ def rotations_of_quaternions(wxyz: Floats) -> Floats:
 
 
 def assembled(
-    path: Path, name: str, pieces: Iterable[Records], *, is_local: bool, between_ns: tuple[int, int] | None
+    path: Path, pieces: Iterable[Records], *, is_local: bool, between_ns: tuple[int, int] | None
 ) -> RecordedTrajectory:
     """The trajectory of WGS 84 or local records, sorted by time, each time once. Raises InputError without a valid record.
 
@@ -160,7 +160,7 @@ def assembled(
     parts = [piece.rotations for piece in kept if piece.rotations is not None]
     rotations = np.concatenate(parts)[order[first]] if parts else None
     bad = dict(sorted(bad.items()))
-    return RecordedTrajectory(name, times[first], positions[first], is_local, rotations, sigma[first], bad)
+    return RecordedTrajectory(path.name, times[first], positions[first], is_local, rotations, sigma[first], bad)
 
 
 def _require_one_receiver(path: Path, times: Times, at: Floats, sigma: Floats, first: Bools, is_local: bool) -> None:
