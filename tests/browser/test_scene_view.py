@@ -23,7 +23,6 @@ from tests.view_map import serving
 #: As in web/src/theme.ts.
 DARK_BACKGROUND = (0x12, 0x18, 0x1F)
 TILE_COLOURS = ((200, 120, 40), (40, 120, 200))
-COV = np.diag([0.02**2, 0.03**2])
 
 
 def tile_png(colour: tuple[int, int, int]) -> bytes:
