@@ -148,8 +148,6 @@ def analyse_folder(
     """Read and analyse one drive without server and database; results of chunks are kept as in an ingest. Raises ConetlError."""
     from conetl.pipeline.analysis import analyse
 
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such drive folder; check the path")
     drive, rejections = read_drive(folder, map_srid=map_srid, images_folder=settings.images_folder.resolve())
     ui.note_unmeasured(read_model_card(settings.model_path))
     with ui.progress_bar(drive.drive_id, "images and motions") as update:
