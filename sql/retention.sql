@@ -19,7 +19,7 @@ order by d.captured_from_ns, d.drive_uuid;
 
 -- name: prune_drives
 -- Delete the stereo matches, detections and positions of some drives, and record that they have none.
--- Parameters: drive_uuids (uuid[]); pruned_at (timestamptz). Columns: deleted (number of rows).
+-- Parameters: drive_uuids (uuid[]). Columns: deleted (number of rows).
 with stereo_matches as (
     delete from conetl.stereo_match r where r.drive_uuid = any(%(drive_uuids)s) returning 1
 ),
@@ -30,7 +30,7 @@ positions as (
     delete from conetl.position r where r.drive_uuid = any(%(drive_uuids)s) returning 1
 ),
 marked as (
-    update conetl.drive d set pruned_at = %(pruned_at)s where d.drive_uuid = any(%(drive_uuids)s) and d.pruned_at is null
+    update conetl.drive d set pruned_at = now() where d.drive_uuid = any(%(drive_uuids)s) and d.pruned_at is null
 )
 select (select count(*) from stereo_matches) + (select count(*) from detections) + (select count(*) from positions) as deleted;
 

@@ -157,7 +157,7 @@ def archive(
     """
     if (keep_positions is None) == (restore is None):
         raise InputError("give either an age (--keep-positions 90d) or a drive to restore (--restore DRIVE_ID)")
-    settings, now = read_settings(map_name), datetime.now(UTC)
+    settings = read_settings(map_name)
     if restore is not None:
         with open_map(map_name) as (conn, _):
             restored = restore_drives(conn, settings.map_name, restore)
@@ -166,10 +166,10 @@ def archive(
         answer(as_json, {"restored": restored}, f"Drives restored: {len(restored)}.")
         return
     to = folder or settings.home / "archive"
-    before = now - timedelta(seconds=parse_age(keep_positions or ""))
+    before = datetime.now(UTC) - timedelta(seconds=parse_age(keep_positions or ""))
     with open_maps(require_maps(settings)) as conn:
         drives = prunable_drives(conn, before)
-        sizes = [archive_drive(conn, drive, to, now=now) for drive in drives] if do_it else []
+        sizes = [archive_drive(conn, drive, to) for drive in drives] if do_it else []
     if do_it:  # without those that another process archived meanwhile
         drives = [drive for drive, size in zip(drives, sizes, strict=True) if size]
     size = sum(sizes) if do_it else None
@@ -216,7 +216,7 @@ def prune(
             drives = prunable_drives(conn, before)
             rows = sum(d.detection_count + d.match_count + d.position_count for d in drives)
             if do_it:
-                rows = prune_drives(conn, drives, now=now)
+                rows = prune_drives(conn, drives)
         report |= {"drives": drives, "rows": rows}
         if not as_json:
             print_records("", _PRUNABLE, drives, numbers_from=3)

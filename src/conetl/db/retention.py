@@ -14,7 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from uuid import UUID
 
@@ -58,14 +58,13 @@ def prunable_drives(conn: Connection, before: datetime) -> list[PrunableDrive]:
     return [PrunableDrive(**row) for row in rows]
 
 
-def prune_drives(conn: Connection, drives: Sequence[PrunableDrive], *, now: datetime | None = None) -> int:
+def prune_drives(conn: Connection, drives: Sequence[PrunableDrive]) -> int:
     """Delete the raw records of drives, map by map, each under its lock and in one transaction. Returns the number of rows."""
     deleted = 0
     for map_name in sorted({drive.map_name for drive in drives}):
         own = [drive.drive_uuid for drive in drives if drive.map_name == map_name]
-        parameters = {"drive_uuids": own, "pruned_at": now or datetime.now(UTC)}
         with map_transaction(conn, map_name):
-            deleted += db.query(conn, "retention.prune_drives", **parameters)[0]["deleted"]
+            deleted += db.query(conn, "retention.prune_drives", drive_uuids=own)[0]["deleted"]
     return deleted
 
 
@@ -85,7 +84,7 @@ def require_comparable(conn: Connection, drive_uuids: Sequence[UUID]) -> None:
         _restore(conn, drive["drive_uuid"], Path(drive["archive_path"]), drive["rows"])
 
 
-def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: datetime | None = None) -> int:
+def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path) -> int:
     """Move the raw records of a drive to Parquet files in a folder of its own, under the map's lock. Returns their size in bytes.
 
     The files are complete on the disk before the rows are deleted. 0 where another process was faster, whose files stay. Raises
@@ -109,8 +108,8 @@ def archive_drive(conn: Connection, drive: PrunableDrive, folder: Path, *, now: 
                         "changeset; nothing was archived. See `conetl db audit`"
                     )
                 write_table(records, file)
-        pruned = {"drive_uuids": [drive.drive_uuid], "pruned_at": now or datetime.now(UTC)}
-        if (deleted := db.query(conn, "retention.prune_drives", **pruned)[0]["deleted"]) != sum(counts):
+        deleted = db.query(conn, "retention.prune_drives", drive_uuids=[drive.drive_uuid])[0]["deleted"]
+        if deleted != sum(counts):
             raise MapMismatchError(
                 f"drive {drive.drive_id}: {deleted} rows, but {sum(counts)} in its files; nothing was archived"
             )
