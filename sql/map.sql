@@ -23,12 +23,12 @@ where m.map_name = %(map_name)s;
 
 -- name: insert_map
 -- Create a map unless it exists. Another map may have had its name, and features with that name in their ids.
--- Parameters: map_name; srid; vertical_srid (null: ellipsoidal heights); created_at.
+-- Parameters: map_name; srid; vertical_srid (null: ellipsoidal heights).
 insert into conetl.map (map_name, srid, vertical_srid, created_at, id_name)
 select
-    %(map_name)s, %(srid)s, %(vertical_srid)s, %(created_at)s::timestamptz,
+    %(map_name)s, %(srid)s, %(vertical_srid)s, now(),
     (
-        select format('%%s#%%s', m.id_name, (extract(epoch from %(created_at)s::timestamptz) * 1000000)::bigint)
+        select format('%%s#%%s', m.id_name, (extract(epoch from now()) * 1000000)::bigint)
         from conetl.map m
         where m.id_name = %(map_name)s
     )

@@ -100,6 +100,6 @@ def _corners(box: str | None) -> tuple[float, float, float, float] | None:
 def _file_name(map_name: str, file_format: str, until: datetime | None, since: datetime | None) -> str:
     """Name with the map and the time: of the state, or of the download if the state has none."""
     suffix = "_wzdx.geojson" if file_format == "wzdx" else FORMATS[file_format].suffix
-    times = [since, until or datetime.now(UTC)] if since else [until or datetime.now(UTC)]
+    times = (since, until or datetime.now(UTC))
     parts = [f"{time.astimezone(UTC):%Y-%m-%dT%H-%M-%SZ}" for time in times if time]
     return f"{map_name}_{'changes_' if since else ''}{'_'.join(parts)}{suffix}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import datetime
 from difflib import get_close_matches
 from typing import Any
 from uuid import UUID
@@ -163,20 +163,19 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str) -> MapInfo:
         info = None
     if info is None:
         info = insert_map(conn, map_name, srid)
-    if info is None or info.srid != srid:
+    if info.srid != srid:
         raise MapMismatchError(
-            f"{what} is in EPSG:{srid}, the map {map_name} in EPSG:{info.srid if info else '?'}: set "
+            f"{what} is in EPSG:{srid}, the map {map_name} in EPSG:{info.srid}: set "
             "the drive's map CRS in its drive.yaml to the map's, or ingest it into a separate map. If it was recorded on the "
             "same roads, check whether its latitude and longitude are swapped, or in radians."
         )
     return info
 
 
-def insert_map(conn: Connection, map_name: str, srid: int, *, vertical_srid: int | None = None) -> MapInfo | None:
+def insert_map(conn: Connection, map_name: str, srid: int, *, vertical_srid: int | None = None) -> MapInfo:
     """Create a map unless it exists; does not commit. The map of that name."""
-    created_at = datetime.now(UTC)
-    db.query(conn, "map.insert_map", map_name=map_name, srid=srid, vertical_srid=vertical_srid, created_at=created_at)
-    return find_map(conn, map_name)
+    db.query(conn, "map.insert_map", map_name=map_name, srid=srid, vertical_srid=vertical_srid)
+    return require_map(conn, map_name)
 
 
 def system_time(conn: Connection, info: MapInfo) -> datetime:
