@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from uuid import UUID
 
 import numpy as np
 
@@ -22,15 +23,13 @@ def diff(before: Iterable[MapFeature], after: Iterable[MapFeature]) -> list[Feat
     old = {feature.feature_id: feature for feature in before}
     new = {feature.feature_id: feature for feature in after}
     return [
-        _change(old.get(feature_id), new.get(feature_id))
+        _change(feature_id, old.get(feature_id), new.get(feature_id))
         for feature_id in sorted(old.keys() | new.keys())
         if old.get(feature_id) != new.get(feature_id)
     ]
 
 
-def _change(old: MapFeature | None, new: MapFeature | None) -> FeatureChange:
-    one = new or old
-    assert one is not None  # it is on one of the maps
+def _change(feature_id: UUID, old: MapFeature | None, new: MapFeature | None) -> FeatureChange:
     shift_m = None
     if old is None:
         kind = DeltaKind.ADDED
@@ -39,7 +38,7 @@ def _change(old: MapFeature | None, new: MapFeature | None) -> FeatureChange:
     else:
         shift_m = _shift_m(old, new)
         kind = _kind_of_change(old, new, shift_m)
-    return FeatureChange(kind=kind, feature_id=one.feature_id, old=old, new=new, shift_m=shift_m)
+    return FeatureChange(kind=kind, feature_id=feature_id, old=old, new=new, shift_m=shift_m)
 
 
 def _shift_m(old: MapFeature, new: MapFeature) -> float:
