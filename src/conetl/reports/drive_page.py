@@ -233,8 +233,7 @@ def images_of(conn: Connection, facts: DriveFacts) -> dict[int, list[PairOfCrops
 def _of_change(conn: Connection, facts: DriveFacts, change: Row, drive: DriveObservations) -> list[PairOfCrops]:
     found: list[PairOfCrops] = []
     if not change["kind"].founds:
-        captured_from_ns = facts.changeset.captured_from_ns
-        before = {"feature_id": change["feature_id"], "before_ns": captured_from_ns}
+        before = {"feature_id": change["feature_id"], "before_ns": facts.changeset.captured_from_ns}
         for row in read(conn, _UNREAD, "reports.seen_before", **before)[:1]:
             title = f"before: {row['drive_id']}, {utc_from_ns(row['captured_from_ns']):%Y-%m-%d}"
             found.append(_sighting(conn, row["drive_uuid"], row["track_index"], title))

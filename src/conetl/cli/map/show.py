@@ -82,8 +82,7 @@ def show(
         summary = map_summary(conn, info.map_name)
         versions = list(read_features_as_of(conn, ui.parse_instant(as_of), map_name=info.map_name, lines=True))
     if category:
-        there = {version.feature.category for version in versions}
-        require_classes(category, {*there, "all"})
+        require_classes(category, {*(version.feature.category for version in versions), "all"})
         versions = [version for version in versions if "all" in category or version.feature.category in category]
     if as_json:
         features = [
