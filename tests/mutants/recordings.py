@@ -65,6 +65,22 @@ def paused(drive: Drive, first: int, seconds: float) -> Drive:
     return with_pairs(drive, (*drive.frame_pairs[:first], *later))
 
 
+@prepared
+def passed_again(drive: Drive, north_m: float, up_m: float = 0.0) -> Drive:
+    """The vehicle passes the same cones again a minute later, with another error of GNSS."""
+    count = len(drive.frame_pairs)
+    pairs = [
+        pair.model_copy(update={"frame_index": frame})
+        for frame, pair in enumerate((*drive.frame_pairs, *drive.frame_pairs))
+    ]
+    twice = with_pairs(drive, pairs).model_copy(update={"expected_frame_count": 2 * count})
+    last_ns, first_ns = (drive.frame_pairs[k].captured_at_ns for k in (-1, 0))
+    return in_turn(
+        displaced(lambda k, _: (0.0, north_m * (k >= count), up_m * (k >= count))),
+        paused(count, 60.0 + (last_ns - first_ns) * 1e-9),
+    )(twice)
+
+
 def raised(metres: float, first: int = 0) -> Mutant:
     return displaced(lambda k, _: (0.0, 0.0, metres * (k >= first)))
 

@@ -36,6 +36,7 @@ from tests.mutants.recordings import (
     lenses,
     lever_arm,
     noise,
+    passed_again,
     paused,
     raised,
     repeated,
@@ -138,6 +139,15 @@ def _jumps() -> list[WrongRecording]:
         WrongRecording(
             "GNSS jumps 3 m in a minute without images", in_turn(jump(3.0), paused(20, 60.0)),
             cause="jumps by 3.0 m between frame pairs 19", fast=True,
+        ),
+        WrongRecording("the same cones again", passed_again(0.0)),
+        *(
+            WrongRecording(
+                f"the same cones again, {m:g} m {name}", passed_again(*(m * np.array(axis))), fast=m == 1.0,
+                cause=rf"passes \d+ cones again .* {m:.2f} m {text}",
+            )
+            for name, axis, text in (("north", (1, 0), "from where"), ("higher", (0, 1), "higher or lower"))
+            for m in (0.3, 0.6, 1.0, 3.0)
         ),
         WrongRecording("GNSS jumps 5 m in 8 pairs", in_turn(jump(5.0, 4), without(8, 10**6)), cause="jumps by 5", fast=True),
     ]  # fmt: skip

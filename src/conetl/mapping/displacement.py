@@ -93,13 +93,18 @@ def check_positions(
     return _position_hold(fit.middle_m, sigma_m, turned, min(params.max_offset_m, MAX_SIGMAS * sigma_m))
 
 
-def check_import(
-    stated: Sequence[MapFeature], features: Sequence[MapFeature], params: ReconcileParams
+def check_same_cones(
+    stated: Sequence[Track | MapFeature],
+    features: Sequence[Track | MapFeature],
+    params: ReconcileParams,
+    within_m: float = FARTHEST_M,
 ) -> HealthCheck | None:
-    """A hold if the cones of an imported map have a common displacement against the map's that exceeds their sigmas.
+    """A hold if the cones of an imported map, or those that a drive passes again, have a common displacement against known ones
+    that exceeds their sigmas.
 
     Cones at equal distances also fit a row farther along, or the same plan elsewhere: only an irregular arrangement that fits
-    once, to within the difference of two surveys of the same cones, counts as the same cones.
+    once, to within the difference of two surveys of the same cones, counts as the same cones. within_m: how far away they may
+    be.
     """
     if not stated or not features:
         return None
@@ -113,7 +118,7 @@ def check_import(
         common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
         if common is not None:
             return common
-    return _match_arrangement(stated, features, len(pairs), params, _LEAST_SAME)
+    return _match_arrangement(stated, features, len(pairs), params, _LEAST_SAME, within_m)
 
 
 def check_far_positions(
@@ -248,7 +253,7 @@ def _with_near_features(t: Floats, f: Floats) -> Ints:
 
 def _match_arrangement(
     cones: Sequence[Track | MapFeature],
-    features: Sequence[MapFeature],
+    features: Sequence[Track | MapFeature],
     found: int,
     params: ReconcileParams,
     least_same: int,

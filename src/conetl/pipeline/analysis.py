@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -11,12 +11,13 @@ from pathlib import Path
 
 from conetl.files.parquet_store import load_results
 from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.mapping.revisits import check_revisits
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams
-from conetl.model.rejections import Rejection
+from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
 from conetl.perception.detections import add_image_detail, drop_unread_pairs
 from conetl.perception.model_card import read_model_card
@@ -144,8 +145,17 @@ def analyse(
     records = DriveRecords(drive, detections, matches, positions, tracks, rejections, markings)
     health += check_calibration(calibration)
     health += check_exposures(calibration.right_ahead, drive.rig, drive.frame_pairs)
-    health.append(check_doubled(tracks, drive.frame_pairs))
+    health += _check_cones(records, params)
     return AnalysedDrive(records, trajectory, calibration, params, tuple(health))
+
+
+def _check_cones(records: DriveRecords, params: IngestParams) -> Iterator[HealthCheck]:
+    """Checks whether the drive shows cones twice: in one image, or at two positions."""
+    yield check_doubled(records.tracks, records.drive.frame_pairs)
+    # Where heights jump, the cones of one pass are off the road of the other.
+    off_road = (r.payload for r in records.rejections if r.reason is RejectionReason.NOT_ON_GROUND)
+    tracks = [*records.tracks, *map(Track.model_validate, off_road)]
+    yield from check_revisits(tracks, records.positions, records.drive.frame_pairs, params)
 
 
 def _run_chunks(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from conetl.mapping.agreement import check_agreement
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
-from conetl.mapping.displacement import check_far_positions, check_import
+from conetl.mapping.displacement import check_far_positions, check_same_cones
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
@@ -275,7 +275,7 @@ SET_UP, LIKE_IT = (ZONE + np.random.default_rng(seed).normal(0, (0.2, 0.1, 0), Z
 def imported(places: Floats, before: Floats, sigma_m: float = 0.03) -> str | None:
     """What an imported map of cones at `places` (N, 3), measured anew, finds against a map with cones at `before`."""
     stated = features_at(places + np.random.default_rng(5).normal(0, 0.01, places.shape), sigma_m)
-    found = check_import(stated, features_at(before), PARAMS)
+    found = check_same_cones(stated, features_at(before), PARAMS)
     return found and found.detail
 
 

@@ -29,7 +29,7 @@ from conetl.db.map.replay_store import affected_drives, superseded_drives
 from conetl.db.map.results import MapInfo, RunInfo
 from conetl.files.parquet_store import result_key
 from conetl.geometry.geodesy import to_crs
-from conetl.mapping.displacement import check_import
+from conetl.mapping.displacement import check_same_cones
 from conetl.mapping.history import DriveEvidence, founding_key
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -255,7 +255,7 @@ def _refuse_displaced(conn: Connection, imported: ImportedMap, params: ImportPar
     """Refuse positions of another datum, or heights of another system: each would add a second cone next to one of the map."""
     stated = [statement.feature for statement in imported.statements]
     standing = read_current_features(conn, map_name=map_name)
-    found = check_import(stated, standing, params.reconcile)
+    found = check_same_cones(stated, standing, params.reconcile)
     if found is None or found.value is None:
         return
     where = f"{imported.source_path}: its cones are {abs(found.value):.1f} m"

@@ -1,0 +1,80 @@
+"""Whether a drive that passes the same cones twice shows them at the same positions: GNSS/INS may drift or jump in between."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from conetl.geometry.packing import vec3
+from conetl.mapping.association import xyz_of
+from conetl.mapping.displacement import LEAST_PAIRS, check_same_cones
+from conetl.model.drive import FramePair, Position, Track
+from conetl.model.health import HealthCheck, hold
+from conetl.model.params import IngestParams, TrackParams
+
+#: A cone that is not observed for so long may be passed again, displaced by at most this distance.
+_AGAIN_NS, _WITHIN_M = 5_000_000_000, 4.0
+#: Cones nearer to each other are compared even if their displacements differ, as by a drift.
+_GATE_M = 1.5
+
+
+def check_revisits(
+    tracks: Sequence[Track], positions: Sequence[Position], pairs: Sequence[FramePair], params: IngestParams
+) -> Iterator[HealthCheck]:
+    """A hold if cones that the drive passes twice have a common displacement beyond their stated sigmas.
+
+    positions: of which the tracks were computed. People move cones by unequal distances.
+    """
+    located = {(position.frame_index, position.match_index): position for position in positions}
+    at_ns = {pair.frame_index: pair.captured_at_ns for pair in pairs}
+    sure = (track for track in tracks if track.existence_probability >= params.reconcile.founding_existence_probability)
+    visits = [visit for track in sure for visit in _visits(track, located, at_ns, params.track)]
+    visits.sort(key=lambda visit: (visit.first_seen_ns, visit.xyz_m))
+    if not visits:
+        return
+    tree = cKDTree(xyz_of(visits))
+    near = [tree.query_ball_point(visit.xyz_m, _WITHIN_M) for visit in visits]
+    limits = params.reconcile.model_copy(update={"min_gate_m": _GATE_M})
+    starts = [0]
+    for k, visit in enumerate(visits):
+        if any(j >= starts[-1] and visit.first_seen_ns - visits[j].last_seen_ns > _AGAIN_NS for j in near[k]):
+            starts.append(k)
+    for start, end in pairwise([*starts[1:], len(visits)]):
+        again = [visits[k] for k in range(start, end) if min(near[k]) < start]
+        check = check_same_cones(again, visits[:start], limits, _WITHIN_M)
+        if len(again) < LEAST_PAIRS or check is None or check.value is None:
+            continue
+        apart = "higher or lower" if "heights" in check.name else "from where they were"
+        detail = (
+            f"The drive passes {len(again)} cones again from frame pair {again[0].members[0][0]} on, {abs(check.value):.2f} m "
+            f"{apart}: GNSS/INS drifted or jumped in between, or all cones were moved by the same distance. Reprocess its log."
+        )
+        yield hold("cones passed twice", detail, **check.model_dump(include={"value", "sigma", "limit", "unit"}))
+        return
+
+
+def _visits(
+    track: Track, located: Mapping[tuple[int, int], Position], at_ns: Mapping[int, int], limits: TrackParams
+) -> Iterator[Track]:
+    """The track as each pass alone shows it: its mean position, with the covariance of the nearest one. Without passes that show
+    too little for a track."""
+    members = [located[member] for member in track.members if member in located]
+    times_ns = np.array([at_ns[position.frame_index] for position in members], dtype=np.int64)
+    ends = np.flatnonzero(np.diff(times_ns) > _AGAIN_NS) + 1
+    if not len(ends):
+        yield track
+        return
+    for visit in np.split(np.arange(len(members)), ends):
+        seen = [members[k] for k in visit]
+        nearest = min(seen, key=lambda position: position.range_m)
+        if len(seen) < limits.min_observations or nearest.range_m > limits.max_range_m:
+            continue
+        weights = [position.range_m**-4 for position in seen]
+        yield track.model_copy(update={
+            "xyz_m": vec3(np.average([position.xyz_m for position in seen], axis=0, weights=weights)),
+            "cov_m2": nearest.cov_m2, "first_seen_ns": int(times_ns[visit[0]]), "last_seen_ns": int(times_ns[visit[-1]]),
+            "members": tuple((position.frame_index, position.match_index) for position in seen),
+        })  # fmt: skip
