@@ -8,7 +8,6 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from conetl.geometry.packing import vec3
 from conetl.mapping.association import xyz_of
 from conetl.mapping.displacement import LEAST_PAIRS, check_same_cones
 from conetl.model.drive import FramePair, Position, Track
@@ -59,8 +58,7 @@ def check_revisits(
 def _visits(
     track: Track, located: Mapping[tuple[int, int], Position], at_ns: Mapping[int, int], limits: TrackParams
 ) -> Iterator[Track]:
-    """The track as each pass alone shows it: its mean position, with the covariance of the nearest one. Without passes that show
-    too little for a track."""
+    """The track as each pass alone shows it, by its nearest position; without passes that show too little for a track."""
     members = [located[member] for member in track.members if member in located]
     times_ns = np.array([at_ns[position.frame_index] for position in members], dtype=np.int64)
     ends = np.flatnonzero(np.diff(times_ns) > _AGAIN_NS) + 1
@@ -72,9 +70,7 @@ def _visits(
         nearest = min(seen, key=lambda position: position.range_m)
         if len(seen) < limits.min_observations or nearest.range_m > limits.max_range_m:
             continue
-        weights = [position.range_m**-4 for position in seen]
         yield track.model_copy(update={
-            "xyz_m": vec3(np.average([position.xyz_m for position in seen], axis=0, weights=weights)),
-            "cov_m2": nearest.cov_m2, "first_seen_ns": int(times_ns[visit[0]]), "last_seen_ns": int(times_ns[visit[-1]]),
-            "members": tuple((position.frame_index, position.match_index) for position in seen),
+            "xyz_m": nearest.xyz_m, "cov_m2": nearest.cov_m2, "members": tuple((p.frame_index, p.match_index) for p in seen),
+            "first_seen_ns": int(times_ns[visit[0]]), "last_seen_ns": int(times_ns[visit[-1]]),
         })  # fmt: skip
