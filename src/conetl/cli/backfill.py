@@ -35,7 +35,9 @@ def backfill(
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan and exit.")] = False,
     recheck: Annotated[bool, typer.Option(help="Also compare the content of drives already on the map.")] = False,
-    here: Annotated[bool, typer.Option("--here", help="Run the drives here, even if workers are running.")] = False,
+    here: Annotated[
+        bool, typer.Option("--here", help="Run the drives as child processes, even if workers are running.")
+    ] = False,
     params: ui.ParamsOption = None,
     category: ui.CategoryOption = None,
     map_srid: ui.MapSridOption = None,

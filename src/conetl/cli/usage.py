@@ -1,4 +1,4 @@
-"""Wrong options, arguments and commands in one or two lines, with the nearest names."""
+"""Messages of one or two lines for wrong options, arguments and commands, with the most similar names."""
 
 from __future__ import annotations
 

@@ -69,8 +69,8 @@ def read_ingested_poses(conn: Connection, map_name: str, content_sha256: str) ->
     what = f"The poses of a drive of map {map_name} cannot be read"
     poses = {}
     for row in read(conn, what, "base_layers.ingested_poses", map_name=map_name, content_sha256=content_sha256):
-        place = row["easting_m"], row["northing_m"], row["height_m"]
-        poses[int(row["frame_index"])] = se3(np.reshape(row["map_r_body"], (3, 3)), place)
+        position_m = row["easting_m"], row["northing_m"], row["height_m"]
+        poses[int(row["frame_index"])] = se3(np.reshape(row["map_r_body"], (3, 3)), position_m)
     return poses
 
 

@@ -136,7 +136,7 @@ def drives_under_way(conn: Connection, *, map_name: str) -> list[str]:
 
 @contextmanager
 def try_lock(conn: Connection, name: str) -> Iterator[bool]:
-    """Hold a lock in a session that is also used for the work, if it is free; yields whether it was."""
+    """Hold a lock, if it is free, in the session that also does the work; yields whether it was free."""
     with database_errors("A lock in PostgreSQL could not be taken"):
         conn.rollback()
         taken = bool(query(conn, "locks.try_lock", name=name)[0]["taken"])

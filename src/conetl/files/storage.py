@@ -62,7 +62,7 @@ def as_path(text: str | Path) -> Path:
 
 
 def is_remote(path: Path) -> bool:
-    """Whether a path is that of an object."""
+    """Whether a path is in object storage."""
     return not isinstance(path, Path)
 
 

@@ -36,7 +36,7 @@ class Nees:
         return self.value / self.dof
 
     def band(self, probability: float = 0.95) -> tuple[float, float]:
-        """Two-sided interval that a chi-square variable with these degrees of freedom falls into with that probability."""
+        """Two-sided interval that contains a chi-square variable with these degrees of freedom with this probability."""
         tail = (1.0 - probability) / 2.0
         return float(chdtri(self.dof, 1.0 - tail)), float(chdtri(self.dof, tail))  # chdtri takes the upper tail
 

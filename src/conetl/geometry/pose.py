@@ -95,7 +95,7 @@ def is_rotation(rotation: ArrayLike, tolerance: float = ROTATION_TOLERANCE) -> b
 def nearest_rotation(matrix: ArrayLike) -> Floats:
     """The rotation nearest to a (3, 3) matrix in the Frobenius norm; removes the rounding of a text file.
 
-    Raises ValueError where the matrix is not a rotation within `ROTATION_TOLERANCE`.
+    Raises ValueError if the matrix is not a rotation within `ROTATION_TOLERANCE`.
     """
     m = np.asarray(matrix, dtype=np.float64)
     if not is_rotation(m):

@@ -99,8 +99,8 @@ def check_same_cones(
     params: ReconcileParams,
     within_m: float = FARTHEST_M,
 ) -> HealthCheck | None:
-    """A hold if the cones of an imported map, or those that a drive passes again, have a common displacement against known ones
-    that exceeds their sigmas.
+    """A hold if cones that are stated again, by an imported map or a second pass, have a common displacement that exceeds their
+    sigmas.
 
     Cones at equal distances also fit a row farther along, or the same plan elsewhere: only an irregular arrangement that fits
     once, to within the difference of two surveys of the same cones, counts as the same cones. within_m: how far away they may

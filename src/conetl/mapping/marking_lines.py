@@ -58,7 +58,7 @@ class Feet(NamedTuple):
     """Of the line from the point, to the left of the point's direction."""
 
     def at(self, values: Floats) -> Floats:
-        """Values of the vertices of `Lines` (V, ...) at the feet, by linear interpolation."""
+        """Values at the feet, interpolated linearly between those of the vertices of `Lines` (V, ...)."""
         share = self.share.reshape(-1, *(1,) * (values.ndim - 1))
         found: Floats = (1 - share) * values[self.segment] + share * values[self.segment + 1]
         return found

@@ -14,7 +14,7 @@ from conetl.model.drive import FramePair, Position, Track
 from conetl.model.health import HealthCheck, hold
 from conetl.model.params import IngestParams, TrackParams
 
-#: A cone that is not observed for so long may be passed again, displaced by at most this distance.
+#: A cone that was not observed for longer than this may be passed again, displaced by at most this distance.
 _AGAIN_NS, _WITHIN_M = 5_000_000_000, 4.0
 #: Cones nearer to each other are compared even if their displacements differ, as by a drift.
 _GATE_M = 1.5
@@ -25,7 +25,7 @@ def check_revisits(
 ) -> Iterator[HealthCheck]:
     """A hold if cones that the drive passes twice have a common displacement beyond their stated sigmas.
 
-    positions: of which the tracks were computed. People move cones by unequal distances.
+    positions: from which the tracks were computed. Cones that people moved are not displaced by equal distances.
     """
     located = {(position.frame_index, position.match_index): position for position in positions}
     at_ns = {pair.frame_index: pair.captured_at_ns for pair in pairs}
@@ -46,10 +46,11 @@ def check_revisits(
         check = check_same_cones(again, visits[:start], limits, _WITHIN_M)
         if len(again) < LEAST_PAIRS or check is None or check.value is None:
             continue
-        apart = "higher or lower" if "heights" in check.name else "from where they were"
+        apart = "higher or lower than before" if "heights" in check.name else "from where they were"
         detail = (
-            f"The drive passes {len(again)} cones again from frame pair {again[0].members[0][0]} on, {abs(check.value):.2f} m "
-            f"{apart}: GNSS/INS drifted or jumped in between, or all cones were moved by the same distance. Reprocess its log."
+            f"The drive passes {len(again)} cones again from frame pair {again[0].members[0][0]} on, and locates them "
+            f"{abs(check.value):.2f} m {apart}: GNSS/INS drifted or jumped in between, or all cones were moved by the same "
+            "distance. Reprocess the GNSS/INS log."
         )
         yield hold("cones passed twice", detail, **check.model_dump(include={"value", "sigma", "limit", "unit"}))
         return

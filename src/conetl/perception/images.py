@@ -222,12 +222,17 @@ def decode_image(data: bytes, name: str, expected_size: tuple[int, int] | None =
             data, name, (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_IGNORE_ORIENTATION
         )
     if expected_size is not None and image.shape[:2] != (expected_size[1], expected_size[0]):
-        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: header and decoded image differ in size")
+        raise ImageFileError(
+            RejectionReason.IMAGE_UNREADABLE, f"{name}: header and decoded image differ in size; copy it again"
+        )
     return np.asarray(image, dtype=np.uint8)
 
 
 def _decoded_jpeg(data: bytes, name: str, grey: bool) -> NDArray[Any]:
-    """A JPEG's pixels; the same as OpenCV's, which takes twice as long and accepts damaged data. Raises ImageFileError."""
+    """Pixels of a JPEG, equal to those of OpenCV, which takes almost twice as long and accepts damaged data.
+
+    Raises ImageFileError.
+    """
     try:
         return np.asarray(simplejpeg.decode_jpeg(data, "GRAY")[..., 0] if grey else simplejpeg.decode_jpeg(data, "BGR"))
     except ValueError as error:

@@ -154,7 +154,7 @@ def video_facts(path: Path) -> VideoFacts:
 def open_video(path: Path) -> InputContainer:
     """An open video file, to be closed. Raises InputError."""
     if path.exists() and not path.is_file():
-        raise InputError(f"{path}: this is not a file")  # a pipe would wait for its other end
+        raise InputError(f"{path}: this is not a file; name a video")  # a pipe would wait for its other end
     try:
         container = av.open(str(path), options=_OPTIONS, metadata_errors="replace")
     except (av.FFmpegError, OSError) as error:

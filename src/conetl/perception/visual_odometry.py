@@ -29,7 +29,7 @@ _Size = tuple[int, int]
 
 #: Width and height of the windows that are followed, px. Time grows with their area and cones gain nothing from it; the few
 #: spans of self-calibration, where 0.01 px counts, use larger ones. OpenCV computes eight columns at once and the rest of a row
-#: one by one: windows of 11 x 11, which are no more accurate, take half as long again.
+#: one by one: windows of 11 x 11 are no more accurate and take 1.5 times as long.
 _WINDOW_PX: _Size = (16, 7)
 _WINDOW_OF_SPANS_PX: _Size = (16, 14)
 _STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
@@ -39,8 +39,8 @@ _STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
 _WEAK_SHARE = 0.004
 #: Side of the blocks that are matched, at a quarter of the size.
 _BLOCK_PX = 9
-#: Disparities are searched up to this share of the image width. Points as near to the left border get none, since block matching
-#: leaves it out: a wider search costs more points than it finds.
+#: Disparities are searched up to this share of the image width. Block matching finds no disparity of points within this
+#: distance of the left border: a wider search loses more points than it finds.
 _WIDEST_DISPARITY = 0.10
 
 

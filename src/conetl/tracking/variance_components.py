@@ -270,7 +270,7 @@ def adjusted(cone: ObservedCone, own_px2: Floats) -> tuple[Floats, Floats, Float
 
 
 def _normal_equations(cone: ObservedCone, weights: Floats) -> tuple[Floats, Floats, Floats]:
-    """The weighted design (F, 3, K), normal matrix (K, K) and right side (K,), by weights (F, 3) of the observations."""
+    """The weighted design (F, 3, K), normal matrix (K, K) and right-hand side (K,), by weights (F, 3) of the observations."""
     weighted = cone.design * weights[:, :, None]
     normal = np.tensordot(cone.design, weighted, axes=((0, 1), (0, 1)))
     prior = np.arange(3, len(normal))

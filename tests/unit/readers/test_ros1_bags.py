@@ -101,7 +101,7 @@ def test_an_index_that_names_a_message_twice_is_refused(tmp_path: Path) -> None:
     stamp = struct.pack("<LL", *divmod(fixes[1].time, 10**9))
     assert data.count(stamp + struct.pack("<L", second)) == 1
     file.write_bytes(data.replace(stamp + struct.pack("<L", second), stamp + struct.pack("<L", first)))
-    with pytest.raises(DriveFolderError, match="index names messages twice"):
+    with pytest.raises(DriveFolderError, match="index contains a message twice"):
         read(file)
 
 

@@ -98,7 +98,7 @@ def pairs_even_odd(folder: Path) -> list[ImagePair]:
 def find_boards(
     pairs: Sequence[ImagePair], board: Board, *, progress: Callable[[int, int], object] = lambda done, total: None
 ) -> BoardImages:
-    """Corners in all images; each image without is a rejection. progress: called with (images done, total images)."""
+    """Corners in all images; each image without a board is a rejection. progress: called with (images done, total images)."""
     jobs = [(i, side, path) for i, pair in enumerate(pairs) for side in SIDES if (path := pair.path(side)) is not None]
     searched: dict[tuple[int, Side], tuple[Size | None, Found | NotFound]] = {}
     # OpenCV works without the interpreter's lock.

@@ -184,7 +184,9 @@ def accept_drive(
                 state = f"changeset {number} is already in effect" if counts else store.why_not_counted(conn, found[0])
             raise ConflictError(f"no drive {drive} is on hold on the map {map_name}: {state}")
         if len(held) > 1:
-            raise InputError(f"{len(held)} drives {drive} are on hold: give the number that `conetl drive held` lists")
+            raise InputError(
+                f"{len(held)} drives named {drive} are on hold: give the number that `conetl drive held` lists"
+            )
         known = held[0]
         captured_ns = known.captured_from_ns, known.captured_to_ns
         others = replays.other_deliveries(conn, known.drive_id, captured_ns, known.content_sha256, map_name=map_name)

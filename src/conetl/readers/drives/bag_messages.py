@@ -81,7 +81,7 @@ def _limited(new: Callable[[], Any]) -> Callable[..., bytes]:
 
 def _whole_file(*_: object) -> NoReturn:
     raise ValueError(
-        "its files are compressed as a whole: 'ros2 bag convert' makes a bag of plain or compressed messages"
+        "its files are compressed as a whole: convert it with 'ros2 bag convert' to plain or compressed messages"
     )
 
 
@@ -132,7 +132,7 @@ class BoundedReader(Reader):
         super().read_index_data(pos, indexes)
         self._index_bytes += self.bio.tell() - start
         if self._index_bytes > self._file_bytes:
-            raise ValueError("its index names messages twice")
+            raise ValueError("its index contains a message twice")
         if self._index_bytes > 12 * MAX_MESSAGES:
             raise ValueError(
                 f"it has more than {MAX_MESSAGES:,} messages; 'rosbag filter' keeps the topics that are needed"
@@ -146,10 +146,10 @@ class BoundedReader(Reader):
         places = attrgetter("chunk_pos", "offset")
         entries = sorted(places(entry) for i in wanted for entry in self.indexes[i])
         if any(one == other for one, other in pairwise(entries)):
-            raise ValueError("its index names messages twice")
+            raise ValueError("its index contains a message twice")
         for connection, time_ns, data in super().messages(connections, start, stop):
             if connection.id not in wanted:
-                raise ValueError("its index names messages of other topics")
+                raise ValueError("its index contains messages of other topics")
             self._spend(len(data))
             yield connection, time_ns, data
 

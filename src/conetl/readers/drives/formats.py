@@ -161,7 +161,7 @@ def own_rig(path: Path, pair: Pair | None) -> tuple[Rig, Floats] | None:
 
 
 def no_rig(folder: Path) -> InputError:
-    """The error of a drive whose format has no calibration but a rig.yaml."""
+    """The error for a drive without `rig.yaml`, if its format has no other calibration."""
     return InputError(
         f"{folder}: {RIG_YAML} is missing: 'conetl init {folder}' writes it from the calibration of another program, "
         "'conetl calibrate' from images of a board"

@@ -53,9 +53,9 @@ _MODEL_NAMES = ("distortion_model", "model", "camera_model")
 
 
 def read_storage(path: Path) -> dict[str, Any]:
-    """Content of an OpenCV file as plain dictionaries, lists and texts. Raises InputError.
+    """Content of an OpenCV file as plain dictionaries, lists and strings. Raises InputError.
 
-    Not by `cv2.FileStorage`: a damaged file overwrites its memory (OpenCV 5.0).
+    `cv2.FileStorage` is not used: a damaged file corrupts its memory (OpenCV 5.0).
     """
     if path.suffix.lower() == ".json":
         content = read_json(path)
@@ -213,7 +213,7 @@ def write_opencv_rig(rig: Rig, path: Path) -> None:
         raise InputError(f"{path}: OpenCV's stereo files hold one image size, but the two cameras differ in theirs")
     fisheyes = [camera.lens.model == "fisheye" for camera in (left, right)]
     if fisheyes[0] != fisheyes[1]:
-        raise InputError(f"{path}: OpenCV's stereo files hold two fisheye lenses or none")
+        raise InputError(f"{path}: OpenCV's stereo files hold two fisheye lenses or none; export to rig.yaml")
     right_SE3_left = se3.invert(rigs.left_SE3_right(rig))
     storage = cv2.FileStorage(path.suffix, cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY)
     storage.write("image_width", left.width_px)

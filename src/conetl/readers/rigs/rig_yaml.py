@@ -127,7 +127,7 @@ class _RigFile(Record):
     def _one_of_each(self) -> _RigFile:
         if (self.baseline_m is None) == (self.left_SE3_right is None):
             raise ValueError(
-                "give either baseline_m (parallel cameras) or left_SE3_right (R, t_m of right points to left)"
+                "give either baseline_m (parallel cameras) or left_SE3_right (R and t_m, from right to left camera)"
             )
         if self.sigmas is not None and self.calibration_covariance is not None:
             raise ValueError("give either sigmas or calibration_covariance")

@@ -106,7 +106,7 @@ def searched_rows(points: LocatedPoints, station_m: Floats, offset_m: Floats, he
 
 
 def pieces_of(searched: Searched, min_length_m: float) -> list[PatternPiece]:
-    """Pieces of a chain with paint of at least a length, by rising station."""
+    """Pieces of a chain that have at least this length of paint, by increasing station."""
     if not len(searched.station_m):
         return []
     low = searched.station_m.min() - 1.0
