@@ -40,7 +40,6 @@ from conetl.files.documents import library_errors, read_yaml
 from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives.bag_rig import CAMERA_INFO, TRANSFORMS, USED_TYPES
-from conetl.readers.drives.drive_yaml import is_bare_bag
 from conetl.readers.drives.pairs import PairError
 
 METADATA = "metadata.yaml"
@@ -192,7 +191,7 @@ class Bag(NamedTuple):
 
 def bag_files(path: Path) -> Path | None:
     """The path to open for a bag: the folder itself, or a bare .mcap or .bag file; None for anything else."""
-    if is_bare_bag(path):
+    if path.suffix in (".mcap", ROS1_SUFFIX) and path.is_file():
         return path
     if not path.is_dir():
         return None
