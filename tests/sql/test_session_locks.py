@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import closing
@@ -11,7 +13,7 @@ import psycopg2
 import pytest
 
 from conetl.db import receipt_store
-from conetl.db.connection import CLIENT_KEEPALIVES, Connection, connect, execute, load_sql
+from conetl.db.connection import CLIENT_KEEPALIVES, Connection, connect, execute, load_sql, read
 from conetl.db.receipt_store import held_locks, holding, try_lock
 from conetl.model.errors import DatabaseError
 from tests.command import until
@@ -101,6 +103,16 @@ def test_a_watch_that_lost_its_session_frees_without_an_error(database_url: str,
 def test_a_server_that_is_not_there_is_told_at_first() -> None:
     with pytest.raises(DatabaseError, match="cannot be reached"), holding("postgresql://nobody@127.0.0.1:1/none", "a"):
         raise AssertionError("it must not begin")
+
+
+def test_a_lost_connection_names_postgresql_and_what_to_do(database_url: str) -> None:
+    with closing(connect(database_url)) as conn:
+        with socket.socket(fileno=os.dup(conn.fileno())) as its:
+            its.shutdown(socket.SHUT_RDWR)
+        with pytest.raises(
+            DatabaseError, match=r"^Maps cannot be read: .*\. PostgreSQL was stopped .*: start it and run"
+        ):
+            read(conn, "Maps cannot be read", "schema.search_path")
 
 
 def test_idle_connections_are_kept_alive(database_url: str, monkeypatch: pytest.MonkeyPatch) -> None:

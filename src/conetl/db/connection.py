@@ -185,7 +185,9 @@ def database_errors(what: str) -> Iterator[None]:
             f"{what}: a lock was not free in time; it is held by {holder}. End that session, or try again later."
         ) from error
     except psycopg2.Error as error:
-        raise DatabaseError(f"{what}: {_first_line(error)}") from error
+        lost = isinstance(error, psycopg2.OperationalError) and error.pgcode is None
+        hint = ". PostgreSQL was stopped or cannot be reached: start it and run the same command again." if lost else ""
+        raise DatabaseError(f"{what}: {_first_line(error)}{hint}") from error
 
 
 @contextmanager
