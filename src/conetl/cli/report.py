@@ -66,8 +66,9 @@ def night(
         failed = f", {len(facts.failures)} failed" if facts.failures else ""
         hint = "" if facts.drives or failed else " Drives are listed by the time of processing, not of recording."
         ui.say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.{hint}")
-    counts = {"since": begin, "until": end, "drives": len(facts.drives), "failed": len(facts.failures)}
-    _print_written(as_json, path, {**counts, "held": facts.held, "hold_events": facts.hold_events})
+    counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
+    rows = {"held": facts.held, "hold_events": facts.hold_events}
+    _print_written(as_json, path, {"since": begin, "until": end, **counts, **rows})
     if facts.held:
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
 

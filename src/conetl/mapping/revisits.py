@@ -43,8 +43,10 @@ def check_revisits(
             starts.append(k)
     for start, end in pairwise([*starts[1:], len(visits)]):
         again = [visits[k] for k in range(start, end) if min(near[k]) < start]
+        if len(again) < LEAST_PAIRS:
+            continue
         check = check_same_cones(again, visits[:start], limits, _WITHIN_M)
-        if len(again) < LEAST_PAIRS or check is None or check.value is None:
+        if check is None or check.value is None:
             continue
         apart = "higher or lower than before" if "heights" in check.name else "from where they were"
         detail = (

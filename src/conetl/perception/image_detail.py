@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from conetl.geometry.small_arrays import upper_median
 from conetl.perception.working_size import half_size
 
+#: Images are shrunk by halving them twice.
 _SHRINK, _SQUARE, _SIGMA = 4, 8, 1.5
 #: Side of the squares in which sharpness is compared, px.
 SQUARE_PX = 64

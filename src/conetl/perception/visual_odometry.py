@@ -24,7 +24,6 @@ from conetl.perception.working_size import ImageReader, WorkingImages, WorkingSi
 
 Points = NDArray[np.float32]
 _Found = tuple[Floats, Floats, float, NoMeasurement | None]
-
 _Size = tuple[int, int]
 
 #: Width and height of the windows that are followed, px. Time grows with their area and cones gain nothing from it; the few
