@@ -18,6 +18,7 @@ from conetl.db.map.map_store import read_current_features
 from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import DriveFolderError, MapMismatchError
 from conetl.model.health import Verdict, hold_reason
+from conetl.model.rejections import RejectionReason
 from conetl.perception.stereo_check import check_lost_parts, check_stereo
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import commit
@@ -25,7 +26,7 @@ from conetl.pipeline.ingest import ingest
 from conetl.pipeline.maps.decisions import accept_drive
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
-from tests.integration.small_drives import SAMPLES
+from tests.integration.small_drives import SAMPLES, cut_drive, spoil_huffman_table
 from tests.mutants import recordings as wrong
 from tests.mutants.table import FIRST, RECORDINGS, SECOND, WrongRecording
 
@@ -55,6 +56,21 @@ def test_a_recording_that_contradicts_itself_is_held(
     assert recording.cause is not None
     reason = hold_reason(analyse(drive, settings=sample_settings).health)
     assert re.search(recording.cause, reason or "")
+
+
+def test_images_that_cannot_be_decoded_cost_their_frame_pairs_not_the_drive(
+    sample_settings: Settings, tmp_path: Path
+) -> None:
+    """Their poses stay in the trajectory, at its ends, too."""
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-03-02", frames=range(39))
+    for side, frame in (("02", 0), ("03", 20), ("02", 38)):
+        spoil_huffman_table(drive / f"image_{side}" / "data" / f"{frame:010}.jpg")
+    analysed = analyse(read_drive(drive)[0], settings=sample_settings)
+    assert len(analysed.drive.frame_pairs) == 36 and hold_reason(analysed.health) is None
+    lost = [one for one in analysed.records.rejections if one.reason is RejectionReason.IMAGE_UNREADABLE]
+    assert [one.record for one in lost] == ["frame pair 0", "frame pair 20", "frame pair 38"]
+    errors_m, chi2 = against_truth(analysed, SAMPLES[0])
+    assert len(errors_m) == 9 and errors_m.max() < 0.05 and chi2.max() < 18.4
 
 
 def test_variances_in_place_of_sigmas_are_refused(tmp_path: Path) -> None:
