@@ -318,9 +318,8 @@ def _drift(log: LoggedPoses, frame_pairs: Sequence[FramePair], trajectory: Refin
 
     Of a consistent log the difference of adjusted and logged positions varies less than the errors of the log.
     """
-    adjusted = {
-        pair.frame_index: pair for pair in trajectory.frame_pairs
-    }  # also pairs whose images could not be decoded
+    # The trajectory also has the pairs whose images could not be decoded.
+    adjusted = {pair.frame_index: pair for pair in trajectory.frame_pairs}
     pairs = [adjusted[pair.frame_index] for pair in frame_pairs]
     places = np.array([pair.pose.map_t_body_m for pair in pairs])
     times_s = np.array([pair.captured_at_ns for pair in pairs], dtype=np.int64) * 1e-9
