@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
@@ -32,6 +33,8 @@ LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".ts"})
 #: Nothing but files and containers: a playlist would make the library open other files and addresses.
 _OPTIONS = {"protocol_whitelist": "file", "format_whitelist": "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpegts"}
+#: Bytes between the position that an AVI file's index names and a frame.
+_AVI_CHUNK_HEADER = 8
 #: 18 hours at 30 Hz.
 MAX_FRAMES = 2_000_000
 _FRAGMENT = re.compile(
@@ -111,7 +114,7 @@ def index_video(path: Path, *, hashed: bool = True) -> VideoIndex:
         stream = video_stream(container)
         found: dict[int, bytes] = {}
         try:
-            for packet in container.demux(stream):
+            for packet in packets_of(container):
                 pts = packet.pts if packet.pts is not None else packet.dts
                 if pts is None or packet.is_discard or not packet.size:
                     continue
@@ -184,6 +187,23 @@ def _images_in_time(container: InputContainer) -> list[VideoStream]:
 def video_stream(container: InputContainer) -> VideoStream:
     """The stream of an open file."""
     return _images_in_time(container)[0]
+
+
+def packets_of(container: InputContainer) -> Iterator[av.Packet[Any]]:
+    """Packets of the stream from the current position on. Raises av.FFmpegError.
+
+    Those of an AVI file have no time stamps: where the file is damaged, the library does not count the frames that it skips.
+    Their positions in the file's index state the time.
+    """
+    stream = video_stream(container)
+    is_avi = container.format.name == "avi"
+    times = {entry.pos + _AVI_CHUNK_HEADER: entry.timestamp for entry in stream.index_entries} if is_avi else {}
+    for packet in container.demux(stream):
+        if packet.pos in times and packet.dts is not None:
+            skipped = times[packet.pos] - packet.dts
+            packet.dts += skipped
+            packet.pts = None if packet.pts is None else packet.pts + skipped
+        yield packet
 
 
 def _size(stream: VideoStream) -> tuple[int, int]:

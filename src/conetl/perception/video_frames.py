@@ -27,7 +27,16 @@ from conetl.model.errors import InputError, StorageError
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import MAX_IMAGE_PIXELS
 from conetl.perception.images import ImageFileError
-from conetl.perception.video import FrameRef, Region, frame_sha256, open_video, packet_sha256, video_stream
+from conetl.perception.video import (
+    FrameRef,
+    Region,
+    frame_sha256,
+    index_video,
+    open_video,
+    packet_sha256,
+    packets_of,
+    video_stream,
+)
 
 #: Decoders that stay open between two reads, and bytes of decoded frames that stay in memory: searches read the middle of five
 #: pairs first, and odometry and detector read the same pairs at about the same time.
@@ -44,13 +53,33 @@ def read_frame(frame: FrameRef, sha256: str = "", *, grey: bool = False) -> Imag
     sha256: of `VideoIndex.sha256`, when its drive was read; empty: not compared. Raises ImageFileError where the frame is not
     there or cannot be decoded, StorageError where the file changed since.
     """
-    decoded = _decoders.read(frame)
-    if sha256 and frame_sha256(decoded.packet_sha256, frame.region) != sha256:
-        raise StorageError(
-            f"{frame.path}: the video changed while conetl read it. Run the same command again when nothing writes to the "
-            "drive. Nothing was written."
-        )
-    return _pixels(decoded.frame, frame.region, grey=grey)
+    try:
+        decoded = _decoders.read(frame)
+        if sha256 and frame_sha256(decoded.packet_sha256, frame.region) != sha256:
+            raise _not_decoded(frame)
+        return _pixels(decoded.frame, frame.region, grey=grey)
+    except ImageFileError as error:
+        if sha256 and sha256 not in _frames_in(frame.path, frame.region):
+            raise StorageError(
+                f"{frame.path}: the video changed while conetl read it ({error}). Run the same command again when nothing writes "
+                "to the drive. Nothing was written."
+            ) from error
+        raise
+
+
+def _not_decoded(frame: FrameRef) -> ImageFileError:
+    return ImageFileError(
+        RejectionReason.IMAGE_UNREADABLE, f"{frame}: the frame is damaged or missing: copy the video again"
+    )
+
+
+def _frames_in(path: Path, region: Region | None) -> frozenset[str]:
+    """Hashes of the frames of a video as it is now; none where it cannot be read."""
+    try:
+        found = path.stat()
+        return _hashes_of(_File(path, found.st_size, found.st_mtime_ns), region)
+    except (OSError, InputError):
+        return frozenset()
 
 
 def frames_between(path: Path, first_pts: int, last_pts: int) -> Iterator[tuple[int, Image]]:
@@ -109,6 +138,11 @@ class _File(NamedTuple):
     mtime_ns: int
 
 
+@lru_cache(maxsize=4)
+def _hashes_of(file: _File, region: Region | None) -> frozenset[str]:
+    return frozenset(frame_sha256(packet, region) for packet in index_video(file.path).sha256s)
+
+
 class _Decoded(NamedTuple):
     frame: VideoFrame
     packet_sha256: bytes
@@ -149,7 +183,7 @@ class _Decoder:
         The decoder fills damaged areas from the frames before, and all frames up to the next key frame build on that.
         """
         damaged = False
-        for packet in self._open().demux(self._stream):
+        for packet in packets_of(self._open()):
             pts = packet.pts if packet.pts is not None else packet.dts
             if pts is not None and packet.size:
                 self._packets[pts] = packet_sha256(packet, pts)
@@ -217,6 +251,8 @@ class _Decoders:
         self._idle: list[_Decoder] = []
         self._busy: list[_Decoder] = []
         self._kept: LRUCache[tuple[_File, int], _Decoded] = LRUCache(_KEPT_BYTES, getsizeof=_bytes_of)
+        self._lost: dict[_File, list[range]] = {}
+        """Time stamps of frames that cannot be decoded: to find out takes all frames up to the next key frame."""
 
     def read(self, frame: FrameRef) -> _Decoded:
         """A decoded frame. Raises ImageFileError."""
@@ -225,6 +261,8 @@ class _Decoders:
         except OSError as error:
             raise ImageFileError(RejectionReason.IMAGE_MISSING, f"{frame.path}: {error.strerror}") from error
         file = _File(frame.path, found.st_size, found.st_mtime_ns)
+        if any(frame.pts in part for part in self._lost.get(file, ())):
+            raise _not_decoded(frame)
         decoder = self._acquire(file, frame.pts)
         if isinstance(decoder, _Decoded):
             return decoder
@@ -239,6 +277,9 @@ class _Decoders:
         try:
             decoder.decode_until(frame.pts, keep)
             works = True
+            if not wanted:
+                reached = 2**63 if decoder.at is None or decoder.at < frame.pts else decoder.at
+                self._lost.setdefault(file, []).append(range(frame.pts, reached))
         except av.FFmpegError as error:
             raise ImageFileError(
                 RejectionReason.IMAGE_UNREADABLE, f"{frame}: cannot be decoded ({error.strerror}): copy the video again"
@@ -246,7 +287,7 @@ class _Decoders:
         finally:
             self._release(decoder, works=works)
         if not wanted:
-            raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{frame}: the frame is damaged or missing")
+            raise _not_decoded(frame)
         return wanted[-1]
 
     def _acquire(self, file: _File, pts: int) -> _Decoded | _Decoder:

@@ -237,6 +237,57 @@ def test_a_video_that_changed_is_noticed(tmp_path: Path) -> None:
         read_frame(FrameRef(path, other.pts[0]), other.sha256(0))
 
 
+@pytest.mark.parametrize("codec", ["libx264", "mjpeg"])
+def test_a_video_that_is_removed_or_cut_while_it_is_read_has_no_damaged_frames(codec: str, tmp_path: Path) -> None:
+    """They would be stored as the drive's, and remain lost when the file is there again."""
+    path = write_video(tmp_path / "a.mkv", shaken(40, 1), codec, {"q:v": "2"} if codec == "mjpeg" else None)
+    index = index_video(path)
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 3 // 4])
+    read_frame(FrameRef(path, index.pts[0]), index.sha256(0))
+    with pytest.raises(StorageError, match=r"changed while conetl read it.*again when nothing writes"):
+        read_frame(FrameRef(path, index.pts[39]), index.sha256(39))
+    path.unlink()
+    with pytest.raises(StorageError, match=r"changed while conetl read it.*No such file"):
+        read_frame(FrameRef(path, index.pts[0]), index.sha256(0))
+    path.write_bytes(data)
+    assert read_frame(FrameRef(path, index.pts[39]), index.sha256(39)).any()
+
+
+def test_frames_after_damage_in_an_avi_file_keep_their_times(tmp_path: Path) -> None:
+    """Its packets have no time stamps, and the library counts only those that it finds."""
+    path = write_video(tmp_path / "a.avi", shaken(40, 1), "mjpeg", {"q:v": "2"})
+    good, data = index_video(path), bytearray(path.read_bytes())
+    with av.open(str(path)) as container:
+        places = [(packet.pos, packet.size) for packet in container.demux(video=0) if packet.size]
+    data[places[15][0] - 8 : sum(places[17])] = bytes(sum(places[17]) - places[15][0] + 8)
+    bad = path.with_name("b.avi")
+    bad.write_bytes(data)
+    index = index_video(bad)
+    known = {pts: index.sha256(n) for n, pts in enumerate(index.pts)}
+    kept = [n for n, pts in enumerate(good.pts) if known.get(pts) == good.sha256(n)]
+    assert kept == [n for n in range(40) if n not in (15, 16, 17)]
+    for n in [39, 2, 20, *kept]:
+        seen = read_frame(FrameRef(bad, good.pts[n]), good.sha256(n))
+        assert np.array_equal(seen, read_frame(FrameRef(path, good.pts[n])))
+
+
+def test_a_damaged_first_key_frame_is_searched_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every search decodes the rest of the file."""
+    path = write_video(tmp_path / "a.mp4", shaken(60, 1), "libx264", {"crf": "20", "g": "100", "bf": "0"})
+    index, data = index_video(path), bytearray(path.read_bytes())
+    with av.open(str(path)) as container:
+        at, size = next((packet.pos, packet.size) for packet in container.demux(video=0) if packet.size)
+    data[at : at + size] = b"\xff" * size
+    path.write_bytes(data)
+    index, seek, sought = index_video(path), video_frames._Decoder.seek, []
+    monkeypatch.setattr(video_frames._Decoder, "seek", lambda self, pts: (sought.append(pts), seek(self, pts)))
+    for n in range(60):
+        with pytest.raises(ImageFileError, match="damaged or missing"):
+            read_frame(FrameRef(path, index.pts[n]), index.sha256(n))
+    assert sought == [index.pts[0]]
+
+
 def test_damage_costs_the_damaged_frames_only(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).integers(0, 255, (40, 64, 96, 3), dtype=np.uint8)
     path = write_video(tmp_path / "a.avi", list(noise), "mjpeg", {"q:v": "2"})
