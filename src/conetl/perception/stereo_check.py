@@ -84,11 +84,13 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     without detail pass. Raises DriveFolderError if the sides are wrong.
     """
     count = len(drive.frame_pairs)
-    chosen = np.unique(np.linspace(0, count - 1, _PAIRS).astype(int)).tolist()
+    tried = np.unique(np.linspace(0, count - 1, _PAIRS).astype(int)).tolist()
     features, points, offsets = _matching(drive)
     # Of a video in two files much is decoded for one frame: both at once.
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda side: [features(k, side) for k in chosen], SIDES))
+        list(pool.map(lambda side: [features(k, side) for k in tried], SIDES))
+    # An image that cannot be decoded fits none: the right image of another frame would always fit better.
+    chosen = [k for k in tried if all(features(k, side).thin.size for side in SIDES)]
     found = offsets(chosen, 0)
     near = found[np.abs(found[:, 1]) <= _MAX_ROWS_PX]
     wrong = int((near[:, 0] < -_SHRINK).sum())
@@ -103,6 +105,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     unclear = _unclear_squares({side: [features(k, side).octaves for k in chosen] for side in SIDES})
     drive = drive.model_copy(update={"unclear": unclear})
     checks = [
+        *_check_decoding([drive.frame_pairs[k].frame_index for k in tried if k not in chosen], len(tried)),
         _check_lenses({side: [features(k, side).detail for k in chosen] for side in SIDES}),
         _check_sharpness(unclear, drive),
         trigger,
@@ -176,6 +179,18 @@ def _matching(drive: Drive) -> _Matching:
         return np.concatenate([np.empty((0, 2)), *parts])
 
     return _Matching(features, points, offsets)
+
+
+def _check_decoding(lost: Sequence[int], tried: int) -> list[HealthCheck]:
+    """Whether the images can be decoded; empty if they can. lost: frame indices of pairs of which one cannot."""
+    detail = (
+        f"An image cannot be decoded in {len(lost)} of {tried} frame pairs that were tried, frame pairs "
+        f"{', '.join(map(str, lost))}: copy the recording again. Such frame pairs are not used."
+    )
+    check = HealthCheck(
+        name="images that can be decoded", verdict=Verdict.WARN, value=len(lost) / tried, limit=0.0, detail=detail
+    )
+    return [check] if lost else []
 
 
 def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck:

@@ -10,7 +10,7 @@ from conetl.model.drive import Drive
 from conetl.model.health import Verdict
 from conetl.perception.stereo_check import check_stereo
 from conetl.readers.drives import read_drive
-from tests.integration.small_drives import SAMPLES
+from tests.integration.small_drives import SAMPLES, spoil_huffman_table
 from tests.mutants.images import PairMutant, both, changed, copy_drive, only_right, smeared
 from tests.mutants.recordings import right_late
 
@@ -49,3 +49,16 @@ def test_a_camera_that_loses_a_frame_is_found_from_where_it_does(first: int) -> 
     trigger = next(check for check in checks if check.name == "trigger of both cameras")
     assert (trigger.verdict, trigger.value) == (Verdict.HOLD, 1.0)
     assert "1 frames earlier" in trigger.detail and "in frame pairs" in trigger.detail
+
+
+@pytest.mark.parametrize("lost", [(19, 28), (0, 9, 19, 28, 38)])
+def test_images_that_cannot_be_decoded_are_not_those_of_another_frame(lost: tuple[int, ...], tmp_path: Path) -> None:
+    """The right images beside them fit better than they do."""
+    copy = copy_drive(SAMPLES[0], tmp_path / "drive")
+    for frame in lost:
+        spoil_huffman_table(copy / "image_03" / "data" / f"{frame:010}.jpg")
+    checks = {check.name: check for check in check_stereo(read_drive(copy)[0])[1]}
+    assert checks["trigger of both cameras"].verdict is Verdict.PASS
+    found = checks["images that can be decoded"]
+    assert (found.verdict, found.value) == (Verdict.WARN, len(lost) / 5)
+    assert f"frame pairs {', '.join(map(str, lost))}: copy" in found.detail
