@@ -26,6 +26,7 @@ _NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
     ingest.read: ("read drive", "read {folder.value}"),
     odometry.follow_spans: ("follow points", "follow points {piece.value.frame_pairs[0].frame_index}"),
     odometry.self_calibrate: ("self-calibrate", None),
+    odometry.motions_across: ("follow points across lost pairs", None),
     odometry.refine: ("refine", None),
     detect.detect: ("detect", "detect {chunk.value.frame_pairs[0].frame_index} {part.value}"),
     detect.match: ("match", "match {chunk.value.frame_pairs[0].frame_index}"),

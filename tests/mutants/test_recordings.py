@@ -61,7 +61,7 @@ def test_a_recording_that_contradicts_itself_is_held(
 def test_images_that_cannot_be_decoded_cost_their_frame_pairs_not_the_drive(
     sample_settings: Settings, tmp_path: Path
 ) -> None:
-    """Their poses stay in the trajectory, at its ends, too."""
+    """Visual odometry measures the intervals across them."""
     drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-03-02", frames=range(39))
     for side, frame in (("02", 0), ("03", 20), ("02", 38)):
         spoil_huffman_table(drive / f"image_{side}" / "data" / f"{frame:010}.jpg")
@@ -69,6 +69,20 @@ def test_images_that_cannot_be_decoded_cost_their_frame_pairs_not_the_drive(
     assert len(analysed.drive.frame_pairs) == 36 and hold_reason(analysed.health) is None
     lost = [one for one in analysed.records.rejections if one.reason is RejectionReason.IMAGE_UNREADABLE]
     assert [one.record for one in lost] == ["frame pair 0", "frame pair 20", "frame pair 38"]
+    assert "35 of 35 intervals measured" in analysed.trajectory.detail
+    errors_m, chi2 = against_truth(analysed, SAMPLES[0])
+    assert len(errors_m) == 9 and errors_m.max() < 0.05 and chi2.max() < 18.4
+
+
+def test_a_drive_of_which_every_second_image_cannot_be_decoded_is_not_held(
+    sample_settings: Settings, tmp_path: Path
+) -> None:
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive", "2026-03-02", frames=range(39))
+    for frame in range(1, 39, 2):
+        spoil_huffman_table(drive / "image_02" / "data" / f"{frame:010}.jpg")
+    analysed = analyse(read_drive(drive)[0], settings=sample_settings)
+    assert hold_reason(analysed.health) is None
+    assert "19 of 19 intervals measured" in analysed.trajectory.detail
     errors_m, chi2 = against_truth(analysed, SAMPLES[0])
     assert len(errors_m) == 9 and errors_m.max() < 0.05 and chi2.max() < 18.4
 

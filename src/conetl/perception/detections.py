@@ -72,7 +72,7 @@ def to_detections(
 def drop_unread_pairs(
     drive: Drive, detections: Sequence[Detection], rejections: Iterable[Rejection]
 ) -> tuple[Drive, list[Detection]]:
-    """The drive and its detections without the frame pairs of which an image could not be decoded.
+    """The drive and its detections without the frame pairs of which an image could not be decoded, or is torn.
 
     The reader of a drive checks only headers and ends of images, so such a pair is part of the drive until its images are
     decoded. It must be dropped: a cone that is not detected in an unreadable image is not a cone that is gone. rejections: those

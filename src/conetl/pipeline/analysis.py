@@ -111,19 +111,21 @@ def analyse(
             chunks = chunks_of(drive, settings, params.model_copy(update={"trajectory": trajectory_params}))
         parts, matched, calibration, rig = _run_chunks(drive, chunks, extras, executor, count)
         motions, _ = load_results([part.motions for part in parts if part.motions is not None], RelativeMotion)
-        drive, torn, rejected_pairs = odometry.drop_torn_pairs(drive.model_copy(update={"rig": rig}), motions)
+        detections, rejected_detections = load_results([part.detections for part in parts], Detection)
+        drive, detections = drop_unread_pairs(drive.model_copy(update={"rig": rig}), detections, rejected_detections)
+        if extras.odometry and len(drive.frame_pairs) < pairs:
+            motions += executor.run(odometry.motions_across, drive, motions, params.trajectory)
+        torn, rejected_pairs = odometry.torn_pairs(drive, motions)
+        drive, detections = drop_unread_pairs(drive, detections, rejected_pairs)
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, matched, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
         positions, rejected_positions = executor.run(locate, drive, matched, params)
-        detections, rejected_detections = load_results([part.detections for part in parts], Detection)
-        rejected_detections = [*rejected_detections, *rejected_pairs]
-        drive, detections = drop_unread_pairs(drive, detections, rejected_detections)
         details, _ = load_results([detail_path(part.detections) for part in parts], ImageDetail)
         drive, without_detail = add_image_detail(drive, details)
         health += [torn] if extras.odometry else []
         health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
         matches, rejected_matches = load_matches(matched, drive.frame_pairs)
-        rejections = [*rejections, *rejected_detections, *without_detail, *rejected_matches]
+        rejections = [*rejections, *rejected_detections, *rejected_pairs, *without_detail, *rejected_matches]
         fused = partial(executor.run, fuse, drive, detections, params, card.evidence, trajectory)
         errors = pose_cov(trajectory, params.trajectory)
         tracks, rejected_tracks = fused(matches, positions)
@@ -144,8 +146,10 @@ def analyse(
     rejections = [*rejections, *rejected_positions, *rejected_tracks]
     records = DriveRecords(drive, detections, matches, positions, tracks, rejections, markings)
     health += check_calibration(calibration)
-    health += check_exposures(calibration.right_ahead, drive.rig, drive.frame_pairs)
-    health += _check_cones(records, params)
+    health += [
+        *check_exposures(calibration.right_ahead, drive.rig, drive.frame_pairs),
+        *_check_cones(records, params),
+    ]
     return AnalysedDrive(records, trajectory, calibration, params, tuple(health))
 
 

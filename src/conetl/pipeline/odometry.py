@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,14 @@ import numpy as np
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of, expected_motions, motions_of, shifts_between
+from conetl.geometry.motion.stereo_tracks import (
+    StereoTracks,
+    cameras_of,
+    expected_motions,
+    motions_between,
+    motions_of,
+    shifts_between,
+)
 from conetl.model.arrays import Image
 from conetl.model.drive import Drive, FramePair
 from conetl.model.health import HealthCheck
@@ -161,13 +169,20 @@ def refine(
     return result
 
 
-def drop_torn_pairs(drive: Drive, motions: Sequence[RelativeMotion]) -> tuple[Drive, HealthCheck, list[Rejection]]:
-    """The drive without frame pairs that have a torn image; a check whether there are too many; rejections of these pairs."""
-    torn = find_torn(drive, motions, grey_reader(drive.rig.rectified_from or drive.rig))
-    check, rejections = check_torn(torn, drive)
-    lost = {one.pair.frame_index for one in torn}
-    kept = tuple(pair for pair in drive.frame_pairs if pair.frame_index not in lost)
-    return drive.model_copy(update={"frame_pairs": kept}), check, rejections
+def motions_across(drive: Drive, motions: Sequence[RelativeMotion], params: TrajectoryParams) -> list[RelativeMotion]:
+    """Motions between neighbouring frame pairs that have none, because those between them could not be decoded."""
+    pairs, rig, found = drive.frame_pairs, drive.rig, []
+    read = grey_reader(rig)
+    for both, motion in zip(pairwise(pairs), motions_between(pairs, motions), strict=True):
+        if motion is None:
+            [across] = motions_of(follow_drive(both, rig, read, params), both, rig, params)
+            found.append(across.model_copy(update={"row_changes": ()}))  # those are compared from frame to frame
+    return found
+
+
+def torn_pairs(drive: Drive, motions: Sequence[RelativeMotion]) -> tuple[HealthCheck, list[Rejection]]:
+    """A check whether too many frame pairs have a torn image; rejections of these pairs."""
+    return check_torn(find_torn(drive, motions, grey_reader(drive.rig.rectified_from or drive.rig)), drive)
 
 
 def check_poses(
@@ -178,11 +193,7 @@ def check_poses(
 ) -> list[HealthCheck]:
     """Checks of the logged poses against the images. drive: with the detail of its images (`FramePair.detail`)."""
     details = {pair.frame_index: pair.detail for pair in drive.frame_pairs}
-    pairs = [
-        pair.model_copy(update={"detail": details[pair.frame_index]})
-        for pair in trajectory.logged
-        if pair.frame_index in details
-    ]
+    pairs = [pair.model_copy(update={"detail": details[pair.frame_index]}) for pair in trajectory.logged]
     checks = check_trajectory(pairs, drive.rig, motions, trajectory, _with_clock_sigma(drive, params))
     if motions and len(pairs) > 1:
         read = grey_reader(drive.rig)

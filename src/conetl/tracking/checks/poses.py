@@ -93,7 +93,7 @@ def check_trajectory(
         check_slow_jumps(frame_pairs, log, measured, good, residual),
         _clock(trajectory.clock, params),
         *([] if trajectory.scale is None else [_scale(*trajectory.scale, params.scale_sigma)]),
-        *([_drift(log, frame_pairs, trajectory)] if trajectory.outcome is RefinementOutcome.REFINED else []),
+        *([_drift(log, trajectory)] if trajectory.outcome is RefinementOutcome.REFINED else []),
         _alignment(log, measured, residual),
         *([] if is_interpolated(frame_pairs) else check_mount(log, measured, good, residual)),
         *_directions(frame_pairs, log, measured, residual),
@@ -313,14 +313,12 @@ def _scale(scale: float, sigma: float, prior: float) -> HealthCheck:
     )  # fmt: skip
 
 
-def _drift(log: LoggedPoses, frame_pairs: Sequence[FramePair], trajectory: RefinedTrajectory) -> HealthCheck:
+def _drift(log: LoggedPoses, trajectory: RefinedTrajectory) -> HealthCheck:
     """Whether the adjustment moves one part of the drive against another by more than the log's errors change in that time.
 
     Of a consistent log the difference of adjusted and logged positions varies less than the errors of the log.
     """
-    # The trajectory also has the pairs whose images could not be decoded.
-    adjusted = {pair.frame_index: pair for pair in trajectory.frame_pairs}
-    pairs = [adjusted[pair.frame_index] for pair in frame_pairs]
+    pairs = trajectory.frame_pairs
     places = np.array([pair.pose.map_t_body_m for pair in pairs])
     times_s = np.array([pair.captured_at_ns for pair in pairs], dtype=np.int64) * 1e-9
     moved, last = places - log.positions, len(places) - 1
