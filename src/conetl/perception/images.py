@@ -182,7 +182,7 @@ def check_image_bytes(
 def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> ImageHeader:
     """Like `check_image_bytes`, but reads only the ends of the file and misses damage in between. Raises ImageFileError."""
     data, file_bytes = b"", None
-    with _file_errors(path):
+    with _file_errors(path, name):
         if (
             not is_remote(path) and is_present(path)
             and (file_bytes := path.stat().st_size) > _HEAD_BYTES + _TAIL_BYTES
@@ -198,7 +198,7 @@ def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> I
             return check_image_bytes(data, name, expected_size, file_bytes)
         except ImageFileError:
             pass  # a long header, or really broken: the whole file shows which
-    return check_image_bytes(read_bytes(path), name, expected_size)
+    return check_image_bytes(read_bytes(path, name), name, expected_size)
 
 
 def read_image(path: Path, expected_size: tuple[int, int] | None = None, *, grey: bool = False) -> Image:
@@ -282,18 +282,21 @@ def read_upright_image(path: Path) -> Image:
     return np.clip(np.round(image), 0, 255).astype(np.uint8)
 
 
-def read_bytes(path: Path) -> bytes:
-    """All bytes of an image file, unchecked. Raises ImageFileError (missing or unreadable) or StorageError (temporary faults)."""
-    with _file_errors(path):
+def read_bytes(path: Path, name: str = "") -> bytes:
+    """All bytes of an image file, unchecked. Raises ImageFileError (missing or unreadable) or StorageError (temporary faults).
+
+    name: for ImageFileError; default: the file's.
+    """
+    name = name or path.name
+    with _file_errors(path, name):
         if is_remote(path):
             return object_bytes(path)
         if not is_present(path):
-            raise _missing(path.name)
+            raise _missing(path, name)
         size = path.stat().st_size
         if size > MAX_FILE_BYTES:
             raise ImageFileError(
-                RejectionReason.IMAGE_UNREADABLE,
-                f"{path.name}: {size} bytes are more than {MAX_FILE_BYTES} and not read",
+                RejectionReason.IMAGE_UNREADABLE, f"{name}: {size} bytes are more than {MAX_FILE_BYTES} and not read"
             )
         return path.read_bytes()
 
@@ -326,26 +329,26 @@ def _changed(path: Path, why: object) -> StorageError:
 
 
 @contextmanager
-def _file_errors(path: Path) -> Iterator[None]:
+def _file_errors(path: Path, name: str) -> Iterator[None]:
     """Turn errors of the system into ImageFileError (the image) or StorageError (the storage)."""
     try:
         yield
     except FileNotFoundError as error:  # an object; or a file that vanished this moment
-        raise _missing(str(path)) from error
+        raise _missing(path, name) from error
     except OSError as error:
         reason = error.strerror or error
         if isinstance(error, PermissionError) and _denied_by_mode(path):
-            raise ImageFileError(
-                RejectionReason.IMAGE_UNREADABLE, f"{path.name}: {reason}; make it readable"
-            ) from error
+            raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, f"{name}: {reason}; make it readable") from error
         raise StorageError(
             f"{path}: this image cannot be read from the storage ({reason}). Check the disk, the network file system and "
             "its tickets, and run the same command again. Nothing was written."
         ) from error
 
 
-def _missing(name: str) -> ImageFileError:
-    return ImageFileError(RejectionReason.IMAGE_MISSING, f"{name}: there is no such file")
+def _missing(path: Path, name: str) -> ImageFileError:
+    other = not is_remote(path) and os.path.lexists(path)
+    found = "this is a folder, a pipe or a broken link, not a file" if other else "there is no such file"
+    return ImageFileError(RejectionReason.IMAGE_MISSING, f"{name}: {found}")
 
 
 def _denied_by_mode(path: Path) -> bool:

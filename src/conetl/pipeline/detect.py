@@ -192,7 +192,7 @@ def _detect(
             step="detections",
             reason=error.reason,
             record=f"frame pair {pair.frame_index}",
-            detail=str(error),
+            detail=f"{side} image {error}",
             payload={"frame_index": pair.frame_index, "side": side, "path": pair.image(side)[0]},
         )
         return None, [], [unread]

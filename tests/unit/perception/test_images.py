@@ -237,7 +237,10 @@ def test_no_file_and_a_folder_are_properties_of_the_image(tmp_path: Path) -> Non
     (tmp_path / "folder.jpg").mkdir()
     (tmp_path / "loop.jpg").symlink_to(tmp_path / "loop.jpg")
     written(tmp_path, JPEG)
-    for name in ("missing.jpg", "folder.jpg", "loop.jpg", "0000000001.jpg/below.jpg"):
-        with pytest.raises(ImageFileError, match="there is no such file") as raised:
+    missing, other = "there is no such file", "this is a folder, a pipe or a broken link, not a file"
+    for name, found in {
+        "missing.jpg": missing, "0000000001.jpg/below.jpg": missing, "folder.jpg": other, "loop.jpg": other,
+    }.items():  # fmt: skip
+        with pytest.raises(ImageFileError, match=f"{Path(name).name}: {found}") as raised:
             read_image(tmp_path / name)
         assert raised.value.reason is RejectionReason.IMAGE_MISSING

@@ -298,6 +298,16 @@ def test_a_damaged_message_costs_itself(topic: str, lost: list[R], tmp_path: Pat
     assert (len(drive.frame_pairs), drive.expected_frame_count) == (10 - len(lost), 10)
 
 
+def test_an_unpacked_image_that_was_damaged_is_unpacked_again(tmp_path: Path) -> None:
+    """As a power failure leaves it: of the right size, without content."""
+    path = write_bag(tmp_path / "run", FRAMES, RIG)
+    pair = read(path)[0].frame_pairs[0]
+    unpacked = Path(pair.left_path)
+    unpacked.write_bytes(bytes(unpacked.stat().st_size))
+    assert read(path)[0].frame_pairs[0] == pair
+    assert unpacked.read_bytes() == FRAMES[0].left
+
+
 def costs_one(path: Path, number: int, reason: R, words: str) -> None:
     """Reading a drive of ten frame pairs rejects one of them."""
     drive, rejections = read(path)

@@ -344,7 +344,7 @@ def unpack(data: bytes, suffix: str, folder: Path) -> Path:
     path = (folder / digest[:2] / f"{digest}{suffix}").absolute()
     free_space = "; free space or set CONETL_HOME to a folder with more"
     with library_errors(f"{path}: an image of the bag cannot be unpacked there", OSError, hint=free_space):
-        if path.is_file() and path.stat().st_size == len(data):
+        if path.is_file() and path.read_bytes() == data:  # it may be damaged, for example by a power failure
             path.touch()  # in use: `old_images` checks its age
             return path
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -141,7 +141,7 @@ def check_images(
             if content.headers_only:
                 check_image_ends(paths[0], name, (camera.width_px, camera.height_px))
             else:
-                data = content.read_ahead.pop(paths[0], None) or read_bytes(paths[0])
+                data = content.read_ahead.pop(paths[0], None) or read_bytes(paths[0], name)
                 sha256 = content.add(name, data)
                 remember(paths[0], sha256, data)
                 check_image_bytes(data, name, (camera.width_px, camera.height_px))
