@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import pyarrow as pa
 import pyarrow.parquet as pq
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from conetl.files.atomic import temporary_path
 from conetl.files.storage import NO_FILE_SHA256, is_present, is_remote, object_bytes
@@ -83,11 +83,16 @@ def save_result(folder: Path, key: str, records: Sequence[R], rejections: Sequen
 
 
 def load_result(path: Path, record_type: type[R]) -> tuple[list[R], list[Rejection]]:
-    """Records and rejections of one chunk, validated again."""
-    table = read_table(path)
-    metadata = table.schema.metadata or {}
-    rejections = TypeAdapter(list[Rejection]).validate_json(metadata[_REJECTIONS])
-    return TypeAdapter(list[record_type]).validate_python(table.to_pylist()), rejections  # type: ignore[valid-type]
+    """Records and rejections of one chunk, validated again. Raises StorageError where they are not valid."""
+    try:
+        table = read_table(path)
+        rejections = TypeAdapter(list[Rejection]).validate_json((table.schema.metadata or {})[_REJECTIONS])
+        return TypeAdapter(list[record_type]).validate_python(table.to_pylist()), rejections  # type: ignore[valid-type]
+    except (pa.ArrowException, KeyError, ValidationError) as error:
+        raise StorageError(
+            f"{path}: this intermediate result is damaged, or of another version of conetl. Remove the folder {path.parent} "
+            "and run the same command again: results that are missing are computed again."
+        ) from error
 
 
 def load_results(paths: Iterable[Path], record_type: type[R]) -> tuple[list[R], list[Rejection]]:

@@ -6,10 +6,10 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from pydantic import ValidationError
 
 from conetl.files.parquet_store import file_sha256, has_result, load_result, load_results, result_key, save_result
 from conetl.model.drive import Detection, Position
+from conetl.model.errors import StorageError
 from conetl.model.rejections import Rejection, RejectionReason
 from tests import records
 
@@ -50,8 +50,11 @@ def test_chunks_are_read_in_order(tmp_path: Path) -> None:
 
 def test_a_file_of_other_records_is_refused(tmp_path: Path) -> None:
     path = save_result(tmp_path, result_key("x"), [detection(0)], [])
-    with pytest.raises(ValidationError):
+    with pytest.raises(StorageError, match=rf"{path.name}: .* damaged, or of another version.* Remove the folder"):
         load_result(path, Position)
+    path.write_bytes(path.read_bytes()[:100])  # since it was written
+    with pytest.raises(StorageError, match=path.name):
+        load_result(path, Detection)
 
 
 def test_keys_depend_on_every_part_and_their_order() -> None:
