@@ -113,7 +113,7 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         if left.video is not right.video:
             shift_s = _right_offset_s(left, right, images)
         ours, theirs = _at(left, start_ns), _at(right, start_ns + round(shift_s * 1e9))
-    couples = _chosen(pair_by_stamp(ours, theirs, settings.pair_tolerance_ns), images)
+    couples = _chosen(pair_by_stamp(ours, theirs, settings.pair_tolerance_ns), images, root)
     if not couples:
         raise InputError(
             f"{root}: no left image has a right one within {settings.pair_tolerance_ms:g} ms (pair_tolerance_ms in {DRIVE_YAML})"
@@ -315,14 +315,19 @@ def _right_offset_s(left: CameraImages, right: CameraImages, settings: Images) -
     return offset_s
 
 
-def _chosen(couples: Sequence[Couple], settings: Images) -> list[Couple]:
+def _chosen(couples: Sequence[Couple], settings: Images, root: Path) -> list[Couple]:
     """Couples of the wanted part, while both cameras recorded; every n-th."""
     both = [n for n, (left, right) in enumerate(couples) if left is not None and right is not None]
     if not both:
         return []
     inside = couples[both[0] : both[-1] + 1]
     if alone := len(couples) - len(inside):
-        _log.warning("%d frames at the beginning or end have none of the other camera, and are not used", alone)
+        _log.warning(
+            "%s: %d frames at the beginning or end have none of the other camera, and are not used. If both cameras recorded "
+            "all the time, a file was cut off: copy it again",
+            root,
+            alone,
+        )
     first_ns = min((t for couple in inside if (t := time_of(couple)) is not None), default=0)
     from_ns = first_ns + round(settings.from_s * 1e9)
     to_ns = 2**63 if settings.to_s is None else first_ns + round(settings.to_s * 1e9)
