@@ -66,6 +66,10 @@ def is_remote(path: Path) -> bool:
     return not isinstance(path, Path)
 
 
+#: What is wrong with a path that exists, but is not `is_present`. Reading a pipe would wait for its other end.
+NOT_A_FILE = "this is a folder, a pipe or a broken link, not a file"
+
+
 def is_present(path: Path) -> bool:
     """Whether a file exists on this machine. Raises OSError where the storage fails (`Path.is_file` returns False)."""
     try:

@@ -21,7 +21,7 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from conetl.files.storage import is_present, is_remote, object_bytes, recall, remember
+from conetl.files.storage import NOT_A_FILE, is_present, is_remote, object_bytes, recall, remember
 from conetl.model.arrays import Image
 from conetl.model.errors import StorageError
 from conetl.model.rejections import RejectionReason
@@ -347,7 +347,7 @@ def _file_errors(path: Path, name: str) -> Iterator[None]:
 
 def _missing(path: Path, name: str) -> ImageFileError:
     other = not is_remote(path) and os.path.lexists(path)
-    found = "this is a folder, a pipe or a broken link, not a file" if other else "there is no such file"
+    found = NOT_A_FILE if other else "there is no such file"
     return ImageFileError(RejectionReason.IMAGE_MISSING, f"{name}: {found}")
 
 

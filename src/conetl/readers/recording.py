@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+from conetl.files.storage import is_present
 from conetl.model.drive import FramePair, Pose
 from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
@@ -257,10 +258,10 @@ class ArrivingKitti(_Arriving):
 
     def _record_of(self, name: str) -> OxtsRecord | None:
         """An OXTS record; None until it is complete."""
-        try:
-            text = (self.root / name).read_text(encoding="utf-8", errors="replace")
-        except FileNotFoundError:
+        path = self.root / name
+        if not is_present(path):
             return None
+        text = path.read_text(encoding="utf-8", errors="replace")
         if len(text.split()) < FIELD_COUNT:
             return None
         try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +20,7 @@ from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import RejectionReason
 from conetl.readers.drives import oxts, read_drive
 from conetl.readers.drives.drive_yaml import Sigmas
+from conetl.readers.drives.header import read_header
 from conetl.readers.trajectories.oxts import OxtsRecord
 from conetl.readers.trajectories.times import misplaced, parse_timestamp
 from tests.prepared import prepared
@@ -174,6 +176,16 @@ def change_line(drive: Path, number: int, text: str, camera: str = "image_02") -
     path.write_text("\n".join(lines) + "\n")
 
 
+@prepared
+def replaced(drive: Path, name: str, make: Callable[[Path], object]) -> None:
+    (drive / name).unlink()
+    make(drive / name)
+
+
+def link_to_nothing(path: Path) -> None:
+    path.symlink_to("/nowhere")
+
+
 R = RejectionReason
 LOSSES: dict[str, tuple[Callable[[Path], object], int, RejectionReason, str]] = {
     "empty file": (lambda d: (d / "image_03/data/0000000001.jpg").write_bytes(b""), 1, R.IMAGE_UNREADABLE, "empty"),
@@ -196,6 +208,11 @@ LOSSES: dict[str, tuple[Callable[[Path], object], int, RejectionReason, str]] = 
     "short OXTS": (
         lambda d: (d / "oxts/data/0000000003.txt").write_text("49.0 8.4"), 3, R.POSE_INVALID, "expected 30 numbers, found 2",
     ),
+    "broken link to an image": (replaced("image_03/data/0000000000.jpg", link_to_nothing), 0, R.IMAGE_MISSING, "a broken link"),
+    "pipe for an image": (replaced("image_02/data/0000000000.jpg", os.mkfifo), 0, R.IMAGE_MISSING, "image_02/data/"),
+    "broken link to OXTS": (replaced("oxts/data/0000000003.txt", link_to_nothing), 3, R.POSE_INVALID, "a broken link"),
+    "folder for OXTS": (replaced("oxts/data/0000000003.txt", Path.mkdir), 3, R.POSE_INVALID, "a folder"),
+    "pipe for OXTS": (replaced("oxts/data/0000000003.txt", os.mkfifo), 3, R.POSE_INVALID, "a pipe"),
     "time stamp garbled": (change_line(3, "2026-03-01"), 3, R.TIMESTAMP_INVALID, "line 4"),
     "time stamp twice": (change_line(5, stamp(1.4)), 5, R.TIMESTAMP_INVALID, "100.000 ms apart"),
     "time stamps end early": (
@@ -216,6 +233,7 @@ def test_a_broken_pair_costs_that_pair_only(drive: Path, name: str) -> None:
     damage, lost, reason, words = LOSSES[name]
     damage(drive)
     result, rejections = read_drive(drive)
+    assert read_header(drive).problem is None
     kept = [i for i in range(FRAMES) if i != lost]
     if name == "time stamp twice":  # either of the two may go
         assert len(rejections) == 1

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +31,13 @@ def test_scans_are_found_by_number_and_read_as_written(tmp_path: Path) -> None:
     scans = list_scans(tmp_path)
     assert list(scans) == [7, 12]
     assert read_scan(scans[7]) == pytest.approx(points.astype(np.float32))
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir])
+def test_what_is_no_file_is_left_out(make: Callable[[Path], object], tmp_path: Path) -> None:
+    make(tmp_path / "1.bin")
+    with pytest.raises(ScanFileError, match=r"1.bin: this is a folder, a pipe or a broken link.*left out"):
+        read_scan(tmp_path / "1.bin")
 
 
 def test_a_drive_without_lidar_has_no_scans(tmp_path: Path) -> None:

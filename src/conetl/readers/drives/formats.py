@@ -78,7 +78,7 @@ class HeaderFacts:
             if not data.is_dir():
                 raise InputError(f"{folder}: the folder {side} is missing")
             names = names_in(data, IMAGE_SUFFIXES)
-            sizes = [f"{name} {(data / name).stat().st_size}" for name in samples_of(names)]
+            sizes = [f"{name} {_size_of(data / name)}" for name in samples_of(names)]
             self.content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
             stems |= {name.rsplit(".", 1)[0] for name in names}
         self.frame_pairs = len(stems)
@@ -109,6 +109,14 @@ class HeaderFacts:
 def names_in(data: Path, suffixes: Collection[str]) -> list[str]:
     """Sorted names of the files with one of these suffixes, without hidden ones."""
     return sorted(p.name for p in data.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith("."))
+
+
+def _size_of(path: Path) -> int | None:
+    """Bytes of a file; None of a broken link: only its frame pair is lost."""
+    try:
+        return path.stat().st_size
+    except FileNotFoundError:
+        return None
 
 
 def image_files(data: Path) -> list[Path]:

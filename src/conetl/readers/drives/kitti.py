@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from conetl.files.documents import input_errors
-from conetl.files.storage import fetch, is_remote, object_bytes
+from conetl.files.storage import NOT_A_FILE, fetch, is_present, is_remote, object_bytes
 from conetl.model.drive import MAX_FRAME_INDEX, Drive
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
@@ -262,6 +262,9 @@ def _read_oxts(source: Source) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
     records: dict[int, OxtsRecord] = {}
     bad: dict[int, str] = {}
     for number, paths in files.items():
+        if not (is_remote(paths[0]) or is_present(paths[0])):
+            bad[number] = NOT_A_FILE
+            continue
         raw = object_bytes(paths[0]) if is_remote(paths[0]) else paths[0].read_bytes()
         source.content.add(f"oxts/data/{paths[0].name}", raw)
         try:

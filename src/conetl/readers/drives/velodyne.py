@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.files.storage import NOT_A_FILE, is_present
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
@@ -44,6 +45,8 @@ def read_scan(path: Path) -> NDArray[np.float32]:
     Points with invalid numbers or at the scanner itself (no echo) are left out.
     """
     try:
+        if path.exists() and not is_present(path):
+            raise ScanFileError(f"{path}: {NOT_A_FILE}; this scan is left out")
         content = path.read_bytes()
     except OSError as error:
         raise ScanFileError(f"{path}: cannot be read ({error.strerror}); this scan is left out") from error
