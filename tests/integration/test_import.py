@@ -507,6 +507,7 @@ BAD = {
     "no category": (OTHER, SEEN | {"category": ""}, r"row 2: category is ''"),
     "a blank category": (OTHER, SEEN | {"category": " "}, r"row 2: category is ' '"),
     "a long category": (OTHER, SEEN | {"category": "c" * 65}, r"row 2: category is 'c+', expected at most 64"),
+    "a line class": (OTHER, SEEN | {"category": "Lane Marking"}, r"row 2: category is 'Lane Marking', .*lines cannot"),
     "no uuid": (OTHER, SEEN | {"feature_id": "cone 7"}, "row 1: feature_id is None|row 2: feature_id is 'cone 7'"),
 }
 
@@ -564,6 +565,35 @@ def test_categories_are_words_of_any_script(tmp_path, category):
     path = geojson(tmp_path / "good.geojson", [(GOOD[0], SEEN | {"category": category})])
     [statement] = read(path).statements
     assert statement.feature.category == (category or "traffic_cone")
+
+
+@pytest.mark.parametrize("category", ["Traffic Cone", "TRAFFIC_CONE", "traffic-cone", " Traffic  cone "])
+def test_a_known_class_may_be_spelled_otherwise(tmp_path, category):
+    path = geojson(tmp_path / "good.geojson", [(GOOD[0], SEEN | {"category": category})])
+    assert read(path).statements[0].feature.category == "traffic_cone"
+
+
+def test_swapped_eastings_and_northings_are_named(tmp_path):
+    path = tmp_path / "swapped.csv"
+    path.write_text("easting_m,northing_m,ellipsoidal_height_m\n5428000.12,458000.12,115.01\n")
+    complaint(path, "row 1: .*EPSG:32632 .*: easting and northing are swapped; nothing", **IN_UTM)
+
+
+@pytest.mark.parametrize(("apart_m", "category", "refused"), [
+    (0.05, "traffic_cone", True), (0.2, "Traffic Cone", True), (0.3, "traffic_cone", False), (0.05, "traffic_sign", False),
+])  # fmt: skip
+def test_a_file_with_every_cone_twice_is_refused_unless_it_is_accepted(conn, tmp_path, apart_m, category, refused):
+    places = [458000.01 + 6.13 * k + aside_m for aside_m in (0.0, apart_m) for k in range(4)]
+    path = tmp_path / "two_surveys.csv"
+    rows = [f"{east_m:.3f},5428000.123,115.012,{category}" for east_m in places]
+    path.write_text("\n".join(["easting_m,northing_m,ellipsoidal_height_m,category", *rows]))
+    if refused:
+        with pytest.raises(
+            InputError, match=r"8 of 8 cones are less than 0\.25 m from another.*--accept.*nothing was written"
+        ):
+            take(conn, path, **IN_UTM)
+        assert nothing_written(conn)
+    assert take(conn, path, accept=refused, **IN_UTM).counts[DeltaKind.ADDED] == 8
 
 
 def test_ids_that_come_twice_are_named_and_nothing_is_written(conn, tmp_path):

@@ -145,7 +145,7 @@ def import_(
         bool, typer.Option("--new-ids", help="Create new ids instead of using those of the file.")
     ] = False,
     accept: Annotated[
-        bool, typer.Option("--accept", help="Import even if positions or heights contradict those of the map.")
+        bool, typer.Option("--accept", help="Import a file that contradicts the map, or holds cones twice.")
     ] = False,
     map_name: MapOption = None,
     as_json: JsonOption = False,

@@ -33,6 +33,7 @@ from conetl.mapping.displacement import check_same_cones
 from conetl.mapping.history import DriveEvidence, founding_key
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import FEATURE_CLASSES, known_classes, noun_of
 from conetl.model.map_records import Changeset, DeltaKind, ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams, params_sha256
 from conetl.pipeline.replay import replay_of
@@ -43,6 +44,8 @@ _NAMESPACE = UUID("9d5b6a0c-3d0f-4b0e-8e4f-0a6f2c9b7d13")
 _NO_MODEL = ""
 #: Formats round coordinates to a tenth of a millimetre, times to a microsecond.
 _SAME_PLACE_M, _SAME_TIME_NS = 0.001, 1_000_000
+#: Objects of one class that stand on the road are wider than this, so their feet are farther apart.
+_TWICE_M = 0.25
 
 
 class ImportResult(NamedTuple):
@@ -69,7 +72,7 @@ def import_map(
     """Compare an imported map with this one, as the drives recorded before it left it, and commit all changes, or none.
 
     The same file with other parameters replaces its first import. accept: import it even if its positions or heights contradict
-    those of the map. Raises InputError for ids that are taken, and for such positions and heights.
+    those of the map, or most of its objects are there twice. Raises InputError for ids that are taken, and for such files.
     """
     started_at = datetime.now(UTC)
     with map_transaction(conn, map_name):
@@ -99,6 +102,7 @@ def import_map(
         imported = _with_ids_of_map(imported, info.id_name)
         _refuse_taken_ids(conn, imported, params, map_name)
         if not accept:
+            _refuse_doubled(imported)
             _refuse_other_crs(conn, imported, info)
             _refuse_displaced(conn, imported, params, map_name)
         far = int(store.far_from_all(conn, info, _positions_m(imported.statements), FAR_M).sum())
@@ -231,6 +235,24 @@ def _refuse_taken_ids(conn: Connection, imported: ImportedMap, params: ImportPar
                 raise InputError(
                     f"{where} stands {away} away on this map, farther than a cone is moved: {remedy}; nothing was written"
                 )
+
+
+def _refuse_doubled(imported: ImportedMap) -> None:
+    """Refuse a file with most objects of a class twice, such as two surveys in one file: the second would add its own cones."""
+    classes = [statement.feature.category for statement in imported.statements]
+    for category in known_classes(classes):
+        if not FEATURE_CLASSES[category].on_road:
+            continue  # several signs may hang on one post
+        of_class = [one for one, name in zip(imported.statements, classes, strict=True) if name == category]
+        xy_m = _positions_m(of_class)[:, :2]
+        distances_m, _ = cKDTree(xy_m).query(xy_m, k=2)
+        twice = int((np.asarray(distances_m)[:, 1] < _TWICE_M).sum())
+        if 2 * twice > len(of_class):
+            raise InputError(
+                f"{imported.source_path}: {twice} of {len(of_class)} {noun_of(category)}s are less than {_TWICE_M} m from "
+                "another one of the file: if it holds two surveys, import each from a file of its own, or remove the duplicates; "
+                "--accept imports them as they are; nothing was written"
+            )
 
 
 def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) -> None:

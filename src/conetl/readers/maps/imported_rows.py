@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
 import unicodedata
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
@@ -21,6 +22,7 @@ from conetl.geometry.geodesy import check_map_srid, to_ellipsoidal, utm_srid
 from conetl.model.arrays import Floats
 from conetl.model.base import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3, ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
+from conetl.model.feature_classes import FEATURE_CLASSES, LINE_CLASSES
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.readers.base_layers.georeferencing import in_area, parse_crs
@@ -39,7 +41,15 @@ _EARLIEST_NS = 946_684_800_000_000_000
 
 
 def _checked_category(text: str) -> str:
-    """Other first characters could be formulas for programs that open a map's CSV."""
+    """The class of that name in any spelling (`Traffic Cone`), otherwise the text itself.
+
+    Other first characters could be formulas for programs that open a map's CSV.
+    """
+    spelled = re.sub("[ -]+", "_", text.strip().lower())
+    if spelled in LINE_CLASSES:
+        raise ValueError("expected a class of point objects: lines cannot be imported")
+    if spelled in FEATURE_CLASSES:
+        return spelled
     # Many scripts write vowels as marks beside letters.
     letters = all(c.isalnum() or c in " _.-" or unicodedata.category(c).startswith("M") for c in text)
     if not (text[:1].isalnum() and len(text) <= 64 and letters):
@@ -318,8 +328,9 @@ def _positions(table: MapTable, crs: CRS, srid: int, params: ImportParams) -> Fl
     lon_lat = _to_wgs84(crs, xyz)
 
     def outside(index: int) -> str:
-        swapped = crs.is_geographic and in_area(target, lon_lat[[index], ::-1], _MARGIN_DEG)[0]
-        hint = "longitude and latitude are swapped" if swapped else "is --crs the CRS of the file's coordinates?"
+        axes = "longitude and latitude" if crs.is_geographic else "easting and northing"
+        swapped = in_area(target, _to_wgs84(crs, xyz[[index]][:, [1, 0, 2]]), _MARGIN_DEG)[0]
+        hint = f"{axes} are swapped" if swapped else "is --crs the CRS of the file's coordinates?"
         name = f"EPSG:{srid} ({target.name})"
         return f"{_text(xyz[index, :2])} is outside the area of use of the map's CRS {name}: {hint}"
 
