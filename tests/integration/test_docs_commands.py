@@ -13,6 +13,7 @@ from contextlib import closing
 
 import cv2
 import pytest
+from pyproj import Transformer
 from typer.main import get_command
 
 from conetl.cli import main
@@ -28,6 +29,7 @@ from conetl.readers.rigs import write_rig_yaml
 from tests.command import ROOT
 from tests.integration.drives_of_days import merge, survey
 from tests.integration.small_drives import SAMPLES, cut_drive
+from tests.synthetic.world import ORIGIN_M
 
 PAGES = (
     "README.md",
@@ -123,6 +125,9 @@ def folder(tmp_path_factory, module_database_url):
         )
     with (root / "cones.csv").open("w", newline="") as file:
         csv.writer(file).writerows([("easting_m", "northing_m"), *((f.xyz_m[0] + 40, f.xyz_m[1]) for f in features)])
+    to_degrees = Transformer.from_crs(32632, 4326, always_xy=True)
+    line = [to_degrees.transform(ORIGIN_M[0] + along_m, ORIGIN_M[1] + 2.0) for along_m in (-100.0, 200.0)]
+    (root / "lanes.geojson").write_text(json.dumps({"type": "LineString", "coordinates": line}))
     return root, module_database_url, str(features[0].feature_id)
 
 
@@ -170,6 +175,8 @@ def filled_in(words, root, feature):
             words[3] = str(next((root / ".conetl" / "dumps").glob("nights-*.zip")))
         case ["report", "drive", *_]:
             words[3] = "2"
+        case ["map", "check-layout", "--lanes", *_]:  # those of the sample drives are elsewhere
+            words[4] = str(root / "lanes.geojson")
         case ["base", "drop", _]:
             words[3] = "street"
     return words

@@ -47,6 +47,8 @@ def layout_of(
     known = bool(passes)
     if known and _direction(line, cones_m, zone.cones, passes, params) < 0:
         line = line[::-1]
+    if source == "drives" and not _are_of_road(lanes, line, cones_m, params):
+        lanes = ()
     reference = _lane_axis(line, cones_m, lanes) if lanes else None
     if reference is not None:
         line, source = reference, "lanes"
@@ -163,6 +165,12 @@ def _traffic_sign(line: Floats, passes: Sequence[DrivePath], s: Floats, o: Float
         order = np.argsort(pass_s)
         sides += list(np.interp(s[list(row)], pass_s[order], pass_o[order]) - o[list(row)])
     return float(np.sign(np.median(sides)))
+
+
+def _are_of_road(lanes: Sequence[LaneLine], driven: Floats, cones_m: Floats, params: WorkZoneParams) -> bool:
+    """Whether a vehicle on the path was in a lane of these lines: in their reach, and within a lane's width of one of them."""
+    bands = _bands(driven, np.sort(project(driven, cones_m)[0]), lanes) if lanes else None
+    return bands is not None and float(np.nanmin(np.abs(bands.offsets_m))) <= params.lane_width_m[1]
 
 
 def _lane_axis(line: Floats, cones_m: Floats, lanes: Sequence[LaneLine]) -> Floats | None:

@@ -180,3 +180,7 @@ def test_a_shoulder_taper_is_not_asked_to_be_a_merging_one():
     found = describe(zone, layout, PARAMS)
     assert (found.impact, found.closed_lane_count, found.closed_side) == ("all-lanes-open", 0, "right")
     assert LANE_M == 3.5
+    beside = describe(
+        zone, layout_of(zone, path, [LaneLine(line.xy_m + np.array([0.0, 8.0])) for line in lanes], PARAMS), PARAMS
+    )
+    assert (beside.impact, beside.layout.axis_source) == ("unknown", "drives"), "the vehicle was not on this road"

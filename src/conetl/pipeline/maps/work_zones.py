@@ -14,6 +14,7 @@ from conetl.db.connection import Connection
 from conetl.db.map.map_store import read_paths, read_versions, require_map
 from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed, read_feed_info
 from conetl.model.base import ns_from_utc, utc_from_ns
+from conetl.model.errors import InputError
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.params import WorkZoneParams
@@ -71,7 +72,10 @@ def export_wzdx(
 def read_zones(
     conn: Connection, *, map_name: str, as_of: datetime | None, lanes: Path | None, params: WorkZoneParams
 ) -> MapZones:
-    """Current and ended work zones of a map until a time (None: now). Raises InputError if the map does not exist."""
+    """Current and ended work zones of a map until a time (None: now).
+
+    Raises InputError if the map does not exist, and for a file of lanes that belong to no work zone.
+    """
     info = require_map(conn, map_name)
     every = read_versions(conn, map_name=map_name, until=as_of)
     versions = [v for v in every if v.feature.category in _IN_ROWS]
@@ -83,6 +87,11 @@ def read_zones(
         describe(history, layout_of(history, paths, some, params), params)
         for history, some in zip(histories, lines, strict=True)
     ]
+    if lanes is not None and zones and all(zone.layout.bands is None for zone in zones):
+        raise InputError(
+            f"{lanes}: none of its lines is beside a work zone of the map {map_name} and the drives that passed it: is the file "
+            "of another road or in another CRS than stated, or are longitude and latitude swapped?; nothing was written"
+        )
     return MapZones(info.srid, zones, _standing(versions, at_ns), paths, source)
 
 
