@@ -99,9 +99,12 @@ def links_of(body):
 
 def test_every_link_leads_somewhere(client, features):
     values = {"collectionId": "default.features", "tileMatrixSetId": "WebMercatorQuad", "z": "0", "x": "0", "y": "0"}
-    waiting, seen = [f"{OWN}{OGC}/", f"{OWN}{FEATURES}/items?limit=2", f"{OWN}{CHANGES}/items?at=2026-03-01"], set()
+    waiting, seen = (
+        [f"{OWN}{OGC}/", f"{OWN}{FEATURES}/items?limit=2", f"{OWN}{CHANGES}/items?at=2026-03-01T00:00Z"],
+        set(),
+    )
     waiting += [
-        f"{OWN}{FEATURES}/tiles/WebMercatorQuad/{name}" for name in ("tilejson.json?at=2026-03-01", "style.json")
+        f"{OWN}{FEATURES}/tiles/WebMercatorQuad/{name}" for name in ("tilejson.json?at=2026-03-01T00:00Z", "style.json")
     ]
     while waiting:
         link = re.sub(r"\{(\w+)\}", lambda found: values[found[1]], waiting.pop())
@@ -426,7 +429,9 @@ def test_vector_tiles(client, features):
         answer = client.get(f"{FEATURES}/tiles/WebMercatorQuad/{tile.z}/{tile.x}/{tile.y}")
         assert answer.headers["content-type"] == "application/vnd.mapbox-vector-tile"
         assert page["features"][0]["id"].encode() in answer.content
-        past = client.get(f"{FEATURES}/tiles/WebMercatorQuad/{tile.z}/{tile.x}/{tile.y}", params={"at": "2026-02-01"})
+        past = client.get(
+            f"{FEATURES}/tiles/WebMercatorQuad/{tile.z}/{tile.x}/{tile.y}", params={"at": "2026-02-01T00:00Z"}
+        )
         assert (past.status_code, past.content) == (200, b"")
     for place in ("25/0/0", "-1/0/0", "2/4/0", "2/0/-1"):
         get(client, f"{FEATURES}/tiles/WebMercatorQuad/{place}", 404)
@@ -500,6 +505,7 @@ def test_invalid_parameters_are_refused(client, query):
         ("version=1_0", "version='1_0' should be a whole number"),
         ("valid_from=1772352000", "valid_from='1772352000' should be an instant"),
         ("at=2026", "at: '2026' is not an instant such as 2026-03-02T12:00:00Z"),
+        ("at=2026-03-02", "at: '2026-03-02' is not an instant such as 2026-03-02T12:00:00Z"),
         ("datetime=2026/2027", "'2026' is not an instant such as 2026-03-02T12:00:00Z"),
         ("valid_from=yesterday", "valid_from='yesterday' should be an instant"),
         ("properties=category,nope", "There is no property 'nope'; there are: feature_id, version"),

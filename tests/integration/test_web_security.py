@@ -174,6 +174,13 @@ def test_nothing_can_be_written(server):
             assert "access-control-allow-methods" not in headers
 
 
+def test_head_answers_as_get_without_a_body(server):
+    for path, wanted in ((ITEMS, 200), (f"{ITEMS}?nope=1", 400)):
+        status, headers, body = ask(server, path, "HEAD")
+        assert (status, body) == (wanted, ask(server, path)[2][:0])
+        assert headers["content-type"] == ask(server, path)[1]["content-type"]
+
+
 def test_extreme_requests(server):
     for path in (f"{MAP}/features?valid_at=", f"{ITEMS}?ids=", f"{ITEMS}?bbox="):
         assert ask(server, path + "1," * MAX_URL_BYTES)[0] in (400, 414)

@@ -61,7 +61,9 @@ def write_geoparquet(sources: Sequence[ExportSource], path: Path) -> None:
 
 
 def write_geopackage(sources: Sequence[ExportSource], path: Path) -> None:
-    """Write a GeoPackage (OGC 12-128r19). See `_write_by_gdal`."""
+    """Write a GeoPackage (OGC 12-128r19), dated by the last commit, so that equal maps give equal files. See `_write_by_gdal`."""
+    committed_at = sources[0].info.last_committed_at
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": committed_at and f"{committed_at:%Y-%m-%dT%H:%M:%SZ}"})
     for source in sources:
         _write_by_gdal(source, path, "GPKG")
 

@@ -41,8 +41,9 @@ def _utc(time: datetime) -> datetime:
 
 
 def dated(text: str | None) -> str | None:
-    """The text of an instant, which begins with a date: pydantic would read a number, also a year, as seconds since 1970."""
-    if text is not None and not re.match(r"\d{4}-\d\d-\d\d", text, re.ASCII):
+    """The text of an instant, with date and time: pydantic would read a number, also a year, as seconds since 1970, and a date as
+    its first instant, where commands mean its last."""
+    if text is not None and not re.match(r"\d{4}-\d\d-\d\d[Tt ]\d", text, re.ASCII):
         raise PydanticCustomError(
             "instant", "{text} is not an instant such as 2026-03-02T12:00:00Z", {"text": repr(text)}
         )

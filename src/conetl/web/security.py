@@ -66,6 +66,8 @@ class Guard:
             await send(message)
 
         if scope["type"] == "http":
+            if scope["method"] == "HEAD" and scope["path"].startswith("/ogc/"):
+                scope = {**scope, "method": "GET"}  # the server leaves out the body
             await (_refusal(scope) or self._login(scope) or self._app)(scope, receive, send_with_headers)
         else:
             await self._app(scope, receive, send)
