@@ -69,6 +69,7 @@ def view_refuses_strangers(view: str, token: str) -> None:
         cookie = login.headers["set-cookie"].lower()
         assert "httponly" in cookie and "samesite=lax" in cookie
         assert client.get("/api/maps").status_code == 200  # by the cookie
+        assert client.get("/", params={"token": token}).headers["location"] == f"{view}/"  # no link contains the token
 
 
 def nobody_reads(home: Path) -> None:

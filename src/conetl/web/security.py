@@ -77,12 +77,13 @@ class Guard:
         request = Request(scope)
         # Cookies of one name are shared by all ports of a host.
         cookie = f"conetl_view_{(scope.get('server') or ('', 0))[1]}"
-        if not self._tokens or self._is_known(request.cookies.get(cookie, "")) or self._is_known(_credential(request)):
-            return None
+        # Also of those who are logged in: links that they send must not contain the token.
         if self._is_known(given := request.query_params.get("token", "")):
             answer = RedirectResponse(request.url.remove_query_params("token"), status_code=303)
             answer.set_cookie(cookie, given, max_age=_LOGIN_S, httponly=True, samesite="lax")
             return answer
+        if not self._tokens or self._is_known(request.cookies.get(cookie, "")) or self._is_known(_credential(request)):
+            return None
         return JSONResponse(
             {"detail": _LOG_IN}, status_code=401, headers={"WWW-Authenticate": f'Basic realm="{_REALM}"'}
         )
