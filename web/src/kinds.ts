@@ -37,10 +37,10 @@ export const STYLES: Record<Kind, { colour: string; dark: string; shape: number;
   merged: { colour: "#1f2933", dark: "#e6ebf0", shape: 7, label: "merged" },
   height_changed: { colour: "#006a54", dark: "#2fedaf", shape: 5, label: "height changed" },
   missed: { colour: "#8a54e4", dark: "#9b45ff", shape: 4, label: "not observed" },
-  confirmed: { colour: "#7c93a2", dark: "#6b869c", shape: 0, label: "confirmed" },
+  confirmed: { colour: "#7c93a2", dark: "#84a3bb", shape: 0, label: "confirmed" },
   unchanged: { colour: "#b4bcc6", dark: "#616c78", shape: 0, label: "not evaluated" },
   suppressed: { colour: "#66717c", dark: "#98a3ae", shape: 3, label: "suppressed" },
-  standing: { colour: "#7c93a2", dark: "#6b869c", shape: 0, label: "standing" },
+  standing: { colour: "#7c93a2", dark: "#84a3bb", shape: 0, label: "standing" },
 };
 
 export const KIND_ORDER: Kind[] = ["added", "split", "moved", "removed", "merged", "height_changed", "missed", "suppressed", "confirmed", "unchanged", "standing"];

@@ -19,6 +19,8 @@ const FRAME_M = 0.3;
 const MAX_LABELS = 60;
 /** Width and height reserved for a label. */
 const LABEL_PX = [64, 20] as const;
+/** Objects nearer than this to a labelled one, along either axis, may be hidden by its label. */
+const NEAR_M = 10;
 
 export interface Ellipse {
   /** Semi-axes on the ground that contain 95 %, and the direction of the major one, counter-clockwise from east. */
@@ -38,6 +40,8 @@ export function ellipse95(cov: HistoryItem["cov_m2"]): Ellipse {
   };
 }
 
+const tipOf = ({ xyz: [x, y, z], height_m }: Cone): Vec3 => [x, y, z + height_m];
+
 /** Enlargement that makes the ellipse visible beside a cone. */
 export const niceFactor = (e: Ellipse): number => [1, 10, 100, 1000].find((f) => e.major_m * f >= 0.3) ?? 1000;
 
@@ -48,19 +52,26 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
   stage.scene.add(paths, selection, frustum);
   const labels = el("div", { class: "labels", aria: { hidden: "true" } });
   host.append(labels);
-  let labelled: { at: Vec3; node: HTMLElement }[] = [];
+  let labelled: { at: Vec3; node: HTMLElement; near: Vec3[] }[] = [];
   onTheme(() => paths.traverse((part) => {
     if (part instanceof Line || part instanceof Mesh) (part.material as LineBasicMaterial).color.set(colours().path);
   })); // prettier-ignore
 
   stage.beforeDraw(() => {
     const taken: [number, number][] = [];
-    for (const { at, node } of labelled) {
+    for (const { at, node, near } of labelled) {
       const pixel = stage.project(at);
       // From a distance labels would overlap: the first one stays.
       node.hidden = pixel === null || taken.some(([x, y]) => Math.abs(x - pixel[0]) < LABEL_PX[0] && Math.abs(y - pixel[1]) < LABEL_PX[1]);
-      if (pixel && !node.hidden) taken.push(pixel);
-      if (pixel) node.style.transform = `translate(${Math.round(pixel[0])}px, ${Math.round(pixel[1])}px)`;
+      if (!pixel || node.hidden) continue;
+      taken.push(pixel);
+      const beside = near.map((one) => stage.project(one)).filter((one) => one !== null);
+      const hides = (side: number) => beside.some(([x, y]) => {
+        const [right, up] = [(x - pixel[0]) * side, pixel[1] - y];
+        return right > 0 && right < LABEL_PX[0] + 16 && up > 0 && up < 2 * LABEL_PX[1] + 4;
+      }); // prettier-ignore
+      node.classList.toggle("left", hides(1) && !hides(-1));
+      node.style.transform = `translate(${Math.round(pixel[0])}px, ${Math.round(pixel[1])}px)`;
     }
   });
 
@@ -129,7 +140,8 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
           .filter(Boolean).join(" · "); // prettier-ignore
         const node = el("span", { class: isChosen ? "label chosen" : "label", textContent: text });
         node.style.setProperty("--colour", colourVariable(cone.kind));
-        return { at: [cone.xyz[0], cone.xyz[1], cone.xyz[2] + cone.height_m] as Vec3, node };
+        const near = cones.filter((c) => c !== cone && Math.abs(c.xyz[0] - cone.xyz[0]) < NEAR_M && Math.abs(c.xyz[1] - cone.xyz[1]) < NEAR_M);
+        return { at: tipOf(cone), node, near: near.map(tipOf) };
       });
       labels.replaceChildren(...labelled.map(({ node }) => node));
       stage.draw();
