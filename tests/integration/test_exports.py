@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import zipfile
+from datetime import datetime
 from html import unescape
 from pathlib import Path
 
@@ -77,6 +78,10 @@ def test_the_same_map_gives_the_same_bytes(conn, samples, tmp_path):
         paths = [tmp_path / f"{name}{form.suffix}" for name in ("once", "again")]
         once, again = (export_map(conn, path, file_format, ExportRequest()) for path in paths)
         assert once["sha256"] == again["sha256"], file_format
+    known_at = ExportRequest(believed_at=datetime.fromisoformat(once["last_committed_at"]))
+    before = export_map(conn, tmp_path / "before.gpkg", "gpkg", known_at)
+    samples.commit(conn, samples.added(samples.feature("later")), key="2")
+    assert export_map(conn, tmp_path / "after.gpkg", "gpkg", known_at)["sha256"] == before["sha256"]
 
 
 def test_the_manifest_tells_of_decisions_too(conn, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
+from datetime import UTC
 from pathlib import Path
 from typing import Any
 
@@ -61,9 +62,9 @@ def write_geoparquet(sources: Sequence[ExportSource], path: Path) -> None:
 
 
 def write_geopackage(sources: Sequence[ExportSource], path: Path) -> None:
-    """Write a GeoPackage (OGC 12-128r19), dated by the last commit, so that equal maps give equal files. See `_write_by_gdal`."""
-    committed_at = sources[0].info.last_committed_at
-    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": committed_at and f"{committed_at:%Y-%m-%dT%H:%M:%SZ}"})
+    """Write a GeoPackage (OGC 12-128r19), dated by its database state: equal maps give equal files. See `_write_by_gdal`."""
+    known_at = sources[0].request.believed_at or sources[0].info.last_committed_at
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": known_at and f"{known_at.astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}"})
     for source in sources:
         _write_by_gdal(source, path, "GPKG")
 
