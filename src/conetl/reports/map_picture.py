@@ -40,6 +40,7 @@ _MARGIN = 0.06
 _MIN_SPAN_M = 12.0
 #: Labels of more changes than this cannot be read.
 _MAX_LABELS = 80
+_LABEL_PT = 7.5
 _DPI = 200
 _MM = 1 / 25.4
 _MAX_POINTS = 400_000
@@ -249,11 +250,22 @@ def _objects(axes: Axes, content: PlanContent, bbox: Bbox) -> list[figures.Handl
     labelled = [mark for mark in shown if mark.label]
     for mark in sorted(labelled, key=lambda mark: mark.kind is DeltaKind.CONFIRMED)[:_MAX_LABELS]:
         ink = colour if mark.kind is DeltaKind.MOVED else _INK
+        right = not _hides(axes, mark, shown, side=1) or _hides(axes, mark, shown, side=-1)
         text = axes.annotate(
-            mark.label, xy=mark.xy_m, xytext=(6, 5), textcoords="offset points", fontsize=7.5, color=ink
-        )
+            mark.label, xy=mark.xy_m, xytext=(6 if right else -6, 5), textcoords="offset points",
+            fontsize=_LABEL_PT, color=ink, ha="left" if right else "right",
+        )  # fmt: skip
         text.set(zorder=14, path_effects=[withStroke(linewidth=2, foreground="white")])
     return handles
+
+
+def _hides(axes: Axes, mark: PlanMark, others: Sequence[PlanMark], side: int) -> bool:
+    """Whether the mark's label, on its right (1) or left (-1), would hide another mark."""
+    at_px = axes.transData.transform([one.xy_m for one in (mark, *others)])
+    across_pt, up_pt = ((at_px[1:] - at_px[0]) * [side, 1] * 72 / _DPI).T
+    return bool(
+        ((across_pt > 0) & (across_pt < 0.6 * _LABEL_PT * len(mark.label) + 12) & (up_pt > 0) & (up_pt < 17)).any()
+    )
 
 
 def _frame(axes: Axes) -> None:

@@ -115,6 +115,17 @@ def test_the_plan_of_a_drive_tells_classes_apart():
     assert legend(*marks[:2]) == ["added (1)", "moved (1)", "drive path"]
 
 
+@pytest.mark.parametrize(("neighbours", "side"), [
+    ([], "left"), ([(11.2, 10.5)], "right"), ([(11.2, 10.5), (8.8, 10.5)], "left"), ([(11.2, 9.0)], "left"),
+])  # fmt: skip
+def test_a_label_is_on_the_side_where_it_hides_no_neighbour(neighbours, side):
+    moved = PlanMark("traffic_cone", DeltaKind.MOVED, (10.0, 10.0), (9.5, 9.0), "1.12 m")
+    others = [PlanMark("traffic_cone", DeltaKind.CONFIRMED, xy_m) for xy_m in [(0.0, 0.0), (20.0, 20.0), *neighbours]]
+    figure = draw_plan(PlanContent(32632, [moved, *others], []))
+    [label] = [text for text in figure.axes[0].texts if text.get_text() == "1.12 m"]
+    assert label.get_ha() == side
+
+
 def test_every_class_of_points_but_cones_has_a_letter_of_its_own():
     letters = {name: one.letter for name, one in FEATURE_CLASSES.items() if name not in (CONE, *LINE_CLASSES)}
     assert all(len(letter) == 1 for letter in letters.values()) and len(set(letters.values())) == len(letters)
