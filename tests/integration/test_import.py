@@ -573,6 +573,15 @@ def test_a_known_class_may_be_spelled_otherwise(tmp_path, category):
     assert read(path).statements[0].feature.category == "traffic_cone"
 
 
+def test_columns_of_csv_may_be_in_capitals(tmp_path):
+    path = tmp_path / "capitals.csv"
+    path.write_text("Name,Category,Easting,NORTHING,Ellipsoidal_Height_m\nP1,Drum,458000.123,5428000.123,115.012\n")
+    assert read(path, **IN_UTM).statements[0].feature.category == "drum"
+    path.write_text("Name,Easting,Northing,Height\nP1,458000.123,5428000.123,115.012\n")
+    [point] = read_surveyed_points(path, 32632, crs="EPSG:32632", sigma_m=0.01)
+    assert (point.name, point.xyz_m) == ("P1", pytest.approx((458000.123, 5428000.123, 115.012), abs=1e-4))
+
+
 def test_swapped_eastings_and_northings_are_named(tmp_path):
     path = tmp_path / "swapped.csv"
     path.write_text("easting_m,northing_m,ellipsoidal_height_m\n5428000.12,458000.12,115.01\n")

@@ -230,7 +230,7 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
 def _read_csv(path: Path) -> MapTable:
     """Columns lon_deg, lat_deg (WGS 84), or easting_m, northing_m (their CRS has to be stated); ellipsoidal_height_m.
 
-    The separator is the most frequent of comma, semicolon and tab in the header.
+    The separator is the most frequent of comma, semicolon and tab in the header; names of columns may be in capitals.
     """
     with (
         library_errors(f"{path} cannot be read as CSV", OSError, UnicodeError, csv.Error),
@@ -239,7 +239,7 @@ def _read_csv(path: Path) -> MapTable:
         header = file.readline()
         file.seek(0)
         rows = csv.reader(file, strict=True, delimiter=max(",;\t", key=header.count))
-        names = [_CSV_NAMES.get(name.strip().lower(), name.strip()) for name in next(rows, [])]
+        names = [_CSV_NAMES.get(name, name) for name in (text.strip().lower() for text in next(rows, []))]
         lines = []
         most_rows = min(MAX_ROWS, MAX_VALUES // max(1, len(names)))
         for number, line in enumerate(rows, start=1):
