@@ -186,6 +186,24 @@ def test_parameters_of_earlier_do_not_make_a_drive_a_changed_one(
     assert (line.action, line.why.startswith("on the map since")) == ("skip", True)
 
 
+def test_a_reverted_drive_is_not_on_the_map_and_its_correction_is_ingested(
+    plan: Any, receipt: Any, conn: Any, on_the_map: DriveHeader
+) -> None:
+    """`conetl ingest` writes no receipt, so the folder of a reverted changeset may hold the correction."""
+    execute(
+        conn,
+        "insert into conetl.decision (decision_id, map_id, srid, kind, changeset_id, note, decided_by, decided_at) "
+        "select %(id)s, map_id, srid, 'revert', changeset_id, '', 'a person', now() "
+        "from conetl.changeset join conetl.map using (map_id)",
+        {"id": uuid4()},
+    )
+    conn.commit()
+    why = "not in effect: changeset 1 was reverted or replaced (see `conetl map decisions`)"
+    assert [(line.action, line.why) for line in plan([on_the_map]).lines] == [("ingest", why)]
+    receipt(on_the_map, "known", changeset_id=changeset_id(conn), may_pass=False)
+    assert [(line.action, line.why) for line in plan([on_the_map]).lines] == [("skip", why)]
+
+
 def test_the_same_recording_twice_is_ingested_once(plan: Any) -> None:
     first = headers(1)[0]
     made = plan([first, replace(first, path=ROOT / "copy")])

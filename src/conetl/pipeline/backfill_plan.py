@@ -175,9 +175,9 @@ def _decide_action(
         return "wait", f"being ingested by {receipt.host} since {_when(receipt.at)}"
     same = receipt is not None and receipt.analysis_sha256 == analysis.sha256
     if receipt is not None and same and receipt.done:
-        waits = next((drive for drive in on_hold.values() if drive.changeset_id == receipt.changeset_id), None)
-        since = _on_hold_since(waits) if waits else f"on the map since {_when(receipt.at)}"
-        return ("ingest", "to be compared again (recheck)") if recheck else ("skip", since)
+        stored = next((drive for drive in on_map if drive.changeset_id == receipt.changeset_id), None)
+        now = _present_state(stored, on_hold) if stored else f"on the map since {_when(receipt.at)}"
+        return ("ingest", "to be compared again (recheck)") if recheck else ("skip", now)
     if receipt is not None and same and once and not receipt.may_pass and receipt.state == "failed":
         return "skip", f"failed on {_when(receipt.at)} and has not changed since: {receipt.reason}"
     if receipt is not None and same and once and receipt.attempts >= MAX_ATTEMPTS and not receipt.done:
@@ -199,16 +199,22 @@ def _decide_action(
         if not same_folder:
             return "ingest", f"changed since it was committed (changeset {alike[-1].changeset_no})"
         drive = same_folder[-1]
-        if drive.changeset_no in on_hold:
-            return "skip", _on_hold_since(on_hold[drive.changeset_no])
-        return "skip", f"on the map since {_when(drive.committed_at)} (changeset {drive.changeset_no})"
+        unknown = drive.changeset_id not in folders_of and not (drive.counts or drive.hold)
+        # A person reverts a wrong delivery before its correction is ingested.
+        return "ingest" if unknown else "skip", _present_state(drive, on_hold)
     if found or receipt is not None:
         return "ingest", "on the map, but analysed with other parameters or another model"
     return "ingest", "new"
 
 
-def _on_hold_since(drive: HeldDrive) -> str:
-    return f"on hold since {_when(drive.since)} (changeset {drive.changeset_no}; see `conetl drive held`)"
+def _present_state(drive: CommittedChangeset, on_hold: Mapping[int, HeldDrive]) -> str:
+    """What became of a drive that is stored."""
+    no = drive.changeset_no
+    if no in on_hold:
+        return f"on hold since {_when(on_hold[no].since)} (changeset {no}; see `conetl drive held`)"
+    if not drive.counts:
+        return f"not in effect: changeset {no} was reverted or replaced (see `conetl map decisions`)"
+    return f"on the map since {_when(drive.committed_at)} (changeset {no})"
 
 
 def _is_same_recording(header: DriveHeader, drive: CommittedChangeset) -> bool:
