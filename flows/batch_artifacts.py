@@ -63,11 +63,13 @@ def _held_lines(standing: Standing) -> list[str]:
     """The drives on hold, and what happened to them during the batch; nothing without any."""
     lines: list[str] = []
     if standing.held:
-        held = [
-            (_named(drive), check.name, check.figures, as_markdown(f"{check.detail} {hold_remedy(drive.changeset_no)}"))
-            for drive in standing.held[:_SHOWN_ROWS]
-            for check in drive.checks
-        ]
+        held = []
+        for drive in standing.held[:_SHOWN_ROWS]:
+            remedy = as_markdown(hold_remedy(drive.changeset_no, standing.plan.map_name))
+            held += [
+                (_named(drive), check.name, check.figures, f"{as_markdown(check.detail)} {remedy}")
+                for check in drive.checks
+            ]
         lines += [f"## {len(standing.held)} on hold", "", *_table("drive, check, measured, what to do", held)]
     if standing.hold_events:
         shown = standing.hold_events[:_SHOWN_ROWS]

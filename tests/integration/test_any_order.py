@@ -238,7 +238,7 @@ def test_of_two_deliveries_only_the_later_one_counts_whatever_releases_them(conn
     [change] = world.merge(conn, corrected).hold_changes
     assert (change.changeset_no, change.state) == (2, "replaced")
     conn.commit()
-    with pytest.raises(ConflictError, match="conetl map revert 3"):
+    with pytest.raises(ConflictError, match="conetl map revert 3 --map default"):
         accept_drive(conn, "2", map_name="default")
     before = world.valid_time_map(conn)
     revert(conn, "1", map_name="default")  # nothing is left that the first delivery contradicts

@@ -265,7 +265,7 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
     desk.ingest(small_drive)
     shift_poses(small_drive, lat_deg=4.5e-6)  # half a metre
     before = desk.final_tables()
-    with pytest.raises(InputError, match=r"other content \(changeset 1\).*conetl map revert 1"):
+    with pytest.raises(InputError, match=r"other content \(changeset 1\).*conetl map revert 1 --map default"):
         desk.ingest(small_drive)
     other_name = shutil.copytree(small_drive, small_drive.with_name("the same again"))
     again = rf"this is the recording of drive {small_drive.name} again \(changeset 1\)"
@@ -275,7 +275,7 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
         with pytest.raises(InputError, match=again):
             desk.ingest(cut_drive(SAMPLES[0], small_drive.with_name(name), day, frames=frames))
     (small_drive / "drive.yaml").write_text("timestamps_timezone: Europe/Berlin\n")
-    with pytest.raises(InputError, match=r"other time stamps \(changeset 1\).*conetl map revert 1"):
+    with pytest.raises(InputError, match=r"other time stamps \(changeset 1\).*conetl map revert 1 --map default"):
         desk.ingest(small_drive)
     assert desk.final_tables() == before
     desk.ask("map", "revert", "1")
@@ -338,7 +338,7 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
     assert (done.stdout + done.stderr).count("GNSS/INS jumps by") == 1
     last = done.stderr.splitlines()[-1]
     assert last.startswith("conetl: Drive jumping is on hold and changes nothing on the map. GNSS/INS jumps by")
-    assert last.endswith("conetl drive accept jumping --note REASON")
+    assert last.endswith("conetl drive accept jumping --map default --note REASON")
     with pytest.raises(DriveOnHoldError, match="GNSS/INS jumps by") as known:
         desk.ingest(jumping)
     report = known.value.report

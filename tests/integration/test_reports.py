@@ -282,7 +282,11 @@ def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(
     assert_loads_nothing(page)
     assert "<b>1</b><span>drives added</span>" in page, "a drive on hold is not counted"
     assert "1 drive is on hold: accept or revert" in page and "All drives are on the map" not in page
-    for said in ("jumps of the poses", "5.00 +- 0.10 m (limit 0.1)", "conetl drive accept 2 --note REASON"):
+    for said in (
+        "jumps of the poses",
+        "5.00 +- 0.10 m (limit 0.1)",
+        "conetl drive accept 2 --map default --note REASON",
+    ):
         assert said in page, said
     conetl("report", "drive", "2")
     [path] = (tmp_path / "home" / "exports" / "reports" / "default").glob("*2-*.html")

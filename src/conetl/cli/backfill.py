@@ -104,7 +104,7 @@ def backfill(
 def _print_summary(standing: Standing) -> None:
     """What became of the drives of a batch, those on hold first."""
     ui.say()
-    ui.print_held(standing.held)
+    ui.print_held(standing.held, standing.plan.map_name)
     ui.print_hold_events(standing.hold_events)
     failed = standing.failed
     may_pass = sum(receipt.may_pass for receipt in failed)

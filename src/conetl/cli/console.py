@@ -168,8 +168,8 @@ def print_all_checks(checks: Sequence[HealthCheck]) -> None:
     print_checks(checks)
 
 
-def print_held(drives: Sequence[HeldDrive]) -> None:
-    """Drives on hold: check, what was measured, and what to do."""
+def print_held(drives: Sequence[HeldDrive], map_name: str) -> None:
+    """Drives of a map on hold: check, what was measured, and what to do."""
     rows = [(drive, check) for drive in drives for check in drive.checks]
     columns: Columns = {
         "no": lambda row: row[0].changeset_no,
@@ -181,7 +181,7 @@ def print_held(drives: Sequence[HeldDrive]) -> None:
     if rows:
         print_records(f"On hold: {counted(len(drives), 'drive')}", columns, rows, numbers_from=len(columns))
         for drive in drives:
-            say(f"{drive.drive_id}: {drive.reason} {hold_remedy(drive.changeset_no)}")
+            say(f"{drive.drive_id}: {drive.reason} {hold_remedy(drive.changeset_no, map_name)}")
 
 
 def print_hold_events(events: Sequence[HoldEvent]) -> None:

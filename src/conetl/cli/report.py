@@ -58,7 +58,7 @@ def night(
     with open_map(map_name) as (conn, _):
         facts = write_night_page(conn, path, map_name=settings.map_name, since=begin, until=end)
     if not as_json:
-        ui.print_held(facts.held)
+        ui.print_held(facts.held, facts.map_name)
         ui.print_hold_events(facts.hold_events)
         maps = sum(row["kind"] == "import" for row in facts.drives)
         drives = ui.counted(len(facts.drives) - maps, "drive") if facts.drives else "No drives"

@@ -138,9 +138,9 @@ class HoldEvent(Record):
         return f"{self.what}{by}{detail and f': {detail}'}"
 
 
-def hold_remedy(drive: str | int) -> str:
+def hold_remedy(drive: str | int, map_name: str) -> str:
     """How to release a drive (its id, or changeset number) that is on hold."""
-    accept = f"conetl drive accept {quote(str(drive))} --note REASON"
+    accept = f"conetl drive accept {quote(str(drive))} --map {map_name} --note REASON"
     return f"Correct this and ingest the drive again, or accept it unchanged: {accept}"
 
 

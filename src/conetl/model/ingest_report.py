@@ -114,7 +114,7 @@ class DriveOnHoldError(NeedsAttentionError):
         super().__init__(
             report,
             f"Drive {report.drive_id} is on hold and changes nothing on the map. {report.on_hold} "
-            f"{hold_remedy(report.drive_id)}",
+            f"{hold_remedy(report.drive_id, report.map_name)}",
         )
 
 

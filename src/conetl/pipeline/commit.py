@@ -87,7 +87,7 @@ def already_committed(
         with transaction(conn, "Provisional features cannot be removed"):  # it may have been watched again since
             drop_watched_recording(conn, drive, map_name=settings.map_name)
         held = held_drives(conn, map_name=settings.map_name) if known.hold else []
-        not_counted = None if known.counts or known.hold else why_not_counted(conn, known)
+        not_counted = None if known.counts or known.hold else why_not_counted(conn, known, settings.map_name)
     checks = next((one.checks for one in held if one.changeset_id == known.changeset_id), ())
     facts = {"health": checks, "not_counted": not_counted, "model_sha256": changeset.model_sha256}
     return report_of(known, settings.map_name).model_copy(update=facts)

@@ -54,11 +54,11 @@ def refuse_other_delivery(drive: Drive, settings: Settings, database: MapDatabas
         then = drives_at_the_same_time(conn, drive, path_wkt(drive), _SAME_STAMP_NS, map_name=settings.map_name)
         same = [one for one in then if _is_same_recording(drive, one, read_frame_pairs(conn, one.drive_uuid))]
     if numbers:
-        raise _on_the_map(drive, drive.drive_id, numbers[-1], "other content")
+        raise _on_the_map(drive, drive.drive_id, numbers[-1], "other content", settings.map_name)
     if same:
         other = same[-1]
         how = "other time stamps" if other.drive_id == drive.drive_id else _OTHERWISE
-        raise _on_the_map(drive, other.drive_id, other.changeset_no, how)
+        raise _on_the_map(drive, other.drive_id, other.changeset_no, how, settings.map_name)
 
 
 def refuse_same_images(records: DriveRecords, settings: Settings, database: MapDatabase) -> None:
@@ -87,17 +87,17 @@ def refuse_same_images(records: DriveRecords, settings: Settings, database: MapD
         )  # fmt: skip
     if same:
         how = "another log: its images show the same objects in the same pixels"
-        raise _on_the_map(drive, same[-1].drive_id, same[-1].changeset_no, how)
+        raise _on_the_map(drive, same[-1].drive_id, same[-1].changeset_no, how, settings.map_name)
 
 
-def _on_the_map(drive: Drive, drive_id: str, changeset_no: int, how: str) -> MapMismatchError:
+def _on_the_map(drive: Drive, drive_id: str, changeset_no: int, how: str, map_name: str) -> MapMismatchError:
     what, remedy = f"this is the recording of drive {drive_id} again (changeset {changeset_no}), with {how}", ""
     if drive_id == drive.drive_id:
         what = f"drive {drive_id} is already on the map, with {how} (changeset {changeset_no})"
         remedy = ". If it is another drive, give it a different drive_id in drive.yaml"
     return MapMismatchError(
         f"{drive.source_path}: {what}. They would count as two surveys. To replace it, revert that changeset with "
-        f"`conetl map revert {changeset_no}` and ingest the drive again{remedy}. Nothing was written."
+        f"`conetl map revert {changeset_no} --map {map_name}` and ingest the drive again{remedy}. Nothing was written."
     )
 
 

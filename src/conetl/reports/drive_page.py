@@ -118,7 +118,7 @@ def _hold_alerts(facts: DriveFacts) -> Iterator[Alert]:
         hold = facts.changeset.hold
         reason = "it was reverted, or replaced by a later analysis or delivery of the same recording."
         if hold:
-            reason = f"the drive is on hold. {hold} {hold_remedy(facts.changeset.changeset_no)}"
+            reason = f"the drive is on hold. {hold} {hold_remedy(facts.changeset.changeset_no, facts.map_name)}"
         yield Alert(True, f"This changeset is not in effect: {reason}")
     elif facts.hold_events and facts.hold_events[-1].what == "accepted":
         yield Alert(False, f"The drive was on hold, and was {facts.hold_events[-1].sentence}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def night_page(facts: NightFacts) -> str:
         title=f"Map {facts.map_name}, {facts.since:%Y-%m-%d %H:%M} to {facts.until:%Y-%m-%d %H:%M} UTC",
         made_at=datetime.now(UTC),
         facts=facts,
-        what_to_do=hold_remedy,
+        what_to_do=partial(hold_remedy, map_name=facts.map_name),
         totals=[(kind, sum(row[name] for row in facts.drives)) for kind, name in _COUNTS.items()],
         size_before=facts.size_at(facts.since),
         size_after=facts.size_at(facts.until),

@@ -134,7 +134,7 @@ def held(map_name: ui.MapOption = None, as_json: ui.JsonOption = False) -> None:
     if as_json:
         ui.print_json([vars(known[one.changeset_id]) | one.model_dump(mode="json") for one in found])
         return
-    ui.print_held(found)
+    ui.print_held(found, info.map_name)
     if not found:
         ui.say("No drive is on hold.")
 

@@ -160,7 +160,7 @@ def replaced_by_delivery(conn: Connection, changeset_id: UUID) -> int | None:
     return rows[0]["changeset_no"] if rows else None
 
 
-def why_not_counted(conn: Connection, known: CommittedChangeset) -> str:
+def why_not_counted(conn: Connection, known: CommittedChangeset, map_name: str) -> str:
     """Why a changeset that is not on hold is not in effect, and what to do."""
     later = replaced_by_delivery(conn, known.changeset_id)
     if later is None:
@@ -170,7 +170,7 @@ def why_not_counted(conn: Connection, known: CommittedChangeset) -> str:
         )
     return (
         f"a later analysis or delivery of the same recording (changeset {later}) replaced it. To use this one instead, run "
-        f"`conetl map revert {later}`"
+        f"`conetl map revert {later} --map {map_name}`"
     )
 
 

@@ -179,9 +179,10 @@ def accept_drive(
         held = [known for known in found if known.hold is not None]
         if not held:
             state = "see `conetl drive held`"
-            if found:
-                counts, number = found[0].counts, found[0].changeset_no
-                state = f"changeset {number} is already in effect" if counts else store.why_not_counted(conn, found[0])
+            if found and found[0].counts:
+                state = f"changeset {found[0].changeset_no} is already in effect"
+            elif found:
+                state = store.why_not_counted(conn, found[0], map_name)
             raise ConflictError(f"no drive {drive} is on hold on the map {map_name}: {state}")
         if len(held) > 1:
             raise InputError(
@@ -193,7 +194,7 @@ def accept_drive(
         if others:
             raise ConflictError(
                 f"another delivery of drive {known.drive_id} is already on the map (changeset {others[-1]}). To use this one "
-                f"instead, first revert that one with `conetl map revert {others[-1]}`."
+                f"instead, first revert that one with `conetl map revert {others[-1]} --map {map_name}`."
             )
         decide = partial(at.insert, ACCEPT, changeset_id=known.changeset_id)
         decision_id, written, replayed, _ = _judge_drive(conn, at, known.drive_uuid, decide, None)
