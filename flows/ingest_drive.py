@@ -17,6 +17,7 @@ from prefect.states import Completed
 from pydantic import Field
 
 from conetl.db.receipt_store import drive_lock
+from conetl.exports.kind_marks import kind_label
 from conetl.files.storage import as_path
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.params import IngestParams
@@ -102,8 +103,16 @@ def ingest_drive(
         save_receipt(final_receipt(begun, report, time.monotonic() - started, problem), settings, database)
     if problem:
         return Completed(name="OnHold" if report.on_hold else "CommittedNeedsALook", message=problem)
-    counts = ", ".join(f"{count} {kind}" for kind, count in report.counts.items())
-    return Completed(message=f"{report.status}: {counts}")
+    return Completed(message=outcome(report))
+
+
+def outcome(report: IngestReport) -> str:
+    """What became of a drive that needs no attention, as the message of its run's state."""
+    if report.is_known:
+        state = f", but not in effect: {report.not_counted}" if report.not_counted else ""
+        return f"nothing to do, already on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC{state}"
+    counts = ", ".join(f"{count} {kind_label(kind)}" for kind, count in report.counts.items() if count)
+    return f"{report.status}: {counts or 'no objects'}"
 
 
 def _describe_run(header: DriveHeader, map_name: str) -> None:

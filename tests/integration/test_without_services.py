@@ -196,6 +196,17 @@ def test_a_report_of_an_ingest_says_each_thing_once(capsys: pytest.CaptureFixtur
     assert done.remarks == (other.sentence,), "it makes the exit code 1"
 
 
+def test_the_message_of_a_run_lists_what_changed_now() -> None:
+    counts = dict.fromkeys(DeltaKind, 0) | {DeltaKind.CONFIRMED: 2, DeltaKind.MISSED: 1}
+    assert ingest_drive.outcome(report(counts=counts)) == "committed: 2 confirmed, 1 not observed"
+    assert ingest_drive.outcome(report(counts=dict.fromkeys(DeltaKind, 0))) == "committed: no objects"
+    known = report(counts=counts, committed_at=datetime(2026, 3, 2, 10, 5, tzinfo=UTC))
+    said = "nothing to do, already on the map since 2026-03-02 10:05 UTC"
+    assert ingest_drive.outcome(known) == said
+    reverted = known.model_copy(update={"not_counted": "it was reverted"})
+    assert ingest_drive.outcome(reverted) == f"{said}, but not in effect: it was reverted"
+
+
 def test_a_report_says_why_fewer_objects_are_on_the_map_than_the_drive_shows(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
