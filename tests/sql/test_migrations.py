@@ -12,7 +12,7 @@ from uuid import uuid4
 import psycopg2
 import pytest
 
-from conetl.db.connection import connect, execute, load_sql, sql_directory, statements
+from conetl.db.connection import connect, database_errors, execute, load_sql, sql_directory, statements
 from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import read_current_features
 from conetl.db.schema import database_status, migrate
@@ -83,7 +83,7 @@ def test_a_failing_migration_leaves_the_database_as_it_was(empty, tmp_path):
     assert execute(empty, "select to_regclass('conetl.half') as half") == [{"half": None}]
 
 
-def test_rows_of_an_older_schema_are_brought_along(empty):
+def test_rows_of_an_older_schema_are_brought_along(empty, caplog):
     """Changesets were numbered over the whole database, with gaps where a transaction failed; positions of a track had rows."""
     execute(empty, load_sql("schema.schema_migration"))
     for path in sorted((sql_directory() / "migrations").glob("000[1-4]*.sql")):
@@ -119,6 +119,7 @@ def test_rows_of_an_older_schema_are_brought_along(empty):
     before = execute(empty, order)
     empty.commit()
     assert "0005_managed_maps" in migrate(empty)
+    assert "older versions of conetl refuse it from now on" in caplog.text
     numbers = (
         "select array_agg(changeset_no order by changeset_no) as numbers from changeset group by map_id order by map_id"
     )
@@ -168,6 +169,12 @@ def test_an_unreachable_database_is_one_clear_error(tmp_path):
     assert "secret" not in str(caught.value)
 
 
+def test_a_server_that_refuses_a_connection_is_not_one_to_be_started(database_url):
+    with pytest.raises(DatabaseError, match=r'database "nosuch" does not exist\. The server refuses') as caught:
+        connect(f"{database_url}&dbname=nosuch")
+    assert "conetl db up" not in str(caught.value)
+
+
 def test_an_ordinary_database_user_is_told_what_is_missing(empty):
     name = f"plain_{uuid4().hex}"
     execute(empty, f"create role {name} nologin")
@@ -215,6 +222,9 @@ def test_the_reader_may_only_read(conn, samples):
         with pytest.raises(psycopg2.errors.InsufficientPrivilege):
             execute(conn, statement)
         execute(conn, "rollback to s")
+    refused = pytest.raises(DatabaseError, match=r"permission denied for .*role conetl_writer")
+    with refused, database_errors("The map cannot be changed"):
+        execute(conn, "delete from delta")
 
 
 def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):

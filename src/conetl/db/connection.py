@@ -92,9 +92,11 @@ def connect(url: str) -> Connection:
             url, connect_timeout=CONNECT_TIMEOUT_S, application_name="conetl", options=SESSION_OPTIONS, **keepalives
         )
     except (psycopg2.Error, UnicodeError) as error:
+        remedy = "Start it (`conetl db up` for the private one) or correct CONETL_DATABASE_URL."
+        if "FATAL: " in str(error):  # a server answered; psycopg2 has no error code of it
+            remedy = "The server refuses the connection: correct the cause, or CONETL_DATABASE_URL."
         raise DatabaseError(
-            f"The PostgreSQL database {_without_password(url)} cannot be reached: {_first_line(error)}. Start it (`conetl db up` "
-            "for the private one) or correct CONETL_DATABASE_URL."
+            f"The PostgreSQL database {_without_password(url)} cannot be reached: {_first_line(error)}. {remedy}"
         ) from error
     psycopg2.extras.register_uuid(conn_or_curs=conn)
     with database_errors("The connection could not be prepared"):
@@ -178,6 +180,11 @@ def database_errors(what: str) -> Iterator[None]:
     ) as error:
         raise DatabaseError(
             f"{what}: {_first_line(error)}. The database schema is not up to date: run `conetl db migrate`."
+        ) from error
+    except psycopg2.errors.InsufficientPrivilege as error:
+        raise DatabaseError(
+            f"{what}: {_first_line(error)}. Use another database user: one with the role conetl_writer may change maps, the "
+            "owner of the tables may also migrate, prune, archive and delete."
         ) from error
     except psycopg2.errors.LockNotAvailable as error:
         holder = next((one.blockers for one in list(_sessions.values()) if one.blockers), "another session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import re
 import time
 from collections.abc import Mapping
@@ -22,6 +23,7 @@ PREFECT_DATABASE = "prefect"
 #: First migration of the databases of conetl 0.1, which had no release.
 _BEFORE_BASELINE = "0001_schema"
 SHOWN_ROWS = 100
+_log = logging.getLogger(__name__)
 
 
 def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
@@ -51,6 +53,8 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
             done.append(name)
         if _may_create_roles(conn):
             db.query(conn, "schema.roles")
+    if applied and done:
+        _log.warning("database migrated to %s: older versions of conetl refuse it from now on", done[-1])
     return done
 
 
