@@ -29,7 +29,9 @@ _SHOWN = 25
 def backfill(
     root: Annotated[Path, typer.Argument(help="Folder with drives, or with folders of drives.")],
     since: Annotated[str | None, typer.Option(help="Only drives recorded since this time, e.g. 2026-03-01.")] = None,
-    until: Annotated[str | None, typer.Option(help="Only drives recorded before this time.")] = None,
+    until: Annotated[
+        str | None, typer.Option(help="Only drives recorded before this time, or up to the end of this day.")
+    ] = None,
     max_parallel: Annotated[
         int | None, typer.Option(min=1, help="Drives to run in parallel; default: one per worker, 1 without workers.")
     ] = None,

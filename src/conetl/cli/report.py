@@ -39,7 +39,9 @@ def night(
         str | None, typer.Argument(help="Day of processing (UTC), e.g. 2026-03-03; default: the last 24 hours.")
     ] = None,
     since: Annotated[str | None, typer.Option(help="Drives committed at or after this time.")] = None,
-    until: Annotated[str | None, typer.Option(help="Drives committed before this time; default: now.")] = None,
+    until: Annotated[
+        str | None, typer.Option(help="Drives committed before this time, or up to the end of this day; default: now.")
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--out", help="HTML file; default: exports/reports/<map>/night-<until>.html.")
     ] = None,
