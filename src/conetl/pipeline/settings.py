@@ -155,6 +155,7 @@ def prefect_environment(home: Path) -> dict[str, str]:
         "PREFECT_LOGGING_LEVEL": "WARNING",
         # What conetl logs is shown with the flow run in which it is logged; outside of a run nothing is sent.
         "PREFECT_LOGGING_EXTRA_LOGGERS": "conetl,flows",
+        "PREFECT_LOGGING_ROOT_LEVEL": "INFO",  # of these loggers too; they have no level of their own
         "PREFECT_LOGGING_TO_API_WHEN_MISSING_FLOW": "ignore",
         # The server keeps warnings and tracebacks; the terminal shows the one sentence of the command.
         "PREFECT_LOGGING_HANDLERS_CONSOLE_LEVEL": "CRITICAL",

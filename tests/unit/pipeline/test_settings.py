@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +12,7 @@ from hypothesis import strategies as st
 
 from conetl.model.errors import InputError
 from conetl.model.map_records import MAP_NAME
-from conetl.pipeline.settings import Settings, ignored_variables, read_settings, validated_map_name
+from conetl.pipeline.settings import Settings, ignored_variables, prefect_environment, read_settings, validated_map_name
 from tests.command import ROOT, conetl
 
 
@@ -60,3 +63,17 @@ def test_what_is_told_of_a_drive_on_one_map_does_not_replace_what_is_told_of_it_
     here, there = (Settings(map_name=name) for name in ("demo", "test"))
     assert here.drive_image_path("../d 1") != there.drive_image_path("../d 1")
     assert here.drive_image_path("../d 1").parent == here.drive_report_path("../d 1", 1).parent == here.reports_folder
+
+
+def test_what_conetl_logs_is_among_the_logs_of_its_runs(tmp_path: Path) -> None:
+    """Without a level of its own a logger has the root's, which is WARNING by default: Prefect showed no log of a run."""
+    code = """if True:
+        import logging
+        from prefect.logging.configuration import setup_logging
+        from prefect.logging.handlers import APILogHandler
+        setup_logging()
+        log = logging.getLogger("conetl")
+        print(log.isEnabledFor(logging.INFO), any(isinstance(handler, APILogHandler) for handler in log.handlers))"""
+    environment = os.environ | prefect_environment(tmp_path)
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout == "True True\n"
