@@ -49,10 +49,10 @@ def ingest_in_run(
     )  # fmt: skip
 
 
-_work: ContextVar[Callable[[], IngestReport]] = ContextVar("work")
+_work: ContextVar[Callable[[], State[Any]]] = ContextVar("work")
 
 
-def _do_work() -> IngestReport:
+def _do_work() -> State[Any]:
     """The work of the present command, which holds a connection and a progress bar.
 
     The flow must not hold it: processes and Dask get the flow along with each task, and connections cannot be sent.
@@ -64,14 +64,34 @@ def run_by_command(header: DriveHeader, settings: Settings, work: Callable[[], I
     """Do the work on one drive in this process as a run of the flow `ingest`: no lock, no receipt. Raises as the work does."""
 
     @flow(name="ingest", flow_run_name=lambda: drive_run_name(header), task_runner=task_runner(settings))
-    def ingest_flow(drive: str, map_name: str) -> IngestReport:
+    def ingest_flow(drive: str, map_name: str) -> State[Any]:
         return _do_work()
 
-    mark = _work.set(work)
+    stored: list[tuple[IngestReport, NeedsAttentionError | None]] = []
+
+    def work_and_keep() -> State[Any]:
+        report, error, problem = _stored_drive(work)
+        stored.append((report, error))
+        return _final_state(report, problem)
+
+    mark = _work.set(work_and_keep)
     try:
-        return ingest_flow(header.shown_path, settings.map_name)
+        ingest_flow(header.shown_path, settings.map_name)
     finally:
         _work.reset(mark)
+    [(report, error)] = stored
+    if error is not None:
+        raise error
+    return report
+
+
+def _stored_drive(work: Callable[[], IngestReport]) -> tuple[IngestReport, NeedsAttentionError | None, str]:
+    """The report of a drive that work stores, the error if it needs attention, and what a person has to check."""
+    try:
+        report, error = work(), None
+    except NeedsAttentionError as raised:
+        report, error = raised.report, raised
+    return report, error, " ".join((*([str(error)] if error else ()), *report.remarks))
 
 
 @flow(name="ingest-drive", task_runner=task_runner(read_settings()))
@@ -93,14 +113,18 @@ def ingest_drive(
         started = time.monotonic()
         try:
             _describe_run(header, settings.map_name)
-            report = ingest_in_run(header, settings, params, map_srid=map_srid, database=database)
-            problem = " ".join(report.remarks)
-        except NeedsAttentionError as error:
-            report, problem = error.report, " ".join((str(error), *error.report.remarks))
+            report, _, problem = _stored_drive(
+                lambda: ingest_in_run(header, settings, params, map_srid=map_srid, database=database)
+            )
         except Exception as error:
             save_receipt(failed_receipt(begun, error), settings, database)
             raise
         save_receipt(final_receipt(begun, report, time.monotonic() - started, problem), settings, database)
+    return _final_state(report, problem)
+
+
+def _final_state(report: IngestReport, problem: str) -> State[Any]:
+    """State of the run of a drive that is stored. problem: what a person has to check; empty if nothing."""
     if problem:
         return Completed(name="OnHold" if report.on_hold else "CommittedNeedsALook", message=problem)
     return Completed(message=outcome(report))

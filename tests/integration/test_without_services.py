@@ -9,6 +9,7 @@ import json
 import os
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,8 @@ from uuid import uuid4
 
 import httpx
 import pytest
+from prefect.client.orchestration import get_client
+from prefect.client.schemas.filters import FlowRunFilter, FlowRunFilterName
 
 from conetl.cli.ingest import print_report
 from conetl.db.connection import connect, execute
@@ -30,7 +33,9 @@ from conetl.model.rejections import RejectionReason
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings
+from conetl.readers.drives.header import read_header
 from flows import artifacts, ingest_drive
+from flows.runs import drive_run_name
 from tests.command import until
 from tests.integration.conftest import command_line, conetl_process
 from tests.integration.drives_of_days import held_for
@@ -194,6 +199,27 @@ def test_a_report_of_an_ingest_says_each_thing_once(capsys: pytest.CaptureFixtur
         assert said.count(text[1:]) == times
         assert "Its cones lie lower." not in said, "it is among the remarks"
     assert done.remarks == (other.sentence,), "it makes the exit code 1"
+
+
+@pytest.mark.parametrize("on_hold", ["It jumps.", None])
+def test_a_stored_drive_of_a_command_is_no_failed_run(prefect_here: Path, on_hold: str | None) -> None:
+    made = report(drive_id=f"drive {on_hold}", status="held" if on_hold else "committed", on_hold=on_hold)
+
+    def work() -> IngestReport:
+        if on_hold:
+            raise DriveOnHoldError(made)
+        return made
+
+    header = replace(read_header(SAMPLES[0]), drive_id=made.drive_id)
+    if on_hold:
+        with pytest.raises(DriveOnHoldError, match="It jumps"):
+            ingest_drive.run_by_command(header, Settings(home=prefect_here), work)
+    else:
+        assert ingest_drive.run_by_command(header, Settings(home=prefect_here), work) == made
+    named = FlowRunFilter(name=FlowRunFilterName(any_=[drive_run_name(header)]))
+    with get_client(sync_client=True) as api:
+        [run] = api.read_flow_runs(flow_run_filter=named)
+    assert run.state is not None and run.state.name == ("OnHold" if on_hold else "Completed")
 
 
 def test_the_message_of_a_run_lists_what_changed_now() -> None:
