@@ -221,12 +221,12 @@ calibrate_app.command()(calibrate)
 
 
 def _board_folder(path: Path, pairs: list[int], *, swapped: bool = False) -> Path:
-    for pair in pairs:
+    for place, pair in enumerate(pairs):
         for number, side in zip(
             (2 * pair, 2 * pair + 1), ("right", "left") if swapped else ("left", "right"), strict=True
         ):
             (path / side).mkdir(parents=True, exist_ok=True)
-            (path / side / f"{pair:02d}.jpg").symlink_to(IMAGES / f"pic{number:05d}.jpg")
+            (path / side / f"{place:02d}.jpg").symlink_to(IMAGES / f"pic{number:05d}.jpg")
     return path
 
 
@@ -256,11 +256,21 @@ def test_real_chessboards_give_a_rig_with_its_covariance(tmp_path: Path) -> None
 
 
 @real
-def test_swapped_cameras_are_told(tmp_path: Path) -> None:
-    folder = _board_folder(tmp_path, [5, 10, 15, 20, 25], swapped=True)
-    with pytest.raises(InputError, match="swapped"):
+@pytest.mark.parametrize(
+    ("pairs", "swapped", "board", "message"),
+    [
+        ([5, 10, 15, 20, 25], True, BOARD, "swapped"),
+        ([5, 30], False, "chessboard:8x5:37.8mm", "9 x 6 inner corners instead of 8 x 5: check the size of the board"),
+        ([30] * 6, False, BOARD, "too few or too similar positions"),
+    ],
+)
+def test_images_that_cannot_calibrate_say_why(
+    tmp_path: Path, pairs: list[int], swapped: bool, board: str, message: str
+) -> None:
+    folder = _board_folder(tmp_path, pairs, swapped=swapped)
+    with pytest.raises(InputError, match=message):
         _calibrate(
-            folder, "--board", BOARD, "--lens", "radial", "--board-shape", "flat", "--out", tmp_path / "rig.yaml"
+            folder, "--board", board, "--lens", "radial", "--board-shape", "flat", "--out", tmp_path / "rig.yaml"
         )
     assert not (tmp_path / "rig.yaml").exists()
 

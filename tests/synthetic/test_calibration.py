@@ -6,6 +6,7 @@ believes the calibration. Intervals are stated at each estimate, as the pipeline
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -179,6 +180,20 @@ def test_images_paired_wrongly_are_refused() -> None:
     poses = {(p + 1) % 9: pose for p, pose in start.right_SE3_board.items()}
     with pytest.raises(BundleError, match="agree on where the right camera is"):
         calibrate_stereo(true.points_m, shifted, Start(start.left, start.right, start.left_SE3_board, poses))
+
+
+@pytest.mark.parametrize(("moved_px", "first"), [(0.0, 10), (1.5, 10), (1.5, 6)])
+def test_a_camera_that_was_moved_between_the_pairs_is_noticed(moved_px: float, first: int) -> None:
+    rng = np.random.default_rng(12)
+    true = true_bundle(20, rng, points_m=board_points(6, 4))
+    views = observe(true, 0.1, rng)
+    for view in views:
+        if view.side == "right" and view.pair_index >= first:
+            view.uv_px[:, 0] += moved_px
+    with (
+        pytest.raises(BundleError, match="earlier and later pairs contradict each other") if moved_px else nullcontext()
+    ):
+        calibrate_stereo(true.points_m, views, start_near(true, rng), models=("radial",))
 
 
 def test_the_boards_size_scales_the_base() -> None:

@@ -168,7 +168,8 @@ def _inside(p: Floats, limit: float) -> Floats:
     if not np.isfinite(limit):
         return p.copy()
     r = np.hypot(p[:, 0], p[:, 1])
-    return np.asarray(p * (limit / np.maximum(r, limit))[:, None])
+    with np.errstate(invalid="ignore"):  # infinite points have no direction: NaN, which no step accepts
+        return np.asarray(p * (limit / np.maximum(r, limit))[:, None])
 
 
 def _solve2(a: Floats, b: Floats) -> Floats:

@@ -262,3 +262,37 @@ def rig_covariance(reduced: Reduced, rig_parameters: int, variance_factor: float
     excess = found / expected - 1.0
     effect = 1.0 + excess * excess**2 / (excess**2 + scatter / expected**2)
     return RigCovariance(effect * (least_squares - known) + known, effect)
+
+
+def change_over_pairs(reduced: Reduced, rig_parameters: int, variance_factor: float) -> float:
+    """How far the first `rig_parameters` unknowns differ between earlier and later pairs: about 1 if they are constant.
+
+    The pairs are divided after a quarter, half and three quarters of them. Each part has its own solution (one linear step) and
+    covariance (`rig_covariance`); the result is the largest chi-square of a difference per degree of freedom, 0 if no division
+    leaves two parts that determine the unknowns.
+    """
+    count, largest = len(reduced.normals), 0.0
+    for first in (count // 4, count // 2, count - count // 4):
+        try:
+            before, after = (
+                _solution_of(reduced, part, rig_parameters, variance_factor)
+                for part in (slice(first), slice(first, count))
+            )
+        except BundleError:
+            continue
+        difference, cov = before[0] - after[0], before[1] + after[1]
+        scale = 1.0 / np.sqrt(np.diag(cov))  # units differ by many powers of ten
+        chi_square = scale * difference @ np.linalg.solve(cov * np.outer(scale, scale), scale * difference)
+        largest = max(largest, float(chi_square) / rig_parameters)
+    return largest
+
+
+def _solution_of(reduced: Reduced, part: slice, rig_parameters: int, variance_factor: float) -> tuple[Floats, Floats]:
+    """Step (k,) of the rig's unknowns to the solution of some pairs, and its covariance (k, k). Raises BundleError."""
+    own = Reduced(reduced.normals[part], reduced.gradients[part], reduced.prior)
+    try:
+        step = np.linalg.solve(own.normal, own.gradients.sum(axis=0))
+    except np.linalg.LinAlgError as error:
+        raise BundleError(f"the pairs do not determine the calibration: {error}") from error
+    solved = own._replace(gradients=own.gradients - own.normals @ step)
+    return step[:rig_parameters], rig_covariance(solved, rig_parameters, variance_factor).matrix

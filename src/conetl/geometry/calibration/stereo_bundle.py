@@ -169,7 +169,9 @@ def adjust(bundle: Bundle, views: Sequence[BoardView], *, weights: Sequence[Floa
         bundle, best, damping = trial, cost, max(damping * 0.1, 1e-12)
         if done:
             return bundle
-    raise BundleError(f"the adjustment did not converge in {_MAX_ITERATIONS} iterations")
+    raise BundleError(
+        f"the adjustment did not converge in {_MAX_ITERATIONS} iterations: the board was seen in too few or too similar positions"
+    )
 
 
 def reduce(bundle: Bundle, views: Sequence[BoardView]) -> Reduced:

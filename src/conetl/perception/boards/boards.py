@@ -112,9 +112,9 @@ def parse_board(text: str) -> Board:
 def find_board(image: Image, board: Board) -> Found | NotFound:
     """Corners of the board in a grey image (height, width), or why there are none."""
     if board.kind == "chessboard":
-        corners = _find_chessboard(image, (board.cols, board.rows))
-        if corners is None:
-            return _why_no_chessboard(image, board)
+        corners = _find_chessboard(image, board)
+        if isinstance(corners, NotFound):
+            return corners
         found = Found(np.arange(board.cols * board.rows), corners)
     else:
         ids, uv = (_find_charuco if board.kind == "charuco" else _find_april_grid)(image, board)
@@ -169,18 +169,24 @@ def edge_width_px(image: Image, uv_px: Floats) -> float:
 # --------------------------------------------------------------------------- chessboard
 
 
-def _find_chessboard(image: Image, size: tuple[int, int]) -> Floats | None:
-    """(cols rows, 2) corners row by row, or None: found with ever more effort, then measured in an enlarged copy."""
+def _find_chessboard(image: Image, board: Board) -> Floats | NotFound:
+    """(cols rows, 2) corners row by row: found with ever more effort, then measured in an enlarged copy."""
+    size = board.cols, board.rows
     accurate = cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
     attempts: tuple[tuple[int, int], ...] = (
-        (1, 0), (1, accurate), (1, accurate | cv2.CALIB_CB_NORMALIZE_IMAGE), (2, cv2.CALIB_CB_EXHAUSTIVE)
+        (1, accurate), (1, accurate | cv2.CALIB_CB_NORMALIZE_IMAGE), (2, cv2.CALIB_CB_EXHAUSTIVE)
     )  # fmt: skip
-    for scale, flags in attempts:
-        rough = _sectors(image, size, flags, scale)
-        if rough is not None:
-            break
-    else:
-        return None
+    rough = _sectors(image, size, 0, 1)
+    if rough is None:
+        seen = _largest_grid(image)
+        if seen is not None and _is_larger(
+            seen, board
+        ):  # the board that was stated would not be found with more effort
+            return _why_no_chessboard(image, seen, board)
+        tries = (_sectors(image, size, flags, scale) for scale, flags in attempts)
+        rough = next((found for found in tries if found is not None), None)
+        if rough is None:
+            return _why_no_chessboard(image, seen, board)
     grid = rough.reshape(size[1], size[0], 2)
     steps = np.concatenate([np.diff(grid, axis=axis).reshape(-1, 2) for axis in (0, 1)])
     length = float(np.median(np.hypot(*steps.T)))
@@ -219,16 +225,28 @@ def _right_handed(corners: Floats, size: tuple[int, int]) -> Floats:
     return np.ascontiguousarray(grid.reshape(-1, 2))
 
 
-def _why_no_chessboard(image: Image, board: Board) -> NotFound:
-    """A smaller search distinguishes a board that is cut off from one that is missing or has another size."""
+def _largest_grid(image: Image) -> Floats | None:
+    """(rows, cols, 2) corners of the largest chessboard of any size; None for nine or fewer: a fence or a shirt has those."""
     flags = cv2.CALIB_CB_LARGER | cv2.CALIB_CB_EXHAUSTIVE
-    found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, (3, 3), flags)
-    if not found or meta.size <= 9:  # nine corners are easily found in a fence or a shirt
+    for least in (5, 4, 3):  # a search for few corners often ends before it reaches the board's edge
+        found, corners, meta = cv2.findChessboardCornersSBWithMeta(image, (least, least), flags)
+        if found and meta.size > 9:
+            return np.asarray(corners.reshape(*meta.shape[:2], 2), dtype=np.float64)
+    return None
+
+
+def _is_larger(grid: Floats, board: Board) -> bool:
+    rows, cols = grid.shape[:2]
+    return sorted((cols, rows)) > sorted((board.cols, board.rows)) and rows * cols > board.rows * board.cols
+
+
+def _why_no_chessboard(image: Image, grid: Floats | None, board: Board) -> NotFound:
+    """Distinguishes a board that is cut off from one that is missing or has another size. grid: of `_largest_grid`."""
+    if grid is None:
         return NotFound(RejectionReason.BOARD_NOT_FOUND, "no chessboard found")
-    rows, cols = meta.shape[:2]
-    grid = corners.reshape(rows, cols, 2).astype(np.float64)
+    rows, cols = grid.shape[:2]
     sizes = f"a grid of {cols} x {rows} inner corners instead of {board.cols} x {board.rows}"
-    if sorted((cols, rows)) > sorted((board.cols, board.rows)) and rows * cols > board.rows * board.cols:
+    if _is_larger(grid, board):
         return NotFound(RejectionReason.BOARD_NOT_FOUND, f"{sizes}: check the size of the board")
     step = float(np.median(np.hypot(*np.diff(grid, axis=1).reshape(-1, 2).T)))
     low, high = grid.reshape(-1, 2).min(axis=0), grid.reshape(-1, 2).max(axis=0)
