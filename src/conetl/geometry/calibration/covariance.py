@@ -292,7 +292,7 @@ def _solution_of(reduced: Reduced, part: slice, rig_parameters: int, variance_fa
     own = Reduced(reduced.normals[part], reduced.gradients[part], reduced.prior)
     try:
         step = np.linalg.solve(own.normal, own.gradients.sum(axis=0))
+        solved = own._replace(gradients=own.gradients - own.normals @ step)
+        return step[:rig_parameters], rig_covariance(solved, rig_parameters, variance_factor).matrix
     except np.linalg.LinAlgError as error:
         raise BundleError(f"the pairs do not determine the calibration: {error}") from error
-    solved = own._replace(gradients=own.gradients - own.normals @ step)
-    return step[:rig_parameters], rig_covariance(solved, rig_parameters, variance_factor).matrix

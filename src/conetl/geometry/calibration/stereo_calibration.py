@@ -361,9 +361,10 @@ def _try_model(
 
 def _check_constancy(bundle: Bundle, views: Sequence[BoardView], factor: float) -> None:
     """Raise BundleError if earlier and later pairs have different rigs."""
-    reduced = reduce(bundle, views)
-    change = change_over_pairs(reduced, bundle.rig_parameters, factor)
-    if len(reduced.normals) >= _CHANGE_PAIRS and change > CHANGE_LIMIT:
+    if len(pair_indices(views)) < _CHANGE_PAIRS:
+        return
+    change = change_over_pairs(reduce(bundle, views), bundle.rig_parameters, factor)
+    if change > CHANGE_LIMIT:
         raise BundleError(
             f"earlier and later pairs contradict each other (chi-square per degree of freedom {change:.0f}, at most "
             f"{CHANGE_LIMIT:g}): a camera was moved, zoomed or refocused meanwhile. Use only the pairs before or after that"
