@@ -93,6 +93,10 @@ from pg_roles
 where rolname = any(%(names)s)
 and has_schema_privilege(oid, 'conetl', 'usage') and has_table_privilege(oid, 'conetl.feature_version', 'select');
 
+-- name: may_commit
+-- Whether the connected user may write changesets. Columns: may_commit.
+select has_table_privilege('conetl.changeset', 'insert') as may_commit;
+
 -- name: may_create_roles
 -- Whether the connected user may create roles. Columns: may_create_roles.
 select rolsuper or rolcreaterole as may_create_roles from pg_roles where rolname = current_user;

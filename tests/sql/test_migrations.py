@@ -6,13 +6,13 @@ import hashlib
 import re
 import shutil
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing
+from contextlib import closing, nullcontext
 from uuid import uuid4
 
 import psycopg2
 import pytest
 
-from conetl.db.connection import connect, database_errors, execute, load_sql, sql_directory, statements
+from conetl.db.connection import connect, database_errors, execute, load_sql, require_writer, sql_directory, statements
 from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import read_current_features
 from conetl.db.schema import database_status, migrate
@@ -225,6 +225,12 @@ def test_the_reader_may_only_read(conn, samples):
     refused = pytest.raises(DatabaseError, match=r"permission denied for .*role conetl_writer")
     with refused, database_errors("The map cannot be changed"):
         execute(conn, "delete from delta")
+    conn.rollback()
+    for role, allowed in (("conetl_reader", False), ("conetl_writer", True)):
+        execute(conn, f"set role {role}")
+        conn.commit()
+        with nullcontext() if allowed else pytest.raises(DatabaseError, match=r"may only read.*role conetl_writer"):
+            require_writer(conn)
 
 
 def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):

@@ -59,6 +59,10 @@ _NAME = re.compile(r"^-- name: (\w+)\n", re.MULTILINE)
 _COLUMNS = re.compile(r"\{\{(\w+) columns(?: of (\w+))?\}\}")
 REPORT_AFTER_S = 5.0
 REPORT_EVERY_S = 60.0
+_OTHER_USER = (
+    "Use another database user: one with the role conetl_writer may change maps, the owner of the tables may also migrate, "
+    "prune, archive and delete."
+)
 _log = logging.getLogger(__name__)
 
 
@@ -168,6 +172,13 @@ def _blockers(conn: Connection, url: str) -> list[str]:
     ]
 
 
+def require_writer(conn: Connection) -> None:
+    """Raise DatabaseError if the user may not commit to a map: before hours of work, not after them."""
+    with transaction(conn, "The rights of the database user cannot be read"):
+        if not query(conn, "schema.may_commit")[0]["may_commit"]:
+            raise DatabaseError(f"This database user may only read the map. {_OTHER_USER}")
+
+
 @contextmanager
 def database_errors(what: str) -> Iterator[None]:
     """Turn psycopg2's errors into one `DatabaseError` that says `what` failed."""
@@ -182,10 +193,7 @@ def database_errors(what: str) -> Iterator[None]:
             f"{what}: {_first_line(error)}. The database schema is not up to date: run `conetl db migrate`."
         ) from error
     except psycopg2.errors.InsufficientPrivilege as error:
-        raise DatabaseError(
-            f"{what}: {_first_line(error)}. Use another database user: one with the role conetl_writer may change maps, the "
-            "owner of the tables may also migrate, prune, archive and delete."
-        ) from error
+        raise DatabaseError(f"{what}: {_first_line(error)}. {_OTHER_USER}") from error
     except psycopg2.errors.LockNotAvailable as error:
         holder = next((one.blockers for one in list(_sessions.values()) if one.blockers), "another session")
         raise DatabaseError(

@@ -13,6 +13,7 @@ from uuid import UUID
 
 import httpx
 
+from conetl.db.connection import require_writer
 from conetl.db.map.map_store import find_map
 from conetl.db.receipt_store import Receipt, StepTime, write_receipt
 from conetl.files.home import make_home
@@ -91,6 +92,8 @@ def ingest(
 
         if (report := known()) is not None:
             return _raise_if_held(report)
+        with db.connection() as conn:
+            require_writer(conn)
         refuse_other_delivery(drive, settings, db)
         analysed = analyse(drive, params, rejections=rejections, settings=settings, executor=steps, progress=progress)
         refuse_same_images(analysed.records, settings, db)
