@@ -220,8 +220,8 @@ def _grid(name: str, path: Path) -> Transformer:
 def _missing(path: Path, what: str, grids: list[str]) -> str:
     if not grids:
         return (
-            f"{path}: PROJ has no transformation from {shown(what)} to WGS 84; export"
-            " latitude, longitude and ellipsoidal height"
+            f"{path}: PROJ has no transformation from {shown(what)} to WGS 84 at the first position: check this CRS and the "
+            "order of the coordinates, or export latitude, longitude and ellipsoidal height"
         )
     named = ", ".join(grids)
     return (
