@@ -70,7 +70,7 @@ def run_by_command(header: DriveHeader, settings: Settings, work: Callable[[], I
     stored: list[tuple[IngestReport, NeedsAttentionError | None]] = []
 
     def work_and_keep() -> State[Any]:
-        report, error, problem = _stored_drive(work)
+        report, error, problem = _finished(work)
         stored.append((report, error))
         return _final_state(report, problem)
 
@@ -85,8 +85,8 @@ def run_by_command(header: DriveHeader, settings: Settings, work: Callable[[], I
     return report
 
 
-def _stored_drive(work: Callable[[], IngestReport]) -> tuple[IngestReport, NeedsAttentionError | None, str]:
-    """The report of a drive that work stores, the error if it needs attention, and what a person has to check."""
+def _finished(work: Callable[[], IngestReport]) -> tuple[IngestReport, NeedsAttentionError | None, str]:
+    """The report of the work on a drive, the error if the drive needs attention, and what a person has to check."""
     try:
         report, error = work(), None
     except NeedsAttentionError as raised:
@@ -113,7 +113,7 @@ def ingest_drive(
         started = time.monotonic()
         try:
             _describe_run(header, settings.map_name)
-            report, _, problem = _stored_drive(
+            report, _, problem = _finished(
                 lambda: ingest_in_run(header, settings, params, map_srid=map_srid, database=database)
             )
         except Exception as error:

@@ -199,9 +199,9 @@ def _decide_action(
         if not same_folder:
             return "ingest", f"changed since it was committed (changeset {alike[-1].changeset_no})"
         drive = same_folder[-1]
-        unknown = drive.changeset_id not in folders_of and not (drive.counts or drive.hold)
-        # A person reverts a wrong delivery before its correction is ingested.
-        return "ingest" if unknown else "skip", _present_state(drive, on_hold)
+        # A person reverts a wrong delivery before its correction is ingested: without a receipt, this folder may be either.
+        may_be_corrected = drive.changeset_id not in folders_of and not (drive.counts or drive.hold)
+        return "ingest" if may_be_corrected else "skip", _present_state(drive, on_hold)
     if found or receipt is not None:
         return "ingest", "on the map, but analysed with other parameters or another model"
     return "ingest", "new"
