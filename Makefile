@@ -104,6 +104,10 @@ bench-recordings: setup  ## ingest the sample drives and KITTI as videos and bag
 fuzz: setup     ## run all readers on mutated files: no crash, at most 2 s and 1 GB (ARGS='--cases 10000 --reader kitti')
 	@$(BIN)/python -m tests.fuzz.fuzz_readers $(ARGS)
 
+LOCK := --no-header --no-emit-index-url --no-annotate --python-version 3.11
+# The oldest Python decides, so that each Python gets the versions that the tests ran with.
 lock:           ## renew the locked dependencies from pyproject.toml (needs uv)
-	uv pip compile pyproject.toml --extra dev --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements.txt
-	uv pip compile pyproject.toml --extra s3 --extra dask -c requirements.txt --universal --python-version 3.11 --generate-hashes --no-header --no-emit-index-url --no-annotate -o requirements-runtime.txt
+	@install -D requirements.txt build/oldest_python.txt
+	uv pip compile pyproject.toml --extra dev $(LOCK) -o build/oldest_python.txt
+	uv pip compile pyproject.toml --extra dev -c build/oldest_python.txt --universal --generate-hashes $(LOCK) -o requirements.txt
+	uv pip compile pyproject.toml --extra s3 --extra dask -c requirements.txt --universal --generate-hashes $(LOCK) -o requirements-runtime.txt

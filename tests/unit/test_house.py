@@ -37,3 +37,10 @@ def test_every_step_of_an_analysis_has_the_name_of_a_task() -> None:
     steps = set(re.findall(r"(?:executor|steps)\.(?:run|submit)[(,]\s*(?:\w+\.)?(\w+)", text))
     named = {step.__name__ for step in _NAMES}
     assert len(steps) > 10 and steps - {"publish_new", "publish_known"} <= named
+
+
+def test_every_python_gets_the_same_versions() -> None:
+    """Tests run with one Python; what they show must hold for the others."""
+    for file in ("requirements.txt", "requirements-runtime.txt"):
+        names = Counter(re.findall(r"^([\w.-]+)==", (ROOT / file).read_text(), re.MULTILINE))
+        assert len(names) > 100 and [name for name, count in names.items() if count > 1] == []
