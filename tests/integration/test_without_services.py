@@ -63,10 +63,14 @@ def _plan(root: Path, home: Path, database_url: str, *options: str) -> dict[str,
 
 
 def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts(
-    tmp_path: Path, database_url: str
+    tmp_path: Path, database_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Links by other names. One drive has an id of more bytes than a file name may have and a first stamp before all times, one
-    a calibration beside its link only, and heights of another datum; a name that is not UTF-8 stops no drive beside it."""
+    """Behind a proxy, which cannot reach this machine's own addresses, and links by other names.
+
+    One drive has an id of more bytes than a file name may have and a first stamp before all times, one a calibration beside its
+    link only, and heights of another datum; a name that is not UTF-8 stops no drive beside it.
+    """
+    monkeypatch.setenv("HTTP_PROXY", "http://127.0.0.1:9")
     odd, beside = (
         cut_drive(
             SAMPLES[n], tmp_path / f"disk{n}" / f"2026-05-0{n + 1}_run", f"2026-05-0{n + 1}", frames=range(12, 17)

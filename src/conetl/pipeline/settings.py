@@ -144,9 +144,9 @@ def ignored_variables(names: Iterable[str]) -> list[str]:
 
 
 def prefect_environment(home: Path) -> dict[str, str]:
-    """Defaults for Prefect, as environment variables that the caller sets unless they are set already.
+    """Environment variables for Prefect that the caller sets: defaults of those that are not set, and NO_PROXY.
 
-    Prefect's own state is under `home`; no analytics are sent; only warnings are logged.
+    Prefect's own state is under `home`; no analytics are sent; only warnings are logged. No proxy is used for loopback addresses.
     """
     defaults = {
         "PREFECT_HOME": str((home / "prefect").resolve()),
@@ -165,7 +165,10 @@ def prefect_environment(home: Path) -> dict[str, str]:
         "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_BATCH_SIZE": "100",
         "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_FLUSH_INTERVAL": "1",
     }
-    return {name: value for name, value in defaults.items() if name not in os.environ}
+    # The name in lower case takes precedence where a program reads both.
+    direct = [os.environ.get("no_proxy") or os.environ.get("NO_PROXY", ""), "localhost", "127.0.0.1"]
+    proxies = dict.fromkeys(("no_proxy", "NO_PROXY"), ",".join(host for host in direct if host))
+    return {name: value for name, value in defaults.items() if name not in os.environ} | proxies
 
 
 #: Login that a Prefect server requires of its clients, user:password; Prefect's name of the variable.
