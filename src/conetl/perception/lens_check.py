@@ -56,6 +56,11 @@ def _track_corners(left: Image, right: Image, ours: Floats, theirs: Floats, shri
     near = (np.abs(theirs[:, 1] - ours[:, 1]) < _ROWS_PX) & (ours[:, 0] - theirs[:, 0] > -shrink)
     if not near.any():
         return np.empty((0, 3))
+    # Rectified images may differ in width, those of an optical flow may not.
+    rows, columns = np.maximum(left.shape, right.shape)
+    left, right = (
+        np.pad(image, ((0, rows - image.shape[0]), (0, columns - image.shape[1])), "edge") for image in (left, right)
+    )
     start, guess = ((part[near] / shrink)[:, None].astype(np.float32) for part in (ours, theirs))
     found, known, _ = cv2.calcOpticalFlowPyrLK(
         left,

@@ -232,8 +232,11 @@ def _unclear_squares(octaves: dict[Side, list[NDArray[np.float32]]]) -> UnclearS
     ratio = [own / np.sqrt(energy[1] + _NOISE**2) for own, energy in zip(fine, energies, strict=True)]
     found = []
     for own, other in ((0, 1), (1, 0)):
+        # Rectified images may differ in width.
+        columns = np.minimum(np.arange(ratio[own].shape[1]), ratio[other].shape[1] - 1)
+        ratio_there, fine_there = ratio[other][:, columns], fine[other][:, columns]
         certain, likely = (
-            (ratio[own] < least) | (ratio[own] < beside * ratio[other]) | (fine[own] < faint * fine[other])
+            (ratio[own] < least) | (ratio[own] < beside * ratio_there) | (fine[own] < faint * fine_there)
             for least, beside, faint in zip(_BLURRED, _BLURRED_BESIDE, _FAINT_BESIDE, strict=True)
         )
         part = cv2.connectedComponents(likely.astype(np.uint8), connectivity=4)[1]

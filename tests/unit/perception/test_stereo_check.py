@@ -8,11 +8,13 @@ import pytest
 
 from conetl.model.drive import Drive
 from conetl.model.health import Verdict
+from conetl.model.rig import Lens
 from conetl.perception.stereo_check import check_stereo
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES, spoil_huffman_table
 from tests.mutants.images import PairMutant, both, changed, copy_drive, only_right, smeared
 from tests.mutants.recordings import right_late
+from tests.unit.readers.drive_formats import sample_frames, sample_rig, write_plain
 
 
 def wrong(change: PairMutant, folder: Path) -> Drive:
@@ -41,6 +43,20 @@ def test_the_lower_part_of_both_lenses_that_is_smeared_is_found(tmp_path: Path) 
     unclear = wrong(both(smeared(5.0)), tmp_path).unclear
     assert unclear is not None and unclear.left and unclear.right
     assert all(row >= 2 for row, _ in (*unclear.left, *unclear.right))
+
+
+def test_rectified_images_of_different_lenses_may_differ_in_width(tmp_path: Path) -> None:
+    """Each keeps what its camera sees."""
+    rig = sample_rig()
+    lenses = {side: Lens(model="radial", coefficients=(k1, 0.0)) for side, k1 in (("left", -0.06), ("right", 0.06))}
+    raw = rig.model_copy(
+        update={side: getattr(rig, side).model_copy(update={"lens": lens}) for side, lens in lenses.items()}
+    )
+    drive, _ = read_drive(write_plain(tmp_path / "drive", sample_frames(), raw))
+    widths = [camera.width_px // 64 for camera in (drive.rig.left, drive.rig.right)]
+    assert widths[0] != widths[1]
+    checks = {check.name: check for check in check_stereo(drive)[1]}
+    assert "blurred parts of the lenses" in checks and "distortion of the lenses" in checks
 
 
 @pytest.mark.parametrize("first", [9, 20, 28, 35])
