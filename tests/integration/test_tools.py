@@ -242,7 +242,7 @@ def test_real_chessboards_give_a_rig_with_its_covariance(tmp_path: Path) -> None
     out, report = tmp_path / "rig.yaml", tmp_path / "report"
     words = ("--lens", "brown", "--sensor-mm", "23.5x15.6", "--out", out, "--report", report, "--json")
     content = json.loads(_calibrate(folder, "--board", BOARD, *words))
-    assert content["pairs_used"] >= 10
+    assert content["pairs_used"] >= 10 and not content["constancy_checked"]
     assert content["board_shape"] == "free"  # the board in these images is bent by 2 mm
     assert content["rms_px"]["stereo"] < 0.12
     base = next(row for row in content["relative"] if row["name"] == "base")

@@ -157,6 +157,7 @@ def calibration_as_dict(
         "rig_id": rig.rig_id,
         "pairs": len(pairs),
         "pairs_used": len(both),
+        "constancy_checked": result.is_constancy_checked,
         "pictures_used": {side: sum(v.side == side for v in views) for side in SIDES},
         "lens": bundle.lens_model,
         "board_shape": result.board_shape,

@@ -11,7 +11,7 @@ import typer
 
 from conetl.cli.console import JsonOption, err, parse_size, print_json, print_table, progress_bar, say
 from conetl.files.documents import input_errors
-from conetl.geometry.calibration.stereo_calibration import MODELS, BoardShape, calibrate_stereo, rig_of
+from conetl.geometry.calibration.stereo_calibration import CHANGE_PAIRS, MODELS, BoardShape, calibrate_stereo, rig_of
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.rejections import RejectionReason
@@ -193,6 +193,10 @@ def _print(content: dict[str, Any]) -> None:
     print_table("Relative orientation of the right camera", ("", "unit", "value", "sigma"), rows, numbers_from=2)
     models = [_model(c) for c in content["candidates"]]
     print_table("Models tried", ("lens", "board", "unknowns", "RMS px", "BIC"), models, numbers_from=2)
+    if not content["constancy_checked"]:
+        err.print(
+            f"not checked: whether a camera was moved, zoomed or refocused between the pairs; this requires {CHANGE_PAIRS} pairs"
+        )
     for side, share in content["coverage"].items():
         if share < 0.5:
             err.print(f"the board covers only {100 * share:.0f} % of the {side} image: also place it in the corners")

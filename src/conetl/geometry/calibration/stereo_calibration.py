@@ -41,7 +41,7 @@ PAIR_LIMIT_RELATIVE = 0.05
 #: orders; 51 to 209 after the right camera was moved by 1 or 3 px, turned by 0.5 degrees or zoomed by 1 % for the second half.
 CHANGE_LIMIT = 8.0
 #: With fewer pairs their scatter is not known well enough to tell.
-_CHANGE_PAIRS = 16
+CHANGE_PAIRS = 16
 #: A view with fewer corners is not used.
 MIN_CORNERS = 6
 _HUBER = 2.5
@@ -104,6 +104,11 @@ class StereoCalibration:
     def stereo_pairs(self) -> list[int]:
         """Pairs that both cameras see."""
         return stereo_pairs(self.views)
+
+    @property
+    def is_constancy_checked(self) -> bool:
+        """Whether there were enough pairs to see that the rig changed meanwhile; if it did, there is no calibration."""
+        return len(pair_indices(self.views)) >= CHANGE_PAIRS
 
 
 def calibrate_stereo(
@@ -361,7 +366,7 @@ def _try_model(
 
 def _check_constancy(bundle: Bundle, views: Sequence[BoardView], factor: float) -> None:
     """Raise BundleError if earlier and later pairs have different rigs."""
-    if len(pair_indices(views)) < _CHANGE_PAIRS:
+    if len(pair_indices(views)) < CHANGE_PAIRS:
         return
     change = change_over_pairs(reduce(bundle, views), bundle.rig_parameters, factor)
     if change > CHANGE_LIMIT:
