@@ -573,6 +573,36 @@ def test_a_known_class_may_be_spelled_otherwise(tmp_path, category):
     assert read(path).statements[0].feature.category == "traffic_cone"
 
 
+@pytest.mark.parametrize(("name", "category"), [
+    ("cone", "traffic_cone"), ("Leitkegel", "traffic_cone"), ("PYLON", "traffic_cone"), ("Leitbake", "vertical_panel"),
+    ("barrel", "drum"), ("Absperrschranke", "barricade"), ("Verkehrszeichen", "traffic_sign"),
+])  # fmt: skip
+def test_common_names_of_classes_are_known(tmp_path, name, category):
+    path = geojson(tmp_path / "good.geojson", [(GOOD[0], SEEN | {"category": name})])
+    assert read(path).statements[0].feature.category == category
+
+
+@pytest.mark.parametrize(("category", "up_m", "other"), [
+    ("traffic_sign", 0.0, "work_zone_sign"), ("traffic_sign", 0.9, "traffic_sign"), ("Hinweistafel", 0.9, "Hinweistafel"),
+    ("traffic_cone", 0.0, "traffic_sign"),
+])  # fmt: skip
+def test_signs_on_one_post_are_imported(conn, tmp_path, category, up_m, other):
+    path = tmp_path / "signs.csv"
+    rows = [f"458000.123,5428000.123,{115.012 + up},{name}" for up, name in ((0.0, category), (up_m, other))]
+    path.write_text("\n".join(["easting_m,northing_m,ellipsoidal_height_m,category", *rows]))
+    assert take(conn, path, **IN_UTM).counts[DeltaKind.ADDED] == 2
+
+
+@pytest.mark.parametrize(("category", "up_m", "other"), [
+    ("traffic_sign", 0.0, "traffic_sign"), ("traffic_cone", 0.9, "traffic_cone"), ("traffic_cone", 0.0, "drum"),
+])  # fmt: skip
+def test_one_object_in_two_rows_is_refused(tmp_path, category, up_m, other):
+    path = tmp_path / "twice.csv"
+    rows = [f"458000.123,5428000.123,{115.012 + up},{name}" for up, name in ((0.0, category), (up_m, other))]
+    path.write_text("\n".join(["easting_m,northing_m,ellipsoidal_height_m,category", *rows]))
+    complaint(path, "row 2: the same position as row 1; nothing was written", **IN_UTM)
+
+
 def test_columns_of_csv_may_be_in_capitals(tmp_path):
     path = tmp_path / "capitals.csv"
     path.write_text("Name,Category,Easting,NORTHING,Ellipsoidal_Height_m\nP1,Drum,458000.123,5428000.123,115.012\n")
@@ -818,10 +848,10 @@ def test_the_command_line(conetl, tmp_path, surveyed, monkeypatch):
     assert "exported from this map" in conetl("map", "import", tmp_path / "a.parquet")
     notes = []
     monkeypatch.setattr("conetl.cli.map.exchange.note", notes.append)
-    classes = [(GOOD[0], SEEN | {"category": "Leitkegel"}), (OTHER, SEEN | {"category": "drum"})]
+    classes = [(GOOD[0], SEEN | {"category": "Leitpfosten"}), (OTHER, SEEN | {"category": "drum"})]
     other = ("--map", "classes")
     conetl("map", "import", geojson(tmp_path / "classes.geojson", classes), "--map-srid", 32632, *other)
-    assert "1 of 2 objects have a class that drives do not confirm or remove: Leitkegel." in notes[0]
-    assert "1 Leitkegel, 1 drum" in conetl("map", "show", *other)
+    assert "1 of 2 objects have a class that drives do not confirm or remove: Leitpfosten." in notes[0]
+    assert "1 Leitpfosten, 1 drum" in conetl("map", "show", *other)
     [drum] = json.loads(conetl("map", "show", "--category", "drum", "--json", *other))["features"]
     assert drum["category"] == "drum"

@@ -6,7 +6,7 @@ import hashlib
 import math
 import re
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +22,7 @@ from conetl.geometry.geodesy import check_map_srid, to_ellipsoidal, utm_srid
 from conetl.model.arrays import Floats
 from conetl.model.base import MAX_HEIGHT_M, MIN_HEIGHT_M, Cov3, ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
-from conetl.model.feature_classes import FEATURE_CLASSES, LINE_CLASSES
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LINE_CLASSES
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.readers.base_layers.georeferencing import in_area, parse_crs
@@ -40,12 +40,22 @@ _WGS84 = CRS("OGC:CRS84")
 _EARLIEST_NS = 946_684_800_000_000_000
 
 
+#: Other English and German names of classes, in the spelling of `_checked_category`.
+_SYNONYMS = {
+    **dict.fromkeys(("cone", "pylon", "pylone", "leitkegel", "verkehrsleitkegel", "verkehrskegel"), CONE),
+    **dict.fromkeys(("bake", "leitbake", "warnbake"), "vertical_panel"),
+    **dict.fromkeys(("sign", "verkehrszeichen", "verkehrsschild"), "traffic_sign"),
+    "barrel": "drum", "absperrschranke": "barricade",
+}  # fmt: skip
+
+
 def _checked_category(text: str) -> str:
-    """The class of that name in any spelling (`Traffic Cone`), otherwise the text itself.
+    """The class of that name in any spelling (`Traffic Cone`) or by another name (`Leitkegel`), otherwise the text itself.
 
     Other first characters could be formulas for programs that open a map's CSV.
     """
     spelled = re.sub("[ -]+", "_", text.strip().lower())
+    spelled = _SYNONYMS.get(spelled, spelled)
     if spelled in LINE_CLASSES:
         raise ValueError("expected a class of point objects: lines cannot be imported")
     if spelled in FEATURE_CLASSES:
@@ -65,7 +75,7 @@ class _Row(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
-    category: Annotated[str, BeforeValidator(str), AfterValidator(_checked_category)] = "traffic_cone"
+    category: Annotated[str, BeforeValidator(str), AfterValidator(_checked_category)] = CONE
     height_m: float = Field(gt=0, le=10)
     height_sigma_m: Sigma
     existence_probability: float = Field(ge=0, le=1)
@@ -118,7 +128,6 @@ def read_map_file(
     _require_all(table, file_crs, map_srid, params, stated_at)
     srid = _map_srid(table, file_crs, map_srid)
     xyz_m = _positions(table, file_crs, srid, params)
-    _require_different_positions(path, xyz_m)
     sha256 = file_sha256(path)
     if table.layer not in (None, *table.layers[:1]):  # the hash identifies an import: of a later layer, that of both
         sha256 = hashlib.sha256(f"{sha256}/{table.layer}".encode()).hexdigest()
@@ -136,6 +145,7 @@ def read_map_file(
         )
     ids = rows.ids(sha256)
     statements = [rows.statement(i, ids[i], xyz_m[i], stated_ns) for i in range(len(table))]
+    _require_different_objects(path, [one.feature for one in statements])
     require_exact(table, file_crs, np.sqrt([[one.feature.cov_m2[k] for k in (0, 3, 5)] for one in statements]))
     name = f"{path.name}:{table.layer}" if len(table.layers) > 1 else path.name
     written = tuple(map(tuple, table.xyz[:, :2].tolist())) if file_crs.is_projected else ()
@@ -350,12 +360,15 @@ def _to_wgs84(crs: CRS, xyz: Floats) -> Floats:
     return np.stack([np.asarray(lon), np.asarray(lat)], axis=1)
 
 
-def _require_different_positions(path: Path, xyz_m: Floats) -> None:
-    """Raise InputError where two rows are within a millimetre: one cone written twice."""
-    _, first, group = np.unique(np.round(xyz_m[:, :2] * 1000), axis=0, return_index=True, return_inverse=True)
-    first = first[group.ravel()]
-    for row in np.flatnonzero(first != np.arange(len(first)))[:1]:
-        raise InputError(f"{path}, row {row + 1}: the same position as row {first[row] + 1}; nothing was written")
+def _require_different_objects(path: Path, features: Sequence[MapFeature]) -> None:
+    """Raise InputError where two rows are within a millimetre: one object written twice. Signs may be above others on a post."""
+    first: dict[tuple[object, ...], int] = {}
+    for row, feature in enumerate(features):
+        east_mm, north_mm, up_mm = (round(1000 * metres) for metres in feature.xyz_m)
+        known = FEATURE_CLASSES.get(feature.category)
+        on_post = (feature.category, up_mm) if known is None or not known.on_road else ()
+        if (same := first.setdefault((east_mm, north_mm, *on_post), row)) != row:
+            raise InputError(f"{path}, row {row + 1}: the same position as row {same + 1}; nothing was written")
 
 
 def _text(values: Floats) -> str:
