@@ -15,11 +15,13 @@ from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.drive import Drive, Position
+from conetl.model.health import Verdict
 from conetl.model.params import IngestParams
 from conetl.model.rig import Camera, Lens, Rig
 from conetl.perception.detections import to_detections
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.rectified_image import read_rig_image
+from conetl.perception.stereo_check import check_stereo
 from conetl.readers.drives import read_drive
 from conetl.readers.rigs import read_kitti_rig
 from conetl.tracking.matching.matches import match_pair
@@ -128,3 +130,15 @@ def test_near_cones_stand_where_the_rectified_drive_puts_them(raw_drive: Path) -
         offsets = [np.linalg.norm(np.subtract(p.xyz_m, position.xyz_m)) for p in same_frame]
         print(f"frame {position.frame_index}, {position.range_m:.2f} m: {100 * min(offsets):.2f} cm apart")
         assert min(offsets) < 0.03, "the detector sees the same cone in images that were sampled twice"
+
+
+def test_raw_images_of_two_lenses_pass_the_health_checks(raw_drive: Path) -> None:
+    """Rectified, they differ in width and principal point: points are compared with infinitely far ones."""
+    drive = read_drive(raw_drive)[0]
+    assert drive.rig.left.width_px != drive.rig.right.width_px
+    assert abs(drive.rig.left.cx_px - drive.rig.right.cx_px) > 10.0
+    checks = {check.name: check for check in check_stereo(drive)[1]}
+    failed = {name for name, check in checks.items() if check.verdict is not Verdict.PASS}
+    assert failed <= {"covered parts of the lenses", "blurred parts of the lenses"}  # the raw images have a blank margin
+    assert checks["columns of the right images"].value is not None
+    assert checks["distortion of the lenses"].value is not None

@@ -14,7 +14,7 @@ import numpy as np
 
 from conetl.model.arrays import Floats, Image
 from conetl.model.health import HealthCheck, hold_if
-from conetl.model.rig import Camera
+from conetl.model.rig import Rig
 
 #: Good drives, rendered ones and a real street, have up to 0.004 (k1 of Brown's model); 0.02 are 4 px of disparity at a corner.
 _MOST, _SIGMAS = 0.02, 6.0
@@ -23,10 +23,11 @@ _ROWS_PX, _FOUND_PX, _MIN_POINTS = 8.0, 4.0, 100
 _WINDOW_PX, _ROUNDS, _HUBER_SIGMAS, _LEAST_PX = 15, 10, 1.5, 0.05
 
 
-def check_distortion(pairs: Iterable[tuple[Image, Image, Floats, Floats]], camera: Camera, shrink: int) -> HealthCheck:
-    """pairs: grey images reduced by `shrink`, and matched points (N, 2) px of the whole images. camera: the right one."""
+def check_distortion(pairs: Iterable[tuple[Image, Image, Floats, Floats]], rig: Rig, shrink: int) -> HealthCheck:
+    """pairs: grey images reduced by `shrink`, and matched points (N, 2) px of the whole images. rig: without lenses."""
     name, detail = "distortion of the lenses", "The images do not show enough for this check."
-    points = np.concatenate([np.empty((0, 3)), *(_track_corners(*pair, shrink) for pair in pairs)])
+    camera, at_infinity_px = rig.right, rig.left.cx_px - rig.right.cx_px
+    points = np.concatenate([np.empty((0, 3)), *(_track_corners(*pair, at_infinity_px, shrink) for pair in pairs)])
     if len(points) < _MIN_POINTS:
         return hold_if(False, name, detail, value=None)
     x, y = (points[:, 0] - camera.cx_px) / camera.fx_px, (points[:, 1] - camera.cy_px) / camera.fy_px
@@ -51,9 +52,14 @@ def check_distortion(pairs: Iterable[tuple[Image, Image, Floats, Floats]], camer
     return hold_if(held, name, detail, value=k1, sigma=sigma, limit=limit)
 
 
-def _track_corners(left: Image, right: Image, ours: Floats, theirs: Floats, shrink: int) -> Floats:
-    """(M, 3) columns and rows in the right image, and rows right minus left, px of the whole image."""
-    near = (np.abs(theirs[:, 1] - ours[:, 1]) < _ROWS_PX) & (ours[:, 0] - theirs[:, 0] > -shrink)
+def _track_corners(
+    left: Image, right: Image, ours: Floats, theirs: Floats, at_infinity_px: float, shrink: int
+) -> Floats:
+    """(M, 3) columns and rows in the right image, and rows right minus left, px of the whole image.
+
+    at_infinity_px: columns left minus right of infinitely far points.
+    """
+    near = (np.abs(theirs[:, 1] - ours[:, 1]) < _ROWS_PX) & (ours[:, 0] - theirs[:, 0] - at_infinity_px > -shrink)
     if not near.any():
         return np.empty((0, 3))
     # Rectified images may differ in width, those of an optical flow may not.

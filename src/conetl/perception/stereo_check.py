@@ -118,7 +118,7 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
         return drive, checks
     checks.append(_check_columns(near[np.abs(near[:, 1] - np.median(rows)) <= _SCATTER_PX, 0]))
     seen = [(features(k, "left").small, features(k, "right").small, *points(k, 0)) for k in chosen]
-    checks.append(check_distortion(seen, drive.rig.right, _SHRINK))
+    checks.append(check_distortion(seen, drive.rig, _SHRINK))
     off_px, sigma_px = float(rows.mean()), float(np.hypot(rows.std() / np.sqrt(len(rows)), _FLOOR_PX))
     judged = partial(
         HealthCheck, name="rows of the right images", value=off_px, sigma=sigma_px, limit=_FINE_ROWS_PX, unit="px"
@@ -165,17 +165,21 @@ class _Matching(NamedTuple):
     points: Callable[[int, int], tuple[Floats, Floats]]
     """(M, 2) px each: matches of a left image, by its number, with the right one that many frames later."""
     offsets: Callable[[Sequence[int], int], Floats]
-    """(N, 2) columns left minus right, and rows right minus left, of the matches of several left images."""
+    """(N, 2) columns left minus right (of infinitely far points zero), and rows right minus left, of the matches of several left
+    images."""
 
 
 def _matching(drive: Drive) -> _Matching:
-    count = len(drive.frame_pairs)
+    count, at_infinity_px = len(drive.frame_pairs), drive.rig.left.cx_px - drive.rig.right.cx_px
     features = cache(lambda number, side: _features(drive, number, side))
     points = cache(lambda number, lag: _matched_points(features(number, "left"), features(number + lag, "right")))
 
     def offsets(numbers: Sequence[int], lag: int) -> Floats:
         found = [points(k, lag) for k in numbers if 0 <= k + lag < count]
-        parts = [np.column_stack([ours[:, 0] - theirs[:, 0], theirs[:, 1] - ours[:, 1]]) for ours, theirs in found]
+        parts = [
+            np.column_stack([ours[:, 0] - theirs[:, 0] - at_infinity_px, theirs[:, 1] - ours[:, 1]])
+            for ours, theirs in found
+        ]
         return np.concatenate([np.empty((0, 2)), *parts])
 
     return _Matching(features, points, offsets)
