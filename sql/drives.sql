@@ -202,6 +202,24 @@ and case
 end
 order by d.changeset_no;
 
+-- name: same_rig_elsewhere
+-- The nearest active drive in time, within a day, of a rig that could not have driven from there to a path, or back.
+-- Parameters: map_name; rig_id; drive_id; captured_from_ns, captured_to_ns (UTC); path_wkt (a line), srid; most_m_s: its speed;
+-- apart_m: a distance that is always possible. Columns: drive_id, apart_m, apart_s (0: at the same time).
+select d.drive_id, f.apart_m, t.apart_s
+from conetl.active_drive d
+join conetl.map m on m.map_id = d.map_id
+cross join lateral (
+    select greatest(d.captured_from_ns - %(captured_to_ns)s, %(captured_from_ns)s - d.captured_to_ns, 0) * 1e-9::float8 as apart_s
+) t
+cross join lateral (select ST_Distance(d.area, ST_GeomFromText(%(path_wkt)s, %(srid)s)) as apart_m) f
+where m.map_name = %(map_name)s and m.srid = %(srid)s
+and d.captured_from_ns < %(captured_to_ns)s + 86400000000000 and d.captured_to_ns > %(captured_from_ns)s - 86400000000000
+and d.rig ->> 'rig_id' = %(rig_id)s and d.drive_id <> %(drive_id)s and ST_SRID(d.area) = %(srid)s
+and f.apart_m > %(apart_m)s + %(most_m_s)s * t.apart_s
+order by t.apart_s, d.captured_from_ns, d.drive_id
+limit 1;
+
 -- name: drives_with_boxes
 -- The active drives with other content, not on hold, whose left images have the same size and the boxes of another drive's
 -- images: with one constant time shift, in least_images of these images and for least_share of the boxes of their common

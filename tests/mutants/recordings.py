@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
+from conetl.geometry.geodesy import to_geodetic, to_map
 from conetl.geometry.packing import vec3
 from conetl.model.drive import Drive, FramePair, Pose
 from conetl.model.rig import SIDES
@@ -43,6 +44,15 @@ def displaced(drive: Drive, shift_m: Callable[[int, int], NDArray[np.float64] | 
     """shift_m: of pose k of n."""
     count = len(drive.frame_pairs)
     return with_poses(drive, lambda k, pose: {"map_t_body_m": vec3(np.array(pose.map_t_body_m) + shift_m(k, count))})
+
+
+@prepared
+def farther_east(drive: Drive, degrees: float) -> Drive:
+    """6 or -6 degrees: in the wrong UTM zone, with equal eastings and northings."""
+    path_m = np.array([pair.pose.map_t_body_m for pair in drive.frame_pairs])
+    lat, lon, height = to_geodetic(drive.map_srid, path_m).T
+    shift_m = to_map(drive.map_srid, lat, lon + degrees, height) - path_m
+    return displaced(lambda k, _: shift_m[k])(drive)
 
 
 def jump(metres: float, first: int = 20, last: int = 10**6) -> Mutant:

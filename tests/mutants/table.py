@@ -27,6 +27,7 @@ from tests.mutants.recordings import (
     clock,
     clock_known_to,
     drift,
+    farther_east,
     frozen_place,
     images_of,
     images_shifted,
@@ -376,6 +377,7 @@ def _against_map() -> list[WrongRecording]:
                 ("in radians", lambda p: (*np.radians(p[:2]), p[2]), "in radians"),
             )
         ),
+        *(known(f"positions {d:+g} degrees of longitude", farther_east(d), "one UTM zone") for d in (-6.0, 6.0)),
     ]  # fmt: skip
 
 

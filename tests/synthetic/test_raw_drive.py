@@ -139,6 +139,9 @@ def test_raw_images_of_two_lenses_pass_the_health_checks(raw_drive: Path) -> Non
     assert abs(drive.rig.left.cx_px - drive.rig.right.cx_px) > 10.0
     checks = {check.name: check for check in check_stereo(drive)[1]}
     failed = {name for name, check in checks.items() if check.verdict is not Verdict.PASS}
-    assert failed <= {"covered parts of the lenses", "blurred parts of the lenses"}  # the raw images have a blank margin
+    assert failed <= {
+        "covered parts of the lenses",
+        "blurred parts of the lenses",
+    }  # the raw images have a blank margin
     assert checks["columns of the right images"].value is not None
     assert checks["distortion of the lenses"].value is not None

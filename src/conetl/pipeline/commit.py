@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,33 +16,28 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4, uuid5
 
-import numpy as np
-
-from conetl.db.connection import Connection, sql_directory, transaction
+from conetl.db.connection import sql_directory, transaction
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.decision_store import held_drives, why_not_counted
-from conetl.db.map.map_store import drive_transaction, find_changeset, find_map, read_features_as_of
+from conetl.db.map.map_store import drive_transaction, find_changeset
 from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.files.parquet_store import result_key
-from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.packing import horizontal_sigma_m
-from conetl.mapping.displacement import FARTHEST_M, check_far_positions
 from conetl.model.base import utc_from_ns
 from conetl.model.detector_evidence import evidence_sha256
-from conetl.model.drive import Drive, DriveRecords
-from conetl.model.health import AGREES, HealthCheck, hold_checks, hold_reason
+from conetl.model.drive import Drive
+from conetl.model.health import AGREES, hold_checks, hold_reason
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind
-from conetl.model.params import IngestParams, ReconcileParams, params_sha256
+from conetl.model.params import IngestParams, params_sha256
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.position_checks import check_positions_on_map
 from conetl.pipeline.replay import merge_drive
 from conetl.pipeline.settings import Settings, read_settings
 
-#: Tracks that are compared with what stands farther away, and how many times in a drive.
-_TOGETHER, _MOST_PARTS = 40, 5
 _NAMESPACE = UUID("0b9b3a5e-9c1f-4d0e-8b55-2f7d9a1c6e42")
 #: Libraries that numbers come from.
 _LIBRARIES = ("numpy", "scipy", "opencv-python-headless", "onnxruntime", "pyproj", "prefect")
@@ -111,7 +106,7 @@ def commit(
         database = database or stack.enter_context(MapDatabase(settings))
         conn = stack.enter_context(database.connection())
         with drive_transaction(conn, settings.map_name):
-            health = (*analysed.health, *_cones_elsewhere(conn, records, params.reconcile, settings.map_name))
+            health = (*analysed.health, *check_positions_on_map(conn, records, params.reconcile, settings.map_name))
             merged = merge_drive(
                 conn,
                 records,
@@ -146,25 +141,6 @@ def commit(
         }
     )
     return CommittedDrive(merged.committed, analysed, deltas, report)
-
-
-def _cones_elsewhere(
-    conn: Connection, records: DriveRecords, params: ReconcileParams, map_name: str
-) -> Iterator[HealthCheck]:
-    """A hold if a drive may be far from where the map has its cones. For a long drive, some parts are checked."""
-    info, tracks = find_map(conn, map_name), records.tracks
-    if info is None or info.srid != records.drive.map_srid:
-        return
-    parts = [tracks[k : k + _TOGETHER] for k in range(0, len(tracks), _TOGETHER)]
-    for part in evenly_spaced(parts, _MOST_PARTS):
-        east_m, north_m = np.array([track.xyz_m[:2] for track in part]).T
-        low, high = ((float(side(east_m)), float(side(north_m))) for side in (np.min, np.max))
-        box = (low[0] - FARTHEST_M, low[1] - FARTHEST_M, high[0] + FARTHEST_M, high[1] + FARTHEST_M)
-        around = read_features_as_of(conn, map_name=map_name, within=box)
-        found = check_far_positions(part, [one.feature for one in around], params)
-        if found is not None:
-            yield found
-            return
 
 
 def run_info(analysed: AnalysedDrive, flow_run_id: str | None = None) -> RunInfo:

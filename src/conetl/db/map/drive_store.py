@@ -128,6 +128,32 @@ def drives_with_boxes(
     return [ConcurrentDrive(**row | {"rig": Rig.model_validate(row["rig"])}) for row in rows]
 
 
+class DriveElsewhere(NamedTuple):
+    """Another drive of the same rig."""
+
+    drive_id: str
+    apart_m: float
+    """Distance of its area from the path of the drive."""
+    apart_s: float
+    """Time between them; 0 where they overlap."""
+
+
+def same_rig_elsewhere(
+    conn: Connection, drive: Drive, path_wkt: str, *, map_name: str, most_m_s: float, apart_m: float
+) -> DriveElsewhere | None:
+    """The nearest active drive in time, of the same `rig_id`, that is farther away than `apart_m` and the speed `most_m_s` allow.
+
+    path_wkt: path of the drive (line, map CRS), which is not stored yet.
+    """
+    captured_from_ns, captured_to_ns = drive.captured_ns
+    rows = read(
+        conn, _UNREAD, "drives.same_rig_elsewhere", map_name=map_name, rig_id=drive.rig.rig_id, drive_id=drive.drive_id,
+        captured_from_ns=captured_from_ns, captured_to_ns=captured_to_ns, path_wkt=path_wkt, srid=drive.map_srid,
+        most_m_s=most_m_s, apart_m=apart_m,
+    )  # fmt: skip
+    return DriveElsewhere(**rows[0]) if rows else None
+
+
 class AdjoiningDrive(NamedTuple):
     """A drive that counts, or that the map holds, recorded immediately before or after another one."""
 
