@@ -363,7 +363,7 @@ def _against_map() -> list[WrongRecording]:
             in_turn(jump(0.8, 16), without(16, 25), paused(16, 60.0)), "0.8 m from those of the map.* Only . of its cones",
         ),
         *(known(f"heights {m:+g} m", raised(m), "height") for m in (-48.0, 2.0, 48.0)),
-        *(known(f"whole drive turned {a:g} degrees", turned_about_start(a)) for a in (1.0, 3.0)),
+        *(known(f"whole drive turned {a:g} degrees", turned_about_start(a)) for a in (1.0, 3.0, 60.0, 180.0)),
         *(
             known(f"lever arm {m:g} m {name}", lever_arm(*(m * np.array(axis))))
             for m in (0.1, 0.3) for name, axis in {"aside": (0, 1, 0), "along": (1, 0, 0)}.items()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from functools import partial
 from math import hypot
 from typing import NamedTuple
 
@@ -83,7 +84,7 @@ def check_positions(
     sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     if fit.largest_m <= min(params.max_offset_m, MAX_SIGMAS * sigma_m):
         return None
-    turned = f" and rotated by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= 0.1 else ""
+    turned = _turn_of(fit, 0.1)
     if fit.largest_m <= MAX_SIGMAS * sigma_m:
         detail = (
             f"Its cones are {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
@@ -160,7 +161,8 @@ def check_arrangement(
     if len(tracks) < _LEAST_SAME_OF_DRIVE or not features:
         return None
     found = len(_same_positions(_located(tracks), _located(features), np.zeros(3), params))
-    return _match_arrangement(tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
+    match = partial(_match_arrangement, tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
+    return match() or match(max_turn=np.pi)  # the direction of a local frame is typed by people
 
 
 def check_parts(tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams) -> HealthCheck | None:
@@ -281,7 +283,8 @@ def _match_arrangement(
     covs = cov_matrices([one.cov_m2 for one in cones]), cov_matrices([one.cov_m2 for one in features])
     sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
     limit_m = min(params.max_offset_m, MAX_SIGMAS * sigma_m)
-    return _position_hold(fit.middle_m, sigma_m, "", limit_m) if fit.largest_m > limit_m else None
+    turned = _turn_of(fit, np.degrees(_MAX_TURN))
+    return _position_hold(fit.middle_m, sigma_m, turned, limit_m) if fit.largest_m > limit_m else None
 
 
 def _located(objects: Sequence[Track | MapFeature]) -> _Located:
@@ -342,7 +345,7 @@ def _position_hold(distance_m: float, sigma_m: float, turned: str, limit_m: floa
     detail = (
         f"Its cones are {distance_m:.1f} m from those of the map{turned}, with a stated sigma of {sigma_m:.2f} m: one of the two "
         "has a wrong position, or all cones were moved by the same distance. Check base station, datum and antenna offset of the "
-        "drive."
+        f"drive{' and heading_deg of its georeference' if turned else ''}."
     )
     return agreement_hold("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
 
@@ -362,6 +365,11 @@ class _Fit(NamedTuple):
     """Whether the displaced row still lies along at least half of its length beside where it was."""
     distinct: bool
     """Whether no other displacement fits nearly as well, as along a row of equal distances."""
+
+
+def _turn_of(fit: _Fit, least_deg: float) -> str:
+    """The rotation of a fit in messages; empty below `least_deg`."""
+    return f" and rotated by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= least_deg else ""
 
 
 def _best_fit(t: Floats, f: Floats, gate_m: float, within_m: float, max_turn: float = _MAX_TURN) -> _Fit | None:

@@ -7,11 +7,12 @@ import re
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from conetl.mapping.agreement import check_agreement
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
-from conetl.mapping.displacement import check_far_positions, check_same_cones
+from conetl.mapping.displacement import check_arrangement, check_far_positions, check_same_cones
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
@@ -327,6 +328,19 @@ def test_the_same_cones_far_away_are_known_by_their_arrangement(places: Floats, 
     found = check_far_positions(tracks_at(measured), features_at(SET_UP), PARAMS)
     assert (found and found.name) == (says and "the same cones elsewhere")
     assert found is None or str(says) in found.detail
+
+
+@pytest.mark.parametrize("degrees", [30.0, 90.0, 180.0])
+@pytest.mark.parametrize(("zone", "same"), [(SET_UP, True), (LIKE_IT, False)])
+def test_the_same_cones_are_known_whatever_the_direction_of_a_local_frame(
+    zone: Floats, same: bool, degrees: float
+) -> None:
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    for shift_m, check in (((80.0, 60.0, 0.0), check_far_positions), ((5.0, 20.0, 0.0), check_arrangement)):
+        found = check(tracks_at(zone @ turn.T + shift_m), features_at(SET_UP), PARAMS)
+        assert (found is not None) == same
+        assert found is None or (f"rotated by {degrees:+.1f}" in found.detail.replace("-180", "+180"))
+        assert found is None or "heading_deg of its georeference" in found.detail
 
 
 @pytest.mark.parametrize(
