@@ -204,9 +204,7 @@ def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Floats) 
     known = np.isfinite(sigma).all(axis=1)
     bad = recorded.bad | dict.fromkeys(recorded.times_ns[~known].tolist(), NO_SIGMAS)
     if not known.any():
-        raise InputError(
-            f"{source.root}: {recorded.name} has no sigmas of its positions; give sigmas.horizontal_m in drive.yaml"
-        )
+        raise InputError(f"{source.root}: {recorded.name} has {NO_SIGMAS}")
     antenna_m = np.array(source.settings.antenna_t_m or (0.0, 0.0, 0.0))
     body = se3.compose(poses, se3.se3(sensor_R_body, -antenna_m))
     track = Samples(recorded.name, recorded.times_ns[known].tolist(), body[known], sigma[known], bad)
