@@ -7,7 +7,7 @@ A model is two files: `NAME.onnx` and its sidecar `NAME.onnx.json` (`model_card.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -219,59 +219,80 @@ def detect_image(
         return np.zeros((0, decoding.COLUMNS))
     if within is not None:
         within = (within[0], within[1] - first_row, within[2], within[3] - first_row)
-    rescoring, small_objects = detector.card.closer_look, detector.card.enlarged_look
-    names = detector.card.class_names
-    wanted_classes = None if categories is None else [k for k, name in enumerate(names) if name in categories]
+    card = detector.card
+    wanted_classes = None if categories is None else [k for k, c in enumerate(card.class_names) if c in categories]
     if wanted_classes == []:
         return np.zeros((0, decoding.COLUMNS))
+
+    def run(images: Sequence[NDArray[np.uint8]], longest_px: int, min_score: float) -> list[decoding.NetworkBoxes]:
+        return run_network(detector, images, longest_px, min_score, nms_iou, wanted_classes)
+
+    rescoring, small_objects = card.closer_look, card.enlarged_look
     # Candidates of a second pass must be found first, whatever the caller's threshold.
     candidate_score = score_threshold if rescoring is None else min(score_threshold, rescoring.scores[0])
     candidate_score = candidate_score if small_objects is None else min(candidate_score, MIN_SCORE)
-    longest, shortest = max(road.shape[:2]), min(road.shape[:2])
-    side_px = min(longest, MAX_SIDE_PX)
-    rows, columns = slice(0, road.shape[0]), slice(0, road.shape[1])
+    scale = max(road.shape[:2]) / min(max(road.shape[:2]), MAX_SIDE_PX)
+    window = slice(0, road.shape[0]), slice(0, road.shape[1])
     if within is not None and detector.any_size:
-        rows, columns = _search_window(detector, road.shape, within, reach_px, longest / side_px)
-    part = road[rows, columns]
-
-    def run_on_part(longest_px: int) -> NDArray[np.float64]:
-        """As if the longer side of the road were scaled to this many pixels."""
-        part_px = max(round(longest_px * max(part.shape[:2]) / longest), 1)
-        return run_network(detector, [part], part_px, candidate_score, nms_iou, wanted_classes)[0][0]
-
-    boxes = run_on_part(side_px)
+        window = _search_window(detector, road.shape, within, reach_px, scale)
     coarse_from_px = COARSE_PASSES_OF_SINGLE_FROM_PX if single_image else COARSE_PASSES_FROM_PX
-    if detector.fixed_size is None and shortest * side_px / longest >= coarse_from_px:
-        for smaller_px in (side_px // 2, side_px // 4):
-            again = run_on_part(smaller_px)
-            large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
-            boxes = decoding.suppress_overlaps(np.concatenate((decoding.suppress_parts(boxes, large), large)), nms_iou)
-    boxes[:, [0, 2, 5, 7]] += columns.start
-    boxes[:, [1, 3, 6, 8]] += rows.start
+    coarse = detector.fixed_size is None and min(road.shape[:2]) / scale >= coarse_from_px
+    boxes = _search(run, road, window, candidate_score, nms_iou if coarse else None)
     if small_objects is not None:
         if single_image:
             from_score = min(small_objects.from_score, SMALL_OBJECTS_OF_SINGLE_FROM_SCORE)
             small_objects = small_objects.model_copy(update={"from_score": from_score})
-
-        def run_on_enlarged(image: NDArray[np.uint8]) -> decoding.NetworkBoxes:
-            return run_network(detector, [image], max(image.shape[:2]), MIN_SCORE, nms_iou, wanted_classes)[0]
-
         # Candidates outside `within` do not start the pass, but take its results.
         wanted = None if within is None else _has_centre_in(boxes, within)
-        found = detect_small_objects(run_on_enlarged, road, boxes, small_objects, longest / side_px, wanted)
+        found = detect_small_objects(
+            lambda image: run([image], max(image.shape[:2]), MIN_SCORE)[0], road, boxes, small_objects, scale, wanted
+        )
         boxes = decoding.suppress_overlaps(found, SAME_BOX_IOU)
     if within is not None:
         boxes = boxes[_has_centre_in(boxes, within)]
     boxes[:, [1, 3, 6, 8]] += first_row
     if rescoring is not None:
-
-        def run_on_windows(windows: list[NDArray[np.uint8]], min_score: float) -> list[NDArray[np.float64]]:
-            found = run_network(detector, windows, rescoring.window_px, min_score, nms_iou, wanted_classes)
-            return [boxes for boxes, _ in found]
-
-        boxes = decoding.suppress_overlaps(rescore(run_on_windows, whole, boxes, rescoring), SAME_BOX_IOU)
+        rescored = rescore(
+            lambda windows, min_score: [found for found, _ in run(windows, rescoring.window_px, min_score)],
+            whole,
+            boxes,
+            rescoring,
+        )
+        boxes = decoding.suppress_overlaps(rescored, SAME_BOX_IOU)
     boxes = boxes[boxes[:, 4] >= score_threshold]  # second passes need candidates below it
     return decoding.boxes_in_image(boxes, whole.shape[1], whole.shape[0])
+
+
+def _search(
+    run: Callable[[Sequence[NDArray[np.uint8]], int, float], list[decoding.NetworkBoxes]],
+    road: NDArray[np.uint8],
+    window: tuple[slice, slice],
+    min_score: float,
+    coarse_nms_iou: float | None,
+) -> NDArray[np.float64]:
+    """Candidates (N, 10) of the first pass over a window of the road's image, in pixels of the road's image.
+
+    run: network on images of one size, whose longer side is scaled to so many pixels, from a score on. coarse_nms_iou: overlap
+    from which boxes of searches at half and a quarter of the size, for large cones, are the same; None: no such searches.
+    """
+    part, longest = road[window], max(road.shape[:2])
+
+    def run_on_part(longest_px: int) -> NDArray[np.float64]:
+        """As if the longer side of the road were scaled to this many pixels."""
+        return run([part], max(round(longest_px * max(part.shape[:2]) / longest), 1), min_score)[0][0]
+
+    side_px = min(longest, MAX_SIDE_PX)
+    boxes = run_on_part(side_px)
+    if coarse_nms_iou is not None:
+        for smaller_px in (side_px // 2, side_px // 4):
+            again = run_on_part(smaller_px)
+            large = again[(again[:, 3] - again[:, 1]) * smaller_px / longest > LARGE_CONE_PX]
+            both = np.concatenate((decoding.suppress_parts(boxes, large), large))
+            boxes = decoding.suppress_overlaps(both, coarse_nms_iou)
+    rows, columns = window
+    boxes[:, [0, 2, 5, 7]] += columns.start
+    boxes[:, [1, 3, 6, 8]] += rows.start
+    return boxes
 
 
 def _search_window(

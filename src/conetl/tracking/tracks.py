@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from conetl.geometry.calibration.covariance import jacobian_of
-from conetl.geometry.intersection import fit_point
+from conetl.geometry.intersection import JointFit, fit_point
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_camera, map_SE3_left
 from conetl.model.arrays import Floats
@@ -113,41 +113,11 @@ def fuse_group(
     if nearest_m > limits.max_range_m:
         detail = f"never nearer than {nearest_m:.1f} m, expected {limits.max_range_m} m"
         return _reject(RejectionReason.NEVER_NEAR, group, detail)
-    pairs = [data.matches[p.frame_index, p.match_index] for p in group]
-    left = np.stack([data.map_SE3_left[p.frame_index] for p in group])
-    right = np.stack([data.map_SE3_right[p.frame_index] for p in group])
-    nearest = min(group, key=lambda p: p.range_m)
-    sigma_motion_m = _motion_sigmas(group, nearest, left, data)
-    sigma_u_px = np.array([m.sigma_u_px for m in pairs])
-    # `outline_jacobian` adds once what all observations share, as they do not average it out; here it must not count again. A
-    # disparity is the difference of two columns, hence the square roots of 2.
-    sharing = np.array([m.sigma_outline_px > 0 for m in pairs])
-    sigma_u_px[sharing] = [own_disparity_px(px) / 2**0.5 for px in 2**0.5 * sigma_u_px[sharing]]
-    foot, centre, tip = (
-        fit_point(
-            np.array([(*getattr(m, f"{point}_left_uv_px"), *getattr(m, f"{point}_right_uv_px")) for m in pairs]),
-            np.array(nearest.centre_xyz_m if point == "centre" else nearest.xyz_m),
-            left,
-            right,
-            rig,
-            sigma_u_px=sigma_u_px,
-            sigma_v_px=np.array([m.sigma_v_px for m in pairs]),
-            sigma_pointing_px=np.array([m.sigma_pointing_px for m in pairs]),
-            sigma_motion_m=sigma_motion_m,
-            convergence_m2=data.params.position.convergence_m2,
-        )
-        for point in ("foot", "centre", "tip")
-    )
+    matches = [data.matches[p.frame_index, p.match_index] for p in group]
+    foot, centre, tip = _fit_points(group, matches, data)
     if foot is None or centre is None or tip is None:
         return _reject(RejectionReason.NOT_CONVERGED, group, "the joint adjustment of all rays found no point")
     height_m = float(tip.xyz_m[2] - foot.xyz_m[2])
-    # Pose errors shift foot and tip equally: only the scatter of the box edges makes the height uncertain.
-    height_sigma_m = float(
-        np.sqrt(
-            2 / sum((rig.left.fy_px / p.range_m / m.sigma_v_px) ** 2 for p, m in zip(group, pairs, strict=True))
-            + 2 * min(p.sigma_outline_m for p in group) ** 2
-        )
-    )
     category = _category_of(group)
     least_m, most_m = limits.heights_m(category)
     if not least_m <= height_m <= most_m:
@@ -171,24 +141,16 @@ def fuse_group(
     log = data.params.trajectory if data.motion is None else None
     of_drive = common_cov(group, foot.shares, data.frame_pairs, rig, data.map_SE3_left, log)
     shared = [(class_error_id(category), of_class)] if of_class.any() else []
-    relative_cov = own_cov
-    if data.motion is not None and data.motion.changed_cov_m2 is not None:
-        # Errors of the poses are no more independent from frame to frame than the fit takes them to be: those of the scale of
-        # all motions, which few positions hardly show, stretch a whole track.
-        frames = [p.frame_index for p in group]
-        by_frames = track_shares(group, [data.frame_pairs[k].pose for k in frames], rig, data.motion)
-        changed = data.motion.changed_cov_m2(foot.xyz_m[None], [frames], [by_frames])
-        relative_cov = own_cov - foot.cov_m2 + foot.of_images_m2 + changed
     first, last = (data.frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,
         category=category,
         xyz_m=vec3(foot.xyz_m),
         cov_m2=cov3(own_cov + of_class @ of_class.T + of_drive),
-        relative_cov_m2=cov3(relative_cov),
+        relative_cov_m2=cov3(own_cov + _changed_by_motion(group, foot, data)),
         centre_xyz_m=vec3(centre.xyz_m),
         cone_height_m=height_m,
-        cone_height_sigma_m=height_sigma_m,
+        cone_height_sigma_m=_height_sigma_m(group, matches, rig),
         existence_probability=existence,
         observation_count=len(group),
         first_seen_ns=first,
@@ -198,6 +160,54 @@ def fuse_group(
         members=tuple((p.frame_index, p.match_index) for p in group),
         shared_jacobian=jacobian_of(moved_by_calibration(group, foot.shares, rig, data.map_SE3_left), rig, shared),
     )
+
+
+def _fit_points(
+    group: tuple[Position, ...], matches: Sequence[StereoMatch], data: DriveData
+) -> Iterator[JointFit | None]:
+    """Foot, centre and tip of an object, each from the image points of all its matches; None where no point is found."""
+    left = np.stack([data.map_SE3_left[p.frame_index] for p in group])
+    right = np.stack([data.map_SE3_right[p.frame_index] for p in group])
+    nearest = min(group, key=lambda p: p.range_m)
+    sigma_motion_m = _motion_sigmas(group, nearest, left, data)
+    sigma_u_px = np.array([m.sigma_u_px for m in matches])
+    # `outline_jacobian` adds once what all observations share, as they do not average it out; here it must not count again. A
+    # disparity is the difference of two columns, hence the square roots of 2.
+    sharing = np.array([m.sigma_outline_px > 0 for m in matches])
+    sigma_u_px[sharing] = [own_disparity_px(px) / 2**0.5 for px in 2**0.5 * sigma_u_px[sharing]]
+    for point in ("foot", "centre", "tip"):
+        yield fit_point(
+            np.array([(*getattr(m, f"{point}_left_uv_px"), *getattr(m, f"{point}_right_uv_px")) for m in matches]),
+            np.array(nearest.centre_xyz_m if point == "centre" else nearest.xyz_m),
+            left,
+            right,
+            data.rig,
+            sigma_u_px=sigma_u_px,
+            sigma_v_px=np.array([m.sigma_v_px for m in matches]),
+            sigma_pointing_px=np.array([m.sigma_pointing_px for m in matches]),
+            sigma_motion_m=sigma_motion_m,
+            convergence_m2=data.params.position.convergence_m2,
+        )
+
+
+def _height_sigma_m(group: Sequence[Position], matches: Sequence[StereoMatch], rig: Rig) -> float:
+    """Sigma of an object's height: pose errors shift foot and tip equally, so only the scatter of the box edges counts."""
+    weight = sum((rig.left.fy_px / p.range_m / m.sigma_v_px) ** 2 for p, m in zip(group, matches, strict=True))
+    return float(np.sqrt(2 / weight + 2 * min(p.sigma_outline_m for p in group) ** 2))
+
+
+def _changed_by_motion(group: tuple[Position, ...], foot: JointFit, data: DriveData) -> Floats:
+    """What the covariance of relative motion adds to that of the fit, (3, 3) m^2.
+
+    The fit takes pose errors to be independent from frame to frame. Those of the scale of all motions, which few positions hardly
+    show, stretch a whole track.
+    """
+    if data.motion is None or data.motion.changed_cov_m2 is None:
+        return np.zeros((3, 3))
+    frames = [p.frame_index for p in group]
+    by_frames = track_shares(group, [data.frame_pairs[k].pose for k in frames], data.rig, data.motion)
+    changed: Floats = data.motion.changed_cov_m2(foot.xyz_m[None], [frames], [by_frames])
+    return foot.of_images_m2 + changed - foot.cov_m2
 
 
 def _category_of(group: Sequence[Position]) -> str:
