@@ -25,17 +25,18 @@ if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
   install_packages python3-venv
 fi
 
-lock=$(sha256sum requirements.txt pyproject.toml | sha256sum | cut -d' ' -f1)
-if [ "$(cat .venv/.conetl-lock 2>/dev/null)" != "$lock" ]; then
+# With the version of Python: after an upgrade of the operating system .venv has a Python without any packages.
+lock() { { sha256sum requirements.txt pyproject.toml; .venv/bin/python --version; } 2>/dev/null | sha256sum | cut -d' ' -f1; }
+if [ "$(cat .venv/.conetl-lock 2>/dev/null)" != "$(lock)" ]; then
   say "Setting up the Python environment in .venv (a minute or two)"
-  [ -x .venv/bin/python ] || "$python" -m venv .venv
+  .venv/bin/python -m pip --version >/dev/null 2>&1 || "$python" -m venv --clear .venv
   # The lock names every package there is: nothing to resolve, and nothing that a release of tomorrow could change.
   .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --no-deps --require-hashes -r requirements.txt
   .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
   # Bytecode of what conetl uses, not of all 18,000 files. Where PYTHONDONTWRITEBYTECODE is set, as in many containers, every
   # process would otherwise compile Prefect again: 4 s for the server alone.
   env -u PYTHONDONTWRITEBYTECODE .venv/bin/python scripts/import_all.py
-  echo "$lock" > .venv/.conetl-lock
+  lock > .venv/.conetl-lock
 fi
 
 # --- PostGIS
