@@ -117,11 +117,7 @@ def test_every_link_leads_somewhere(client, features):
         answer = client.get(link)
         assert answer.status_code == 200, link
         assert urlsplit(link).path.startswith(f"{OGC}/")
-        if (
-            "json" in answer.headers["content-type"]
-            and "seq" not in answer.headers["content-type"]
-            and not link.endswith("/api")
-        ):
+        if "json" in answer.headers["content-type"] and not ("&f=" in link or "?f=" in link or link.endswith("/api")):
             waiting += links_of(answer.json())
     assert len(seen) > 20
 
@@ -317,8 +313,7 @@ def test_existence_probability_is_that_after_the_last_drive_that_could_see_the_c
     for day, existence in ((0, there.existence_probability), (1, 0.6), (2, 0.3)):
         asked = {"at": iso(start + (day + 0.5) * DAY)}
         pages = [get(own_view, f"{FEATURES}/items", schema=standard.ITEMS, **asked)["features"]]
-        lines = own_view.get(f"{FEATURES}/items", params=asked | {"f": "geojsonseq"}).text.splitlines()
-        pages.append([json.loads(line) for line in lines])
+        pages.append(text_sequence(own_view.get(f"{FEATURES}/items", params=asked | {"f": "geojsonseq"})))
         for items in pages:
             found = {item["id"]: item["properties"] for item in items}
             names = ("existence_probability", "seen_count", "missed_count")
@@ -363,8 +358,7 @@ def test_items_of_geojson_are_those_of_the_other_forms(client, start, query):
             continue
         address = f"{path}/items?{query}&{'at' if path == FEATURES else 'to'}={iso(at).replace('+', '%2B')}"
         page = get(client, address, schema=standard.ITEMS)
-        lines = client.get(f"{address}&f=geojsonseq").text.splitlines()
-        others = [json.loads(line) for line in lines]
+        others = text_sequence(client.get(f"{address}&f=geojsonseq"))
         assert [plain(item) for item in page["features"]] == [plain(item) for item in others]
 
 
@@ -410,12 +404,68 @@ def test_filters_by_property_order_and_choice_of_properties(client, features):
     assert set(page["features"][0]["properties"]) == {"category", "version"}
 
 
-@pytest.mark.parametrize("form", ["csv", "geojsonseq", "json", "ndjson"])
+FORMS = {
+    "csv": "text/csv", "geojsonseq": "application/geo+json-seq", "json": "application/json", "ndjson": "application/ndjson",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_one_item_in_other_forms_is_that_of_the_page(client, features, form):
+    asked = {"f": form, "properties": "version"}
+    [page, one] = [
+        client.get(f"{FEATURES}/items{path}", params=asked | more)
+        for path, more in (("", {"ids": features["stays"].feature_id}), (f"/{features['stays'].feature_id}", {}))
+    ]
+    assert one.headers["content-type"].startswith(FORMS[form])
+    if form == "json":
+        assert [one.json()] == page.json()
+    elif form == "geojsonseq":
+        page, one = (text_sequence(answer) for answer in (page, one))
+        assert [item | {"links": []} for item in one] == [item | {"links": []} for item in page]
+    else:
+        assert one.text == page.text
+
+
+def text_sequence(answer):
+    """The records of a GeoJSON text sequence: each begins with a record separator and ends with a line feed (RFC 8142, 2.1)."""
+    before, *records = answer.text.split("\x1e")
+    assert before == "" and all(record.endswith("\n") for record in records)
+    return [json.loads(record) for record in records]
+
+
+def test_answers_link_to_their_other_forms(client, features):
+    """Requirements fc-links and f-links of 17-069r4."""
+    for path in (
+        "items?limit=1&at=2026-03-05T00:00:00Z",
+        f"items/{features['stays'].feature_id}?at=2026-03-05T00:00:00Z",
+    ):
+        links = {
+            link["type"]: link["href"]
+            for link in get(client, f"{FEATURES}/{path}")["links"]
+            if link["rel"] == "alternate"
+        }
+        assert set(links) == set(FORMS.values())
+        for kind, link in links.items():
+            answer = client.get(link)
+            assert answer.status_code == 200 and answer.headers["content-type"].startswith(kind)
+            assert parse_qs(urlsplit(link).query)["at"] == ["2026-03-05T00:00:00Z"]
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_page_without_links_names_the_next_one_in_its_header(client, form):
+    answer, pages = client.get(f"{FEATURES}/items", params={"f": form, "limit": 2}), 1
+    while found := answer.links.get("next"):
+        answer, pages = client.get(found["url"]), pages + 1
+        assert answer.headers["content-type"].startswith(FORMS[form])
+    assert pages == 2
+
+
+@pytest.mark.parametrize("form", FORMS)
 def test_other_forms(client, form):
     for at in ("2026-03-05", "2026-02-01"):  # three items, and none
         answer = client.get(f"{FEATURES}/items", params={"f": form, "at": f"{at}T00:00:00Z"})
         assert answer.status_code == 200
-        lines = answer.text.splitlines()
+        lines = answer.text.split("\n")[:-1]  # a record separator is no end of a line
         count = {"csv": len(lines) - 1, "json": len(answer.json()) if form == "json" else None}.get(form, len(lines))
         assert count == (3 if at == "2026-03-05" else 0)
 
@@ -501,6 +551,8 @@ def test_invalid_parameters_are_refused(client, query):
         ("version=one", "version='one' should be a whole number"),
         ("version=99999999999", "version='99999999999' should be a whole number"),
         ("easting_m=east", "easting_m='east' should be a number"),
+        ("easting_m=nan", "easting_m='nan' should be a number"),
+        ("existence_probability=inf", "existence_probability='inf' should be a number"),
         ("feature_id=1", "feature_id='1' should be the id of a cone"),
         ("version=1_0", "version='1_0' should be a whole number"),
         ("valid_from=1772352000", "valid_from='1772352000' should be an instant"),
@@ -520,6 +572,26 @@ def test_invalid_parameters_are_refused(client, query):
 )  # fmt: skip
 def test_an_error_names_the_expected_value(client, query, words):
     assert words in get(client, f"{FEATURES}/items?{query}", 400)["detail"]
+
+
+@pytest.mark.parametrize(
+    ("collection", "query", "words"),
+    [
+        ("changes", "change=foo", "change='foo' should be one of added, moved, removed, confirmed"),
+        ("lane_markings", "pattern=dotted", "pattern='dotted' should be one of solid, dashed"),
+        ("lane_markings", "colour=", "colour='' should be one of white, yellow, other"),
+    ],
+)
+def test_a_word_that_no_item_can_have_is_an_error(client, collection, query, words):
+    assert words in get(client, f"{OGC}/collections/default.{collection}/items?{query}", 400)["detail"]
+
+
+def test_the_definition_states_the_values_of_filters(client):
+    parameters = client.get(f"{OGC}/api").json()["paths"]["/collections/{collectionId}/items"]["get"]["parameters"]
+    schemas = {parameter["name"]: parameter["schema"] for parameter in parameters}
+    assert schemas["change"] == {"type": "string", "enum": ["added", "moved", "removed", "confirmed"]}
+    assert schemas["version"] == {"type": "integer"} and schemas["shift_m"] == {"type": "number"}
+    assert schemas["valid_from"] == {"type": "string", "format": "date-time"}
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from typing import Annotated, TypeVar
 from uuid import UUID
 
 from fastapi import Depends, HTTPException, Path, Query, Request
-from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
 from conetl.db.connection import Connection
@@ -145,7 +145,7 @@ _VALUES: dict[str, tuple[Callable[[str], object], str]] = {
         TypeAdapter(Annotated[int, Field(ge=-(2**31), lt=2**31)]).validate_python,
         "a whole number from -2147483648 to 2147483647",
     ),
-    "float8": (float, "a number"),
+    "float8": (TypeAdapter(FiniteFloat).validate_python, "a number"),
     "uuid": (TypeAdapter(UUID).validate_python, "the id of a cone, a UUID"),
     "timestamptz": (parse_instant, "an instant such as 2026-03-02T12:00:00Z"),
 }

@@ -11,7 +11,7 @@ from urllib.parse import urlencode
 import asyncpg
 import orjson
 import tipg.factory
-from fastapi import Depends, FastAPI, Query, Request, Response
+from fastapi import Depends, FastAPI, Path, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
 from fastapi.responses import JSONResponse
@@ -31,7 +31,7 @@ from conetl.exports.fields import FIELDS
 from conetl.model.errors import DatabaseError
 from conetl.web.models import Problem
 from conetl.web.ogc import parameters as p
-from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS, MARKING_COLUMNS, AsOfCollection, Page, as_ewkt
+from conetl.web.ogc.collections import FILTERS, AsOfCollection, Page, as_ewkt
 from conetl.web.parameters import BadParameterError, Interval
 
 TITLE = "conetl: maps of traffic cones"
@@ -70,6 +70,9 @@ _TILING = "WebMercatorQuad"
 _CARRIED = ("at", "known_at", "from", "to", "known_from", "known_to")
 #: Stands for the id of an item in its links; no name of a map and no instant contains it.
 _ID = "ITEM-ID"
+Properties = Annotated[
+    str | None, Query(description="Only these properties, comma-separated; empty: none. Default: all.")
+]
 _FORMS = (MediaType.geojson, MediaType.csv, MediaType.json, MediaType.geojsonseq, MediaType.ndjson)
 
 
@@ -133,13 +136,12 @@ def _definition(app: FastAPI) -> dict[str, Any]:
         operation = operations["get"]
         parameters = [p for p in operation.get("parameters", ()) if p["name"] not in _NOT_OFFERED]
         names = {p["name"] for p in parameters}
-        filters = dict.fromkeys((*CHANGE_COLUMNS, *MARKING_COLUMNS, *FEATURE_COLUMNS)) if path in _FILTERED else {}
         operation["parameters"] = parameters + [
             {
-                "name": name, "in": "query", "required": False, "schema": {"type": "string"},
+                "name": name, "in": "query", "required": False, "schema": schema,
                 "description": f"Only items with this value: {FIELDS[name].meaning}",
             }
-            for name in filters if name not in names
+            for name, schema in FILTERS.items() if path in _FILTERED and name not in names
         ]  # fmt: skip
         operation["responses"].pop("422", None)
         for answer in operation["responses"].values():
@@ -201,9 +203,7 @@ async def items(
     box: Annotated[Degrees | None, Depends(p.read_box)],
     interval: Annotated[Interval | None, Depends(p.read_interval)],
     ids: Annotated[str | None, Query(description="Only these items, comma-separated.")] = None,
-    properties: Annotated[
-        str | None, Query(description="Only these properties, comma-separated; empty: none. Default: all.")
-    ] = None,
+    properties: Properties = None,
     sortby: Annotated[
         str | None, Query(description="Properties, comma-separated; a - before a name sorts in descending order.")
     ] = None,
@@ -215,7 +215,7 @@ async def items(
 ) -> Response:
     """Items of a collection."""
     limit = min(limit, p.MAX_LIMIT)  # a larger one is not an error (17-069r4, 7.15.2)
-    wanted = None if properties is None else [name.strip() for name in properties.split(",")]
+    wanted = _names(properties)
     asked = _pinned(request, collection)
     here = f"{request.base_url}collections/{collection.id}"
     to_collection = _link(here, "collection", MediaType.json, "Collection")
@@ -226,35 +226,75 @@ async def items(
             conn, limit=limit, offset=offset, ids=ids.split(",") if ids else None, box=box, interval=interval,
             values=properties_filter_query(request, collection), sortby=sortby, properties=wanted, links=(before, after),
         )  # fmt: skip
+    links = _page_links(f"{here}/items", page, asked, limit, offset)
     if f == "geojson":
-        links = [to_collection, *_page_links(f"{here}/items", page, asked, limit, offset)]
         head = {
             "type": "FeatureCollection", "id": collection.id, "title": collection.title,
             "description": collection.description, "numberMatched": page.matched, "numberReturned": page.returned,
-            "links": links,
+            "links": [to_collection, *_forms(f"{here}/items", asked, "Items"), *links],
         }  # fmt: skip
         body = b'%b,"features":[%b]}' % (orjson.dumps(head)[:-1], page.items)
         return Response(body, media_type=MediaType.geojson.value)
-    if f == "geojsonseq":
-        return _lines(page.parsed(), MediaType.geojsonseq, "items.geojson")
-    rows = [
-        {
-            "collectionId": collection.id,
-            "itemId": item["id"],
-            **item["properties"],
-            "geometry": as_ewkt(item["geometry"]),
-        }
-        for item in page.parsed()
-    ]
-    if f == "json":
+    answer = _other_form(collection, page.parsed(), f, wanted)
+    # These forms hold no links; whoever does not follow this one has the first page only.
+    if following := [link["href"] for link in links if link["rel"] == "next"]:
+        answer.headers["Link"] = f'<{following[0]}>; rel="next"; type="{MediaType[f].value}"'
+    return answer
+
+
+async def item(
+    request: Request,
+    collection: Annotated[AsOfCollection, Depends(p.one_collection)],
+    itemId: Annotated[str, Path(description="Id of the item.")],
+    properties: Properties = None,
+    f: p.ItemForm = "geojson",
+) -> Response:
+    """One item of a collection."""
+    wanted = _names(properties)
+    async with request.app.state.pool.acquire() as conn:
+        page = await collection.page(conn, ids=[itemId], properties=wanted, limit=2)  # not full: not counted
+    if not page.returned:
+        raise NotFound(f"There is no item {itemId} in the collection {collection.id}.")
+    found = page.parsed()
+    here = f"{request.base_url}collections/{collection.id}"
+    links = [_link(here, "collection", MediaType.json, "Collection")]
+    found[0]["links"] = links + _forms(f"{here}/items/{found[0]['id']}", {**request.query_params}, "Item")
+    if f == "geojson":
+        return GeoJSONResponse(found[0])
+    return ORJSONResponse(_row(collection, found[0])) if f == "json" else _other_form(collection, found, f, wanted)
+
+
+def _names(properties: str | None) -> list[str] | None:
+    return None if properties is None else [name.strip() for name in properties.split(",")]
+
+
+def _other_form(
+    collection: AsOfCollection, found: list[dict[str, Any]], form: str, wanted: list[str] | None
+) -> Response:
+    """Items in a form other than GeoJSON."""
+    if form == "geojsonseq":  # each record begins with a separator (RFC 8142)
+        text = b"".join(b"\x1e%b\n" % orjson.dumps(item) for item in found)
+        return _attachment(text, MediaType.geojsonseq, "items.geojson")
+    rows = [_row(collection, item) for item in found]
+    if form == "json":
         return ORJSONResponse(rows)
-    if f == "ndjson":
-        return _lines(rows, MediaType.ndjson, "items.ndjson")
+    if form == "ndjson":
+        text = b"".join(orjson.dumps(row) + b"\n" for row in rows)
+        return _attachment(text, MediaType.ndjson, "items.ndjson")
     table = io.StringIO()
     writer = csv.DictWriter(table, ["collectionId", "itemId", *collection.columns(wanted), "geometry"])
     writer.writeheader()
     writer.writerows(rows)
     return _attachment(table.getvalue().encode(), MediaType.csv, "items.csv")
+
+
+def _row(collection: AsOfCollection, item: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "collectionId": collection.id,
+        "itemId": item["id"],
+        **item["properties"],
+        "geometry": as_ewkt(item["geometry"]),
+    }
 
 
 def _pinned(request: Request, collection: AsOfCollection) -> dict[str, str]:
@@ -265,17 +305,23 @@ def _pinned(request: Request, collection: AsOfCollection) -> dict[str, str]:
 
 
 def _page_links(url: str, page: Page, asked: dict[str, str], limit: int, offset: int) -> list[dict[str, str]]:
-    """Links from a page of items to itself and its neighbours."""
-    pages = [("self", asked, "Items")]
+    """Links from a page of items to its neighbours."""
+    pages = []
     if page.returned and offset + page.returned < page.matched:
-        pages.append(("next", asked | {"offset": str(offset + page.returned)}, "Next page"))
+        pages.append(("next", offset + page.returned, "Next page"))
     if offset:
-        pages.append(("prev", asked | {"offset": str(max(offset - limit, 0))}, "Previous page"))
-    return [_link(f"{url}?{urlencode(query)}", rel, MediaType.geojson, title) for rel, query, title in pages]
+        pages.append(("prev", max(offset - limit, 0), "Previous page"))
+    return [
+        _link(f"{url}?{urlencode(asked | {'offset': first})}", rel, MediaType.geojson, title)
+        for rel, first, title in pages
+    ]
 
 
-def _lines(rows: list[dict[str, Any]], kind: MediaType, name: str) -> Response:
-    return _attachment(b"".join(orjson.dumps(row) + b"\n" for row in rows), kind, name)
+def _forms(url: str, asked: dict[str, str], title: str) -> list[dict[str, str]]:
+    """Links to a resource as GeoJSON and in its other forms (requirements fc-links and f-links)."""
+    itself = _link(f"{url}?{urlencode(asked)}".removesuffix("?"), "self", MediaType.geojson, title)
+    others = [_link(f"{url}?{urlencode(asked | {'f': form.name})}", "alternate", form, title) for form in _FORMS[1:]]
+    return [itself, *others]
 
 
 def _attachment(body: bytes, kind: MediaType, name: str) -> Response:
@@ -291,19 +337,19 @@ def _carried(query: Any) -> str:
 
 
 class _Features(OGCFeaturesFactory):
-    """tipg's routes with our pages of items; links to an item carry the requested instants."""
+    """tipg's routes with our items."""
 
     def _items_route(self) -> None:
-        answer = {"content": {form.value: {} for form in _FORMS}, "model": model.Items}
-        route = self.router.get(
-            ITEMS, response_class=GeoJSONResponse, responses={200: answer}, tags=["OGC Features API"]
-        )
-        route(items)
+        self._add(ITEMS, items, model.Items)
 
-    def url_for(self, request: Request, name: str, **path_params: Any) -> str:
-        url: str = super().url_for(request, name, **path_params)
-        carried = _carried(request.query_params) if name == "item" else ""
-        return f"{url}?{carried}" if carried else url
+    def _item_route(self) -> None:
+        self._add(f"{ITEMS}/{{itemId}}", item, model.Item)
+
+    def _add(self, path: str, endpoint: Callable[..., Awaitable[Response]], answer: type) -> None:
+        responses: dict[int | str, dict[str, Any]] = {
+            200: {"content": {form.value: {} for form in _FORMS}, "model": answer}
+        }
+        self.router.get(path, response_class=GeoJSONResponse, responses=responses, tags=["OGC Features API"])(endpoint)
 
 
 def endpoints() -> list[EndpointsFactory]:
@@ -314,7 +360,7 @@ def endpoints() -> list[EndpointsFactory]:
     """
     ours = {
         "bbox_query": p.read_box, "datetime_query": p.read_interval, "filter_query": p.refuse_filter,
-        "ItemsOutputType": p.read_form, "OutputType": p.read_json_only, "QueryablesOutputType": p.read_json_only,
+        "OutputType": p.read_json_only, "QueryablesOutputType": p.read_json_only,
     }  # fmt: skip
     theirs = {name: getattr(tipg.factory, name) for name in ours}
     tilings = TileMatrixSets({_TILING: all_tilings.get(_TILING)})

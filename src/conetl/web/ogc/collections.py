@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Any, get_args
 from uuid import UUID
 
 import asyncpg
 import orjson
 from cql2 import Expr
 from morecantile import Tile, TileMatrixSet
-from tipg.collections import Column, ItemList, Parameter, PgCollection
+from tipg.collections import Column, Parameter, PgCollection
 from tipg.errors import NotFound
 from tipg.model import Extent, Spatial, Temporal
 
@@ -20,6 +20,7 @@ from conetl.db import ogc_store as store
 from conetl.db.connection import load_sql
 from conetl.db.ogc_store import Degrees, ServedMap
 from conetl.exports.fields import FIELDS
+from conetl.model.markings import MarkingColour, MarkingPattern
 from conetl.model.params import ReconcileParams
 from conetl.web.parameters import BadParameterError, Interval, check_value
 
@@ -90,6 +91,16 @@ _TYPES = {"feature_id": "uuid", "version": "integer"} | dict.fromkeys(
     ("observation_count", "seen_count", "missed_count"), "integer"
 )
 _TYPES_BY_UNIT = {"": "text", "UTC": "timestamptz"}
+_SCHEMAS: dict[str, dict[str, Any]] = {
+    "text": {"type": "string"}, "integer": {"type": "integer"}, "float8": {"type": "number"},
+    "uuid": {"type": "string", "format": "uuid"}, "timestamptz": {"type": "string", "format": "date-time"},
+}  # fmt: skip
+#: Properties with few values. Classes of objects are not among them: imported maps have classes of their own.
+_WORDS = {
+    "change": ("added", "moved", "removed", "confirmed"),
+    "colour": get_args(MarkingColour),
+    "pattern": get_args(MarkingPattern),
+}
 _FEATURE_PARAMETERS = {"map_name": "text", "from_at": "timestamptz", "to_at": "timestamptz", "known_at": "timestamptz"}
 _CHANGE_PARAMETERS = {
     "map_name": "text", "from_at": "timestamptz", "known_from": "timestamptz", "to_at": "timestamptz", "known_to": "timestamptz",
@@ -139,6 +150,8 @@ class AsOfCollection(PgCollection):
         kinds = {column.name: column.type for column in self.properties}
         for name, text in others.get("properties") or ():
             check_value(name, kinds[name], text)
+            if text not in (words := _WORDS.get(name, (text,))):
+                raise BadParameterError(f"{name}={text!r} should be one of {', '.join(words)}.")
         where = super().cql_where(**others)
         if not ids:
             return where
@@ -212,18 +225,6 @@ class AsOfCollection(PgCollection):
         items, returned = await _items(conn, page_text, limit, 0, *links, *own.values(), versions)
         return Page(items, returned, found[0]["matched"])
 
-    async def features(  # type: ignore[override]  # of tipg's parameters, those of one item
-        self, conn: asyncpg.Connection, *, ids_filter: list[str], properties: list[str] | None, geom_as_wkt: bool, **_: Any
-    ) -> ItemList:  # fmt: skip
-        """The item of an id, for tipg's route."""
-        page = await self.page(conn, ids=ids_filter, properties=properties, limit=2)  # not full: not counted
-        items: list[Any] = page.parsed()
-        for item in items:
-            del item["links"]
-            if geom_as_wkt:
-                item["geometry"] = as_ewkt(item["geometry"])
-        return ItemList(items=items, matched=page.matched, next=None, prev=None)
-
     async def get_tile(self, conn: asyncpg.Connection, *, tms: TileMatrixSet, tile: Tile, **asked: Any) -> bytes:
         """One vector tile."""
         if not 0 <= tile.z <= MAX_ZOOM or not (0 <= tile.x < 2**tile.z and 0 <= tile.y < 2**tile.z):
@@ -285,9 +286,18 @@ def collection_of(name: str, served: ServedMap, instants: Instants) -> AsOfColle
 
 
 def _column(name: str) -> Column:
-    field = FIELDS[name]
-    kind = _TYPES.get(name) or _TYPES_BY_UNIT.get(field.unit, "float8")
-    return Column(name=name, type=kind, description=field.meaning)
+    return Column(name=name, type=_type(name), description=FIELDS[name].meaning)
+
+
+def _type(name: str) -> str:
+    return _TYPES.get(name) or _TYPES_BY_UNIT.get(FIELDS[name].unit, "float8")
+
+
+#: JSON Schema of the values of each property by which items are filtered.
+FILTERS = {
+    name: _SCHEMAS[_type(name)] | ({"enum": list(_WORDS[name])} if name in _WORDS else {})
+    for name in (*CHANGE_COLUMNS, *MARKING_COLUMNS, *FEATURE_COLUMNS)
+}
 
 
 def as_ewkt(geometry: dict[str, Any]) -> str:

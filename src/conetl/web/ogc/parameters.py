@@ -8,7 +8,6 @@ from typing import Annotated, Literal
 from fastapi import Depends, Path, Query, Request
 from tipg.collections import CollectionList
 from tipg.errors import NotFound
-from tipg.resources.enums import MediaType
 
 from conetl.db.ogc_store import Degrees, MapDirectory, ServedMap, parts_of_box
 from conetl.db.reader_pool import AsyncReaderPool
@@ -136,11 +135,6 @@ async def read_interval(
     if datetime is not None and (instants.at or instants.start or instants.end):
         raise BadParameterError("datetime cannot be combined with at, from or to.")
     return None if datetime is None else parse_interval(datetime)
-
-
-async def read_form(f: ItemForm = "geojson") -> MediaType:
-    """Format of one item."""
-    return MediaType[f]
 
 
 async def read_json_only(f: Annotated[Literal["json", "schemajson"] | None, Query()] = None) -> None:
