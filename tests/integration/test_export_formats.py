@@ -147,6 +147,15 @@ def test_geopackage_and_flatgeobuf_in_gdal(conn, files, what, suffix):
     assert np.abs(np.array(shown) - frame["valid_from_us"]).max() < 1000  # GDAL's own times hold milliseconds
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(("file_format", "suffix"), [("gpkg", ".gpkg"), ("flatgeobuf", ".fgb")])
+def test_a_file_of_any_name_is_the_same_file(conn, files, tmp_path, file_format, suffix):
+    """GDAL makes a folder of a FlatGeobuf with another suffix, and warns of such a GeoPackage."""
+    manifest = export_map(conn, tmp_path / "map.dat", file_format, WHATS[ExportContent.FEATURES])
+    assert (tmp_path / "map.dat").read_bytes() == (files[0] / f"features{suffix}").read_bytes()
+    assert manifest["sha256"] == files[1][ExportContent.FEATURES, file_format]["sha256"]
+
+
 def test_text_formats(conn, files):
     folder, _ = files
     for what in (ExportContent.FEATURES, ExportContent.HISTORY):

@@ -62,20 +62,26 @@ def write_geoparquet(sources: Sequence[ExportSource], path: Path) -> None:
 
 
 def write_geopackage(sources: Sequence[ExportSource], path: Path) -> None:
-    """Write a GeoPackage (OGC 12-128r19), dated by its database state: equal maps give equal files. See `_write_by_gdal`."""
+    """Write a GeoPackage (OGC 12-128r19), dated by its database state: equal maps give equal files. See `_write_layer`."""
     known_at = sources[0].request.believed_at or sources[0].info.last_committed_at
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": known_at and f"{known_at.astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}"})
-    for source in sources:
-        _write_by_gdal(source, path, "GPKG")
+    _write_by_gdal(sources, path, "GPKG", ".gpkg")
 
 
 def write_flatgeobuf(sources: Sequence[ExportSource], path: Path) -> None:
-    """Write FlatGeobuf. Its index takes about 100 bytes of memory per row. See `_write_by_gdal`."""
-    [source] = sources
-    _write_by_gdal(source, path, "FlatGeobuf")
+    """Write FlatGeobuf. Its index takes about 100 bytes of memory per row. See `_write_layer`."""
+    _write_by_gdal(sources, path, "FlatGeobuf", ".fgb")
 
 
-def _write_by_gdal(source: ExportSource, path: Path, driver: str) -> None:
+def _write_by_gdal(sources: Sequence[ExportSource], path: Path, driver: str, suffix: str) -> None:
+    """Write each source as a layer of a file of any name: of a name without its suffix GDAL makes a folder, or warns."""
+    named = path.with_name(path.name + suffix)
+    for source in sources:
+        _write_layer(source, named, driver)
+    named.rename(path)
+
+
+def _write_layer(source: ExportSource, path: Path, driver: str) -> None:
     """Write one layer in the map's CRS with a spatial index.
 
     Points are in a layer named like the map, lines in `lane_markings` (of a map with this name, `lane_markings_lines`).
@@ -118,7 +124,7 @@ def _write_by_gdal(source: ExportSource, path: Path, driver: str) -> None:
     except (DataSourceError, DataLayerError, FieldError, pa.ArrowException, RuntimeError) as error:
         if failure:
             raise failure[0] from None
-        raise InputError(f"{path.name} cannot be written ({error}): free space or choose another file.") from error
+        raise InputError(f"{path.stem} cannot be written ({error}): free space or choose another file.") from error
 
 
 def _property_schema(source: ExportSource) -> pa.Schema:
