@@ -233,6 +233,15 @@ def test_the_reader_may_only_read(conn, samples):
             require_writer(conn)
 
 
+def test_gis_programs_can_list_the_layers(conn):
+    """QGIS, GDAL and others ask PostGIS's view, which reads the constraints of all tables."""
+    execute(conn, "set role conetl_reader")
+    rows = execute(conn, "select * from public.geometry_columns where f_table_schema = 'conetl'")
+    layers = {(row["f_table_name"], row["f_geometry_column"]): (row["type"], row["coord_dimension"]) for row in rows}
+    assert layers["current_feature", "geom"] == ("POINT", 3) and layers["current_feature", "line"] == ("LINESTRING", 3)
+    assert {"drive", "decision", "base_source", "provisional_feature"} <= {table for table, _ in layers}
+
+
 def test_the_writer_may_commit_but_not_rewrite_history(conn, samples):
     samples.commit(conn, samples.added(samples.feature()), key="1")
     execute(conn, "set session authorization conetl_writer")
@@ -271,6 +280,7 @@ def map_of_one(module_database_url, samples):
     ("change", "error"),
     [
         ("geom = ST_SetSRID(geom, 32633)", psycopg2.errors.CheckViolation),
+        ("centre_geom = ST_SetSRID(centre_geom, 32633)", psycopg2.errors.CheckViolation),
         ("cov_xx = -1", psycopg2.errors.CheckViolation),
         ("cone_height_m = 'nan'", psycopg2.errors.CheckViolation),
         ("valid_period = '[2020-01-01, 2021-01-01]'", psycopg2.errors.CheckViolation),
@@ -283,7 +293,7 @@ def map_of_one(module_database_url, samples):
 def test_the_schema_itself_refuses_nonsense(map_of_one, change, error):
     conn = map_of_one
     if change == "srid = 32633":
-        execute(conn, "alter table feature_version drop constraint feature_version_check")
+        execute(conn, "alter table feature_version drop constraint srid_of_geom, drop constraint srid_of_centre_geom")
     with pytest.raises(error):
         execute(conn, f"update feature_version set {change}")
     conn.rollback()
