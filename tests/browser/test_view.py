@@ -252,3 +252,17 @@ def test_a_new_changeset_appears_without_a_reload(page, address, conn, samples, 
     assert [text[: len(begin)] for text, begin in zip(said, begins, strict=True)] == begins
     why = "Not observed: drive drive_3 passed, the position was visible in 5 frame pairs, none showed a cone; existence 0.80"
     assert page.locator(".panel .why").inner_text().startswith(why)
+
+
+def test_high_contrast_shows_what_is_pressed_and_the_bars(page, address):
+    """The system's high contrast gives all elements of a kind one background, unless a style says otherwise."""
+    page.emulate_media(forced_colors="active")
+    open_view(page, address)
+    backgrounds = "(elements) => elements.map((e) => getComputedStyle(e).backgroundColor)"
+    buttons = page.locator(".drive-line .segmented button")
+    pressed = buttons.evaluate_all("(buttons) => buttons.map((b) => b.getAttribute('aria-pressed'))")
+    colours = buttons.evaluate_all(backgrounds)
+    assert sorted(pressed) == ["false", "false", "true"]
+    assert len(set(colours)) == 2 and colours.count(colours[pressed.index("true")]) == 1
+    bars = page.locator(".column.chosen .bars > *").evaluate_all(backgrounds)
+    assert len(bars) == len(set(bars)) > 1, "each kind of change has its colour"
