@@ -233,6 +233,16 @@ def test_the_reader_may_only_read(conn, samples):
             require_writer(conn)
 
 
+def test_the_queries_of_the_documentation_run_for_a_reader(conn):
+    page = (sql_directory().parent / "docs/reference/database.md").read_text()
+    [block] = re.findall(r"```sql\n(.*?)```", page, re.DOTALL)
+    queries = [query for query in block.split(";\n") if query.strip()]
+    assert len(queries) == 3
+    execute(conn, "set role conetl_reader")
+    for query in queries:
+        assert execute(conn, query) == []
+
+
 def test_gis_programs_can_list_the_layers(conn):
     """QGIS, GDAL and others ask PostGIS's view, which reads the constraints of all tables."""
     execute(conn, "set role conetl_reader")
