@@ -594,6 +594,13 @@ def test_the_definition_states_the_values_of_filters(client):
     assert schemas["valid_from"] == {"type": "string", "format": "date-time"}
 
 
+@pytest.mark.parametrize("query", ["minzoom=45972386495384092934144", "maxzoom=25", "minzoom=-1"])
+@pytest.mark.parametrize("name", ["tilejson", "style"])
+def test_a_zoom_that_no_tile_has_is_an_error(client, name, query):
+    path = f"{FEATURES}/tiles/WebMercatorQuad/{name}.json"
+    assert "should be a whole number from 0 to 24" in get(client, f"{path}?{query}", 400)["detail"]
+
+
 @pytest.mark.parametrize(
     "path",
     [

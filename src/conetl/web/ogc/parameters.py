@@ -11,13 +11,14 @@ from tipg.errors import NotFound
 
 from conetl.db.ogc_store import Degrees, MapDirectory, ServedMap, parts_of_box
 from conetl.db.reader_pool import AsyncReaderPool
-from conetl.web.ogc.collections import COLLECTIONS, AsOfCollection, Instants, collection_of
+from conetl.web.ogc.collections import COLLECTIONS, MAX_ZOOM, AsOfCollection, Instants, collection_of
 from conetl.web.parameters import BadParameterError, Instant, Interval, parse_box, parse_interval
 
 #: Items or collections of one page; a larger limit is not an error, but returns no more.
 MAX_LIMIT = 10_000
 #: No map has more items.
 MAX_OFFSET = 2**31
+_MOST = {"offset": MAX_OFFSET, "minzoom": MAX_ZOOM, "maxzoom": MAX_ZOOM}
 ItemForm = Annotated[Literal["geojson", "json", "csv", "geojsonseq", "ndjson"], Query(description="Format.")]
 
 
@@ -57,8 +58,8 @@ async def prepare(request: Request) -> None:
             raise BadParameterError(f"The parameter {name} contains control characters: {value!r}.")
         if name == "limit" and value.strip("+0") == "":
             raise BadParameterError("limit should be 1 or more.")
-        if name == "offset" and value.isdecimal() and int(value[:20]) > MAX_OFFSET:
-            raise BadParameterError(f"offset={value} should be a whole number from 0 to {MAX_OFFSET}.")
+        if (most := _MOST.get(name)) is not None and not (value.isdecimal() and int(value[:20]) <= most):
+            raise BadParameterError(f"{name}={value} should be a whole number from 0 to {most}.")
 
 
 async def one_collection(
