@@ -5,6 +5,9 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import re
+import sqlite3
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from importlib import resources
 from pathlib import Path
@@ -145,6 +148,17 @@ def test_geopackage_and_flatgeobuf_in_gdal(conn, files, what, suffix):
     same([(p.x, p.y, p.z, t) for p, t in zip(frame.geometry, frame["valid_from_us"], strict=True)], rows_of(conn, what))
     shown = [microseconds(t.to_pydatetime()) for t in frame["valid_from"]]
     assert np.abs(np.array(shown) - frame["valid_from_us"]).max() < 1000  # GDAL's own times hold milliseconds
+
+
+def test_a_geopackage_follows_the_standard(files):
+    """OGC 12-128r19: requirements 2, 6, 7 and 15, and the spatial index."""
+    with closing(sqlite3.connect(files[0] / "features.gpkg")) as file:
+        one = [file.execute(f"pragma {name}").fetchone()[0] for name in ("application_id", "integrity_check")]
+        assert one == [0x47504B47, "ok"] and file.execute("pragma foreign_key_check").fetchall() == []
+        [(changed, srs)] = file.execute("select last_change, srs_id from gpkg_contents where table_name = 'default'")
+        assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z", changed) and srs == 32632
+        extensions = [name for (name,) in file.execute("select extension_name from gpkg_extensions")]
+        assert extensions == ["gpkg_rtree_index"]
 
 
 @pytest.mark.filterwarnings("error")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from datetime import UTC
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import shapely
 from pyogrio.errors import DataLayerError, DataSourceError, FieldError
 
 from conetl.exports.source import POSITION_NAMES, ExportSource
+from conetl.exports.text_files import iso_utc
 from conetl.geometry.geodesy import compound_crs, to_crs
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -64,7 +64,8 @@ def write_geoparquet(sources: Sequence[ExportSource], path: Path) -> None:
 def write_geopackage(sources: Sequence[ExportSource], path: Path) -> None:
     """Write a GeoPackage (OGC 12-128r19), dated by its database state: equal maps give equal files. See `_write_layer`."""
     known_at = sources[0].request.believed_at or sources[0].info.last_committed_at
-    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": known_at and f"{known_at.astimezone(UTC):%Y-%m-%dT%H:%M:%SZ}"})
+    # Requirement 15: with a fraction of a second.
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": known_at and iso_utc(known_at, "milliseconds")})
     _write_by_gdal(sources, path, "GPKG", ".gpkg")
 
 
