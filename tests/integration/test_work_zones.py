@@ -86,6 +86,9 @@ def test_a_feed_says_when_it_was_surveyed_and_does_not_outlive_it(conn, samples,
     assert [e["properties"]["event_status"] for e in (fresh, last_day, stale)] == ["active", "active", "planned"]
     assert [e["conetl"]["stale"] for e in (fresh, last_day, stale)] == [False, False, True]
     assert {e["conetl"]["last_surveyed_at"] for e in (fresh, last_day, stale)} == {wzdx_time(seen)}
+    # Its assumed end, status and impact changed: a consumer that skips events of a known date would keep the old ones.
+    dates = [e["properties"]["core_details"]["update_date"] for e in (fresh, last_day, stale)]
+    assert dates == [wzdx_time(seen + timedelta(days=days)) for days in (0.5, 6.5, 7.5)]
     # An end is assumed a day later, but never beyond what the survey is believed for.
     assert fresh["properties"]["end_date"] == wzdx_time(seen + timedelta(days=1.5))
     assert last_day["properties"]["end_date"] == wzdx_time(seen + timedelta(days=7))

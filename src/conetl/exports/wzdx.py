@@ -164,7 +164,8 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
         "direction": _direction(zone, context),
         "description": _description(zone, surveyed, params.max_age_days if stale else None),
         "creation_date": _iso(utc_from_ns(history.start_ns)),
-        "update_date": _iso(utc_from_ns(zone.updated_ns)),
+        # Consumers skip events whose date they know, and each publication may assume another end or find the survey too old.
+        "update_date": _iso(context.at),
     }
     known = zone.layout.direction_known
     properties = {

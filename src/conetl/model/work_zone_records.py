@@ -147,7 +147,6 @@ class WorkZone:
     closed_side: Side | None
     closed_lane_count: int | None
     """None without known lane boundaries."""
-    updated_ns: int
 
 
 class Rule(StrEnum):

@@ -64,7 +64,6 @@ def describe(history: ZoneHistory, layout: ZoneLayout, params: WorkZoneParams) -
     if layout.traffic_side is not None:
         closed_side = "right" if layout.traffic_side == "left" else "left"
     impact, lane_count = _impact(layout, row, closed_side, params)
-    seen = max(cone.last_seen_ns for cone in layout.cones)
     return WorkZone(
         history=history,
         layout=layout,
@@ -74,7 +73,6 @@ def describe(history: ZoneHistory, layout: ZoneLayout, params: WorkZoneParams) -
         impact=impact,
         closed_side=closed_side,
         closed_lane_count=lane_count,
-        updated_ns=max(seen, history.end_ns or 0, history.start_ns),
     )
 
 
