@@ -218,7 +218,7 @@ def test_root_with_a_private_home(home, tmp_path):
     assert not place.directory.exists()
 
 
-def test_a_server_that_cannot_start_says_why(used_home):
+def test_a_server_that_cannot_start_says_why(used_home, monkeypatch):
     home = used_home
     cluster_up(home)
     cluster_down(home)
@@ -227,6 +227,11 @@ def test_a_server_that_cannot_start_says_why(used_home):
     control.rename(away)
     with pytest.raises(DatabaseError, match=r"does not start[\s\S]*pg_control[\s\S]*CONETL_DATABASE_URL"):
         cluster_up(home)
+    full = "FATAL:  could not write to file: No space left on device\nHINT:  some data is corrupted"
+    with monkeypatch.context() as patch, pytest.raises(DatabaseError, match="disk is full: free space") as raised:
+        patch.setattr("conetl.db.cluster.cluster._log_tail", lambda _: full)
+        cluster_up(home)
+    assert "corrupted" not in str(raised.value)
     away.rename(control)
     cluster_up(home)
 

@@ -30,7 +30,7 @@ import psutil
 
 from conetl.files.atomic import write_json
 from conetl.files.home import make_home
-from conetl.model.errors import InputError, ServiceError, storage_error
+from conetl.model.errors import InputError, ServiceError, storage_error, write_error
 
 TOKEN = "CONETL_SERVICE_TOKEN"
 _STATE, _LOCK = "services.json", "services.lock"
@@ -99,9 +99,11 @@ def start_service(
     if log.exists() and log.stat().st_size > _MAX_LOG_BYTES:
         log.replace(log.with_suffix(".log.1"))
     token, now = uuid4().hex, datetime.now(UTC)
-    with log.open("ab") as output:
-        output.write(f"--- {now:%Y-%m-%d %H:%M:%S} UTC: starting {name}\n".encode())
-        output.flush()
+    with log.open("ab", buffering=0) as output:
+        try:
+            output.write(f"--- {now:%Y-%m-%d %H:%M:%S} UTC: starting {name}\n".encode())
+        except OSError as error:
+            raise write_error(f"{log} cannot be written", "set CONETL_HOME to another folder", error) from error
         process = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, start_new_session=True,
             env={**environment, TOKEN: token},

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from conetl.model.errors import InputError, ServiceError
+from conetl.files.home import make_home
+from conetl.model.errors import InputError, ServiceError, StorageError
 from conetl.services import processes
 
 #: A parent with a child in a session of its own, as Prefect's workers have them; the child's id goes to the log.
@@ -105,3 +106,11 @@ def test_a_port_in_use_is_reported_with_the_option(tmp_path: Path) -> None:
         taken.listen()
         with pytest.raises(InputError, match="--port"):
             processes.free_port("127.0.0.1", taken.getsockname()[1], "Prefect", "--port")
+
+
+def test_a_log_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    make_home(tmp_path)
+    log = tmp_path / "logs" / "thing.log"
+    log.symlink_to("/dev/full")
+    with pytest.raises(StorageError, match=rf"{log} cannot be written \(No space left on device\): free space"):
+        start(tmp_path, "pass")

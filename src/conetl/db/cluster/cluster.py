@@ -16,6 +16,7 @@ Durability. fsync is on, so a killed server or machine loses nothing that was co
 
 from __future__ import annotations
 
+import errno
 import os
 import shlex
 import shutil
@@ -199,10 +200,16 @@ def _run_server(location: ClusterLocation, command: list[str], lock: int) -> Non
         if started.returncode == 0 and _wait_until_answering(location, 5):
             return
         # Workers of a server that was killed hold its shared memory until they notice, which takes a moment.
-        if "shared memory block" not in _log_tail(location) or time.monotonic() > deadline:
+        log = _log_tail(location)
+        if os.strerror(errno.ENOSPC) in log:
+            raise DatabaseError(
+                f"The private PostGIS cluster in {location.directory} does not start, because the disk is full: free space there "
+                "and run the same command again. What was committed is kept."
+            )
+        if "shared memory block" not in log or time.monotonic() > deadline:
             raise DatabaseError(
                 f"The private PostGIS cluster in {location.directory} does not start: {started.stdout.strip()}\n"
-                f"{_log_tail(location)}\nRemove the cause, {OWN_DATABASE_HINT}."
+                f"{log}\nRemove the cause, {OWN_DATABASE_HINT}."
             )
         time.sleep(0.5)
 
