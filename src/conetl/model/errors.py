@@ -72,8 +72,8 @@ def is_storage_error(error: BaseException | None) -> bool:
 def storage_error(error: OSError) -> StorageError:
     """The message for a file that cannot be read or written because its storage fails."""
     return StorageError(
-        f"{error.filename or 'a file'}: the storage failed ({error.strerror or error}). Check the disk or the network file "
-        "system and run the same command again."
+        f"{error.filename or 'standard output or a file'}: the storage failed ({error.strerror or error}). Check the disk or the "
+        "network file system and run the same command again."
     )
 
 

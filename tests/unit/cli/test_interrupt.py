@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -60,3 +61,27 @@ def test_ctrl_c_is_one_sentence_and_an_exit_code_of_its_own(tmp_path, presses):
     assert "Ctrl-C again to stop immediately" in complaint
     assert ("is partly on the map" in complaint) == (presses == 1)
     assert "Traceback" not in complaint
+
+
+def test_names_that_a_terminal_cannot_show_are_escaped(tmp_path):
+    show = (
+        "from conetl.cli import app, main\nfrom conetl.cli.console import print_table\n"
+        "@app.command()\ndef show():\n    print_table('', ['drive'], [['Stra\\u00dfe']])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", f"{show}\nimport sys; sys.argv = ['conetl', 'show']; main()"],
+        env={**environment(tmp_path), "PYTHONIOENCODING": "ascii"}, cwd=ROOT, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert r"Stra\xdfe" in done.stdout
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+def test_a_full_disk_below_standard_output_is_named(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", "from conetl.cli import main; main()", "map", "export", "--help"],
+            env=environment(tmp_path), cwd=ROOT, stdout=full, stderr=subprocess.PIPE, text=True, check=False,
+        )  # fmt: skip
+    assert done.returncode == 3, done.stderr
+    assert "standard output" in done.stderr and "No space left" in done.stderr
