@@ -13,7 +13,7 @@ from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import ReconcileParams
 from conetl.pipeline.analysis import AnalysedDrive, analyse
-from conetl.pipeline.checks.position_checks import check_positions_on_map
+from conetl.pipeline.checks.positions import check_positions_on_map
 from conetl.pipeline.commit import commit
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive

@@ -33,7 +33,7 @@ from conetl.model.params import IngestParams, params_sha256
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
-from conetl.pipeline.checks.position_checks import check_positions_on_map
+from conetl.pipeline.checks.positions import check_positions_on_map
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.replay import merge_drive
 from conetl.pipeline.settings import Settings, read_settings

@@ -179,9 +179,8 @@ def _find_chessboard(image: Image, board: Board) -> Floats | NotFound:
     rough = _sectors(image, size, 0, 1)
     if rough is None:
         seen = _largest_grid(image)
-        if seen is not None and _is_larger(
-            seen, board
-        ):  # the board that was stated would not be found with more effort
+        # The board that was stated would not be found with more effort either.
+        if seen is not None and _is_larger(seen, board):
             return _why_no_chessboard(image, seen, board)
         tries = (_sectors(image, size, flags, scale) for scale, flags in attempts)
         rough = next((found for found in tries if found is not None), None)

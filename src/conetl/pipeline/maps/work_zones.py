@@ -89,8 +89,8 @@ def read_zones(
     ]
     if lanes is not None and zones and all(zone.layout.bands is None for zone in zones):
         raise InputError(
-            f"{lanes}: none of its lines is beside a work zone of the map {map_name} and the drives that passed it: is the file "
-            "of another road or in another CRS than stated, or are longitude and latitude swapped?; nothing was written"
+            f"{lanes}: none of its lines is beside a work zone of the map {map_name} and the drives that passed it. It may "
+            "be of another road or in another CRS than stated, or have longitude and latitude swapped; nothing was written"
         )
     return MapZones(info.srid, zones, _standing(versions, at_ns), paths, source)
 
