@@ -44,7 +44,7 @@ from conetl.db.cluster.cluster import cluster_down, cluster_up
 from conetl.db.connection import Connection, connect, execute, load_sql
 from conetl.db.map.commit import INFLUENCE_M, add_drive, commit_changeset, path_wkt
 from conetl.db.map.map_store import drive_transaction, read_features_as_of
-from conetl.db.map.replay_store import Neighbourhood, lock_neighbourhood, read_doubts_around, read_standing_around
+from conetl.db.map.replay_store import Neighbourhood, lock_neighbourhood, read_standing_around
 from conetl.db.schema import migrate, run_audits
 from conetl.mapping.history import DriveEvidence, apply_drive
 from conetl.model.drive import DriveRecords
@@ -78,10 +78,7 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
                 if not isinstance(near, Neighbourhood) or near.affected:
                     raise SystemExit("the drive is not the newest one: this would be a replay")
             with watch.phase("read the surroundings"):
-                standing, summaries = (
-                    read_standing_around(conn, near.drive_uuid),
-                    read_doubts_around(conn, near.drive_uuid),
-                )
+                standing = read_standing_around(conn, near.drive_uuid)
             evidence = DriveEvidence(
                 key=(drive.frame_pairs[0].captured_at_ns, drive.content_sha256, key),
                 changeset_id=changeset_id,
@@ -93,8 +90,8 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
                 params=ReconcileParams(),
             )
             with watch.phase("reconcile"):
-                current = {feature_id: version for feature_id, (version, _) in standing.items()}
-                extension = apply_drive(current, evidence, Decisions(), summaries)
+                current = {feature_id: next(reversed(rows)) for feature_id, rows in standing.items()}
+                extension = apply_drive(current, evidence, Decisions())
             changeset = Changeset.model_construct(
                 changeset_id=changeset_id,
                 drive_id=drive.drive_id,
@@ -111,7 +108,7 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
                     changeset,
                     map_name=MAP_NAME,
                     replay=replay_of_newest(standing, extension, changeset_id),
-                    placed=near.drive_uuid,
+                    drive_uuid=near.drive_uuid,
                 )
     rest = np.subtract(watch.phases["lock, commit"], np.sum(list(watch.phases.values())[:-1], axis=0))
     watch.phases["lock, commit"] = tuple(rest.tolist())

@@ -44,12 +44,13 @@ from conetl.geometry.geodesy import to_geodetic
 MAP = "bench"
 INSTANTS = ("2026-03-01T12:00:00Z", "2026-03-02T07:00:00Z", "2026-03-02T12:00:00Z", "2026-03-09T00:00:00Z")
 _SELECT = """
-select v.* from conetl.map_as_of(%(map)s, %(at)s::timestamptz) v
-where v.geom && ST_MakeEnvelope(%(west)s, %(south)s, %(east)s, %(north)s, 32632) order by v.feature_id limit %(limit)s
+select v.* from conetl.map m join conetl.feature_version v using (map_id)
+where m.map_name = %(map)s and v.present and v.valid_period @> %(at)s::timestamptz and v.system_period @> 'infinity'::timestamptz
+and v.geom && ST_MakeEnvelope(%(west)s, %(south)s, %(east)s, %(north)s, 32632) order by v.feature_id limit %(limit)s
 """
 #: The same cones within a box in degrees, whose edges are not parallel to those in metres.
 _IN_DEGREES = """
-select v.feature_id from conetl.map_as_of(%(map)s, %(at)s::timestamptz) v
+select v.feature_id from conetl.feature_states(%(map)s, %(at)s::timestamptz) v
 cross join lateral (select ST_Transform(v.geom, 4326) as place) p
 where v.geom && ST_Expand(ST_MakeEnvelope(%(west)s, %(south)s, %(east)s, %(north)s, 32632), %(spare_m)s)
 and ST_X(p.place) between %(lon_west)s and %(lon_east)s and ST_Y(p.place) between %(lat_south)s and %(lat_north)s

@@ -141,13 +141,13 @@ _CLOSURES = (
     """,
     """
     insert into conetl.feature_version (cell, feature_id, version, map_id, srid, changeset_id, present, suppressed, category, geom,
-        cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, centre_geom, cone_height_m, cone_height_sigma_m, existence_probability,
-        observation_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
+        cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, centre_geom, object_height_m, object_height_sigma_m, existence_probability,
+        observation_count, seen_count, missed_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
     select conetl.cell_at(ST_MakePoint(450000 + mod((k / 100) * 7919, 40000), 5420000 + mod((k / 100) * 104729, 40000))),
         md5(%(map)s || k)::uuid, d + 1, m.map_id, 32632, md5(%(map)s || 'changeset' || d)::uuid, true, false, 'traffic_cone',
         ST_SetSRID(ST_MakePoint(x, y, z), 32632), 0.0004 + s, s / 10, 0, 0.0005 + s, 0, 0.0009 + s,
         ST_SetSRID(ST_MakePoint(x, y, z + 0.35), 32632), case k %% 2 when 0 then 0.5 else 0.75 end, 0.02, 0.9 + (k %% 97) * 0.001,
-        3 + d, 1772352000000000000 + k, 1772352000000000000 + d * 86400000000000 + k + 1,
+        3 + d, d + 1, 0, 1772352000000000000 + k, 1772352000000000000 + d * 86400000000000 + k + 1,
         1772352000000000000 + d * 86400000000000 + k,
         tstzrange(timestamptz '2026-03-01T08:00:00.000001Z' + d * interval '1 day',
             case when d < %(versions)s - 1 then timestamptz '2026-03-02T08:00:00.000001Z' + d * interval '1 day' end),
@@ -190,13 +190,13 @@ insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
 select {_ID}, %(map_id)s, %(srid)s, %(changeset)s, {_CELL} from generate_series(%(start)s, %(stop)s) i"""
 _VERSIONS = f"""
 insert into conetl.feature_version (cell, feature_id, version, map_id, srid, changeset_id, present, category, geom,
-    cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, centre_geom, cone_height_m, cone_height_sigma_m, existence_probability,
-    observation_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
+    cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, centre_geom, object_height_m, object_height_sigma_m, existence_probability,
+    observation_count, seen_count, missed_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
 select
     {_CELL},
     {_ID}, r.version, %(map_id)s, %(srid)s, case r.version when 1 then %(changeset)s::uuid else %(later)s::uuid end, true,
     'traffic_cone', {_POSITION.format(up=0)}, 0.01, 0.001, 0.0, 0.02, 0.0, 0.04, {_POSITION.format(up=0.35)}, 0.7, 0.02,
-    0.9 + 0.09 * (r.version - 1), 3 * r.version, %(from_ns)s,
+    0.9 + 0.09 * (r.version - 1), 3 * r.version, r.version, 0, %(from_ns)s,
     case r.version when 1 then %(from_ns)s else %(later_ns)s end + 200000000,
     case r.version when 1 then %(from_ns)s else %(later_ns)s end,
     tstzrange(
@@ -328,7 +328,7 @@ def _rig() -> Rig:
 
 def _position(frame: int, match: int, xyz_m: Vec3) -> Position:
     return Position.model_construct(
-        frame_index=frame, match_index=match, xyz_m=xyz_m, cov_m2=COV, centre_xyz_m=xyz_m, cone_height_m=0.7,
+        frame_index=frame, match_index=match, xyz_m=xyz_m, cov_m2=COV, centre_xyz_m=xyz_m, object_height_m=0.7,
         camera_xyz_m=(0.5, 1.6, 12.0), camera_cov_m2=COV, range_m=12.0, ray_angle_rad=0.04, residual_rms_px=0.3, iterations=3,
         score=0.9,
     )  # fmt: skip
@@ -338,6 +338,6 @@ def _track(index: int, xyz_m: Vec3, members: tuple[tuple[int, int], ...], seen_n
     return Track.model_construct(
         track_index=index, category="traffic_cone", xyz_m=xyz_m, cov_m2=COV,
         relative_cov_m2=(0.0025, 0.0, 0.0, 0.0025, 0.0, 0.01), centre_xyz_m=(xyz_m[0], xyz_m[1], xyz_m[2] + 0.35),
-        cone_height_m=0.7, cone_height_sigma_m=0.02, existence_probability=0.97, observation_count=len(members),
+        object_height_m=0.7, object_height_sigma_m=0.02, existence_probability=0.97, observation_count=len(members),
         first_seen_ns=seen_ns, last_seen_ns=seen_ns + 200_000_000, residual_rms_px=0.3, nearest_range_m=9.0, members=members,
     )  # fmt: skip

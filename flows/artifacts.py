@@ -116,7 +116,7 @@ def send_events(report: IngestReport, vanished: Sequence[dict[str, Any]]) -> Non
                 "conetl.drive": report.drive_id,
             },
             related=related,
-            payload={"xyz_m": cone["xyz_m"], "srid": report.map_srid, "cone_height_m": cone["cone_height_m"]},
+            payload={"xyz_m": cone["xyz_m"], "srid": report.map_srid, "object_height_m": cone["object_height_m"]},
             id=uuid5(_NAMESPACE, f"{changeset_resource}/{cone['feature_id']}"),
         )
     EventsWorker.drain_all(timeout=_PATIENCE_S, at_exit=False)  # a thread sends them
@@ -188,7 +188,7 @@ def _change_row(line: ChangeLine) -> dict[str, Any]:
         "easting_m": round(east_m, 3),
         "northing_m": round(north_m, 3),
         "height_m": round(height_m, 3),
-        "cone_height_m": round(line.cone_height_m, 2),
+        "object_height_m": round(line.object_height_m, 2),
         "sigma_horizontal_m": round(line.sigma_horizontal_m, 3),
         "sigma_height_m": round(line.sigma_height_m, 3),
         "existence_probability": round(line.existence_probability, 3),

@@ -66,6 +66,48 @@ cross join lateral (
 ) p
 where p.problem is not null;
 
+-- name: evidence
+-- The counts of drives and the existence probability of every current row are those of the current deltas up to the drive that made
+-- the row, and every miss has a row, unless a later drive precedes it on the road.
+-- Columns: feature_id, version, problem, expected, found.
+with judged as (
+    select
+        x.cell, x.feature_id, x.changeset_id, x.kind, x.new_version, x.changed_at_ns,
+        count(*) filter (where x.kind not in ('missed', 'removed', 'merged') and x.drive_kind = 'drive') over w as seen,
+        count(*) filter (where x.kind in ('missed', 'removed')) over w as missed,
+        coalesce(
+            x.existence_after,
+            case when x.kind = 'merged' then
+                (array_agg(x.existence_after) filter (where x.existence_after is not null) over w)[count(x.existence_after) over w]
+            end
+        ) as existence,
+        case when x.kind = 'missed' then min(x.changed_at_ns) filter (where x.kind = 'missed') over (
+            partition by x.feature_id, x.new_version order by x.drive_order
+        ) end as first_missed_ns
+    from conetl.feature_delta x
+    where upper_inf(x.system_period)
+    window w as (partition by x.feature_id order by x.drive_order)
+)
+select
+    v.feature_id, v.version, 'its evidence is not that of its drives' as problem,
+    format('%s seen, %s missed, existence %s, missed since %s', j.seen, j.missed, j.existence, j.first_missed_ns) as expected,
+    format('%s seen, %s missed, existence %s, missed since %s', v.seen_count, v.missed_count, v.existence_probability, v.first_missed_ns)
+        as found
+from conetl.feature_version v
+join judged j on j.cell = v.cell and j.feature_id = v.feature_id and j.changeset_id = v.changeset_id
+where upper_inf(v.system_period) and (
+    (v.seen_count, v.missed_count, v.first_missed_ns) is distinct from (j.seen, j.missed, j.first_missed_ns)
+    or v.existence_probability <> coalesce(j.existence, v.existence_probability)
+)
+union all
+select j.feature_id, j.new_version, 'a drive missed it, and no row says so', 'a row from ' || j.changed_at_ns, 'none'
+from judged j
+where j.kind = 'missed' and not exists (
+    select from conetl.feature_version v
+    where v.cell = j.cell and v.feature_id = j.feature_id and upper_inf(v.system_period)
+    and (v.changeset_id = j.changeset_id or (v.missed_count >= j.missed and v.valid_from_ns <= j.changed_at_ns + 1000))
+);
+
 -- name: gaps_in_valid_periods
 -- The current versions of a feature have no gap in time from the first one on.
 -- Columns: feature_id, version, valid_period, problem.
@@ -298,11 +340,9 @@ with chain as (
         lag(x.new_version) over w as left_version,
         lag(x.kind) over w as left_kind,
         lead(x.kind) over w is null as is_last
-    from conetl.delta x
-    join conetl.changeset c using (changeset_id)
-    join conetl.drive d using (drive_uuid)
+    from conetl.feature_delta x
     where upper_inf(x.system_period)
-    window w as (partition by x.feature_id order by d.captured_from_ns, d.content_sha256 collate "C", c.idempotency_key collate "C")
+    window w as (partition by x.feature_id order by x.drive_order)
 ),
 current as (
     select feature_id, version, present or suppressed as present

@@ -70,7 +70,7 @@ where n %% greatest(1, pose_count / %(max_rows)s) = 0;
 -- name: feet
 -- Feet of standing cones, which show the height of the road.
 -- Parameters: map_name; max_rows. Columns: easting_m, northing_m, height_m.
-select ST_X(geom) as easting_m, ST_Y(geom) as northing_m, ST_Z(geom) as height_m
+select easting_m, northing_m, ellipsoidal_height_m as height_m
 from conetl.current_feature
 where map_name = %(map_name)s
 order by feature_id

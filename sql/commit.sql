@@ -87,16 +87,9 @@ order by c.changeset_no;
 
 -- name: removed_features
 -- Point objects that a changeset removed, as committed. Parameters: changeset_id.
--- Columns: feature_id; xyz_m (map CRS), cone_height_m: the last known ones.
-select x.feature_id, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m, v.cone_height_m
-from conetl.delta x
-join conetl.changeset c using (changeset_id)
-join lateral (
-    select o.geom, o.cone_height_m
-    from conetl.feature_version o
-    where o.cell = x.cell and o.feature_id = x.feature_id and o.version = x.old_version
-    order by o.system_period @> c.committed_at desc, o.version_row_id desc
-    limit 1
-) v on true
-where x.changeset_id = %(changeset_id)s and x.kind = 'removed' and not x.of_line and x.system_period @> c.committed_at
+-- Columns: feature_id; xyz_m (map CRS), object_height_m: the last known ones.
+select x.feature_id, array[s.easting_m, s.northing_m, s.ellipsoidal_height_m] as xyz_m, s.object_height_m
+from conetl.feature_delta x
+join lateral conetl.state_after(x.cell, x.feature_id, x.old_version, x.changeset_id, x.committed_at) s on true
+where x.changeset_id = %(changeset_id)s and x.kind = 'removed' and not x.of_line and x.system_period @> x.committed_at
 order by x.feature_id;

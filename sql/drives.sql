@@ -43,8 +43,9 @@ on conflict (drive_uuid) do nothing;
 select
     s.feature_id, 1 as version, s.category, array[ST_X(s.geom), ST_Y(s.geom), ST_Z(s.geom)] as xyz_m,
     array[s.cov_xx, s.cov_xy, s.cov_xz, s.cov_yy, s.cov_yz, s.cov_zz] as cov_m2,
-    array[ST_X(s.geom), ST_Y(s.geom), ST_Z(s.geom) + s.cone_height_m / 2] as centre_xyz_m,
-    s.cone_height_m, s.cone_height_sigma_m, s.existence_probability, s.observation_count, s.first_seen_ns, s.last_seen_ns,
+    array[ST_X(s.geom), ST_Y(s.geom), ST_Z(s.geom) + s.object_height_m / 2] as centre_xyz_m,
+    s.object_height_m, s.object_height_sigma_m, s.existence_probability, s.observation_count, 0 as seen_count, 0 as missed_count,
+    null as first_missed_ns, s.first_seen_ns, s.last_seen_ns,
     null as shared_jacobian, null as line, s.valid_from_ns
 from conetl.statement s
 where s.drive_uuid = %(drive_uuid)s
@@ -104,7 +105,7 @@ select
         t.relative_cov_xx, t.relative_cov_xy, t.relative_cov_xz, t.relative_cov_yy, t.relative_cov_yz, t.relative_cov_zz
     ] as relative_cov_m2,
     array[ST_X(t.centre_geom), ST_Y(t.centre_geom), ST_Z(t.centre_geom)] as centre_xyz_m,
-    t.cone_height_m, t.cone_height_sigma_m, t.existence_probability, t.observation_count, t.first_seen_ns, t.last_seen_ns,
+    t.object_height_m, t.object_height_sigma_m, t.existence_probability, t.observation_count, t.first_seen_ns, t.last_seen_ns,
     t.residual_rms_px, t.nearest_range_m, t.members,
     array_send(t.calibrations) || array_send(t.shared_jacobian_m) as shared_jacobian
 from conetl.track t
@@ -293,7 +294,7 @@ cross join lateral (
 ) near
 cross join lateral (select a.* from conetl.active_drive a where a.drive_uuid = near.drive_uuid offset 0) d
 where q.drive_uuid = any(%(drive_uuids)s)
-order by d.captured_from_ns, d.content_sha256 collate "C";
+order by d.captured_from_ns, d.content_sha256;
 
 -- name: trusted_drives
 -- The drives that a person accepted, or that confirm least_confirmed objects which were on the map before_ns before them.

@@ -67,7 +67,7 @@ group by n.drive_uuid, n.track_index;
 -- Columns: drive_id, rig (JSON), source_path, then as the frame pairs of drives.frame_pairs, with names.
 select
     d.drive_id, d.rig, d.source_path, d.pruned_at, f.left_path, f.right_path, f.captured_at_ns,
-    ST_X(f.geom) as easting_m, ST_Y(f.geom) as northing_m, ST_Z(f.geom) as height_m, f.map_r_body
+    ST_X(f.geom) as easting_m, ST_Y(f.geom) as northing_m, ST_Z(f.geom) as ellipsoidal_height_m, f.map_r_body
 from conetl.drive d
 join conetl.map m using (map_id)
 join conetl.frame_pair f using (drive_uuid)
@@ -89,17 +89,17 @@ order by b.side, b.detection_index;
 
 -- name: review_changes
 -- Cones without a decision that were removed (the latest first) or moved (the largest moves first) by the last drive that
--- judged them. Parameters: map_name; first_row; max_rows; change ('removed' or 'moved'); moved_from_m (the
--- least move). Columns: total (of all pages), feature_id (null on an empty page).
+-- changed them. Parameters: map_name; first_row; max_rows; change ('removed' or 'moved').
+-- Columns: total (of all pages), feature_id (null on an empty page).
 with found as (
     select v.feature_id, x.changed_at, case x.kind when 'moved' then x.shift_m end as shift_m
     from conetl.map m
     join conetl.feature_version v using (map_id)
-    join conetl.delta x
-        on x.cell = v.cell and x.feature_id = v.feature_id and x.changeset_id = v.changeset_id and upper_inf(x.system_period)
+    join conetl.delta x on x.cell = v.cell and x.feature_id = v.feature_id and x.new_version = v.version and upper_inf(x.system_period)
+    cross join conetl.comparison(m.map_name, 'infinity') g
     where m.map_name = %(map_name)s and upper_inf(v.system_period) and upper_inf(v.valid_period)
     and v.line is null and v.present = (x.kind <> 'removed') and not v.suppressed and x.kind = %(change)s
-    and (x.kind <> 'moved' or x.shift_m >= %(moved_from_m)s)
+    and (x.kind <> 'moved' or x.shift_m > g.moved_m)
     and not exists (
         select from conetl.active_decision a
         where a.map_id = m.map_id and (a.feature_id = v.feature_id or ST_DWithin(a.geom, v.geom, a.radius_m))
@@ -114,33 +114,23 @@ left join lateral (
 ) p on true;
 
 -- name: review_doubtful
--- Standing cones without a decision whose existence probability, after the last drive that missed them, is between two
--- values; the least certain (nearest to 0.5) first.
+-- Standing cones without a decision whose existence probability is between two values; the least certain (nearest to 0.5) first.
 -- Parameters: map_name; first_row; max_rows; least; most. Columns: as above.
-with doubted as (
-    select distinct on (x.feature_id) x.feature_id, x.old_version as version, x.existence_after
-    from conetl.map m
-    join conetl.changeset c using (map_id)
-    join conetl.drive d using (drive_uuid)
-    join conetl.delta x using (changeset_id)
-    where m.map_name = %(map_name)s and x.kind = 'missed' and upper_inf(x.system_period)
-    order by x.feature_id, d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
-),
-found as (
-    select v.feature_id, coalesce(d.existence_after, v.existence_probability) as existence
-    from conetl.current_feature v
-    left join doubted d using (feature_id, version)
-    where v.map_name = %(map_name)s and v.line is null and not v.suppressed
-    and coalesce(d.existence_after, v.existence_probability) between %(least)s and %(most)s
+with found as (
+    select s.feature_id, s.existence_probability
+    from conetl.feature_states(%(map_name)s) s
+    where s.line is null and s.existence_probability between %(least)s and %(most)s
     and not exists (
         select from conetl.active_decision a
-        where a.map_id = v.map_id and (a.feature_id = v.feature_id or ST_DWithin(a.geom, v.geom, a.radius_m))
+        where a.map_id = s.map_id and (a.feature_id = s.feature_id or ST_DWithin(a.geom, s.geom, a.radius_m))
     )
 )
 select n.total, p.feature_id
 from (select count(*) as total from found) n
 left join lateral (
-    select f.feature_id from found f order by abs(f.existence - 0.5), f.feature_id limit %(max_rows)s offset %(first_row)s
+    select f.feature_id from found f
+    order by abs(f.existence_probability - 0.5), f.feature_id
+    limit %(max_rows)s offset %(first_row)s
 ) p on true;
 
 -- name: last_changes
@@ -150,19 +140,14 @@ select n.feature_id, x.*
 from unnest(%(feature_ids)s::uuid[]) n (feature_id)
 cross join lateral (
     select
-        c.changeset_no, d.drive_id, d.drive_uuid, d.kind as drive_kind, d.captured_from_ns, x.kind, x.changed_at,
-        x.new_version as version, x.track_index, x.shift_m, x.other_feature_id, x.frames_seen, x.frames_empty, v.category,
-        ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as height_m, v.cone_height_m,
-        {{sigma columns of v}} as sigma_m,
-        coalesce(x.existence_after, v.existence_probability) as existence_probability
-    from conetl.delta x
-    join conetl.changeset c using (changeset_id)
-    join conetl.drive d using (drive_uuid)
-    join conetl.map m on m.map_id = c.map_id
-    join conetl.feature_version v on v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.new_version
-        and upper_inf(v.system_period)
-    where x.cell = conetl.cell_of(n.feature_id) and x.feature_id = n.feature_id and m.map_name = %(map_name)s
+        x.changeset_no, x.drive_id, x.drive_uuid, x.drive_kind, x.captured_from_ns, x.kind, x.changed_at,
+        x.new_version as version, x.track_index, x.shift_m, x.other_feature_id, x.frames_seen, x.frames_empty, s.category,
+        s.easting_m, s.northing_m, s.ellipsoidal_height_m, s.object_height_m, s.sigma_m,
+        coalesce(x.existence_after, s.existence_probability) as existence_probability
+    from conetl.feature_delta x
+    join lateral conetl.state_after(x.cell, x.feature_id, x.new_version, x.changeset_id, 'infinity') s on true
+    where x.cell = conetl.cell_of(n.feature_id) and x.feature_id = n.feature_id and x.map_name = %(map_name)s
     and upper_inf(x.system_period)
-    order by d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
+    order by x.drive_order desc
     limit 1
 ) x;

@@ -16,16 +16,16 @@ set captured_to_ns = excluded.captured_to_ns, frame_pair_count = excluded.frame_
 -- A cone as the watched drive shows it now. Parameters: as the columns; map_name; east_m, north_m, height_m; reach_m: the
 -- nearest standing feature of the map within it may be the same cone.
 insert into conetl.provisional_feature (
-    watch_id, feature_index, srid, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, cone_height_m, existence_probability,
+    watch_id, feature_index, srid, geom, cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, object_height_m, existence_probability,
     observation_count, first_seen_ns, last_seen_ns, near_feature_id
 )
 select
     %(watch_id)s, %(feature_index)s, %(srid)s, p.geom, %(cov_xx)s, %(cov_xy)s, %(cov_xz)s, %(cov_yy)s, %(cov_yz)s, %(cov_zz)s,
-    %(cone_height_m)s, %(existence_probability)s, %(observation_count)s, %(first_seen_ns)s, %(last_seen_ns)s,
+    %(object_height_m)s, %(existence_probability)s, %(observation_count)s, %(first_seen_ns)s, %(last_seen_ns)s,
     (
         select f.feature_id
         from conetl.current_feature f
-        where f.map_name = %(map_name)s and f.line is null and f.srid = %(srid)s and f.geom && ST_Expand(p.geom, %(reach_m)s)
+        where f.map_name = %(map_name)s and f.line is null and ST_SRID(f.geom) = %(srid)s and f.geom && ST_Expand(p.geom, %(reach_m)s)
         and ST_Distance(f.geom, p.geom) <= %(reach_m)s
         order by ST_Distance(f.geom, p.geom), f.feature_id
         limit 1
@@ -33,7 +33,7 @@ select
 from (select ST_SetSRID(ST_MakePoint(%(east_m)s, %(north_m)s, %(height_m)s), %(srid)s) as geom) p
 on conflict (watch_id, feature_index) do update
 set geom = excluded.geom, cov_xx = excluded.cov_xx, cov_xy = excluded.cov_xy, cov_xz = excluded.cov_xz, cov_yy = excluded.cov_yy,
-    cov_yz = excluded.cov_yz, cov_zz = excluded.cov_zz, cone_height_m = excluded.cone_height_m,
+    cov_yz = excluded.cov_yz, cov_zz = excluded.cov_zz, object_height_m = excluded.object_height_m,
     existence_probability = excluded.existence_probability, observation_count = excluded.observation_count,
     first_seen_ns = excluded.first_seen_ns, last_seen_ns = excluded.last_seen_ns, near_feature_id = excluded.near_feature_id,
     updated_at = clock_timestamp();
@@ -52,8 +52,10 @@ update conetl.watched_drive set ended_at = clock_timestamp() where watch_id = %(
 -- is null where no standing feature is near.
 select
     w.drive_id, w.watch_id, w.ended_at, p.feature_index, p.srid,
-    ST_X(p.geom) as easting_m, ST_Y(p.geom) as northing_m, ST_Z(p.geom) as height_m, p.cov_xx, p.cov_xy, p.cov_yy, p.cone_height_m,
-    p.existence_probability, p.observation_count, p.first_seen_ns, p.last_seen_ns, p.near_feature_id, p.updated_at
+    ST_X(p.geom) as easting_m, ST_Y(p.geom) as northing_m, ST_Z(p.geom) as ellipsoidal_height_m, p.cov_xx, p.cov_xy, p.cov_yy, p.object_height_m,
+    p.existence_probability, p.observation_count, 
+    timestamptz 'epoch' + p.last_seen_ns / 1000 * interval '1 microsecond' as last_seen_at, p.first_seen_ns, p.near_feature_id,
+    p.updated_at
 from conetl.provisional_feature p
 join conetl.watched_drive w using (watch_id)
 where w.map_name = %(map_name)s

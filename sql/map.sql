@@ -49,7 +49,7 @@ select
     m.map_name, m.srid,
     count(v.*) filter (where v.present and upper_inf(v.valid_period)) as feature_count,
     count(v.*) filter (where not v.present and not v.suppressed and upper_inf(v.valid_period)) as removed_count,
-    count(v.*) as version_count,
+    count(v.*) filter (where v.first_missed_ns is null) as version_count,
     (select count(*) from conetl.changeset c where c.map_id = m.map_id) as changeset_count,
     greatest(
         (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id),
@@ -66,49 +66,33 @@ where m.map_name = %(map_name)s
 group by m.map_id;
 
 -- name: features_as_of
--- The features that stood on a map at one instant on the road, as the database knew it at another instant.
+-- The features that stood on a map at one instant on the road, as known at another instant.
 -- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); west_m, south_m, east_m, north_m (map
 -- CRS; all null: everywhere); srid; max_rows (null: all); lines (true: lane markings, too).
--- Columns: as MapFeature (metres, m^2, UTC nanoseconds), then valid_from, valid_to (null while open), changeset_id,
--- seen_count, missed_count (drives until then; an import saw nothing). existence_probability is the value after the
--- last drive to which the feature was visible.
--- Evidence is counted for all features at once: calling conetl.feature_evidence per feature takes several times as
--- long.
-with v as materialized (
-    select v.*
-    from conetl.map_as_of(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) v
-    where (v.line is null or %(lines)s)
-    and (
-        %(west_m)s::float8 is null
-        or v.geom && ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
-    )
-),
-evidence as (
-    select
-        v.feature_id,
-        count(*) filter (where x.kind not in ('missed', 'removed', 'merged') and d.kind = 'drive')::integer as seen_count,
-        count(*) filter (where x.kind in ('missed', 'removed'))::integer as missed_count,
-        (
-            array_agg(
-                x.existence_after
-                order by d.captured_from_ns desc, d.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
-            ) filter (where x.kind = 'missed' and x.old_version = v.version)
-        )[1] as existence_after
-    from v
-    join conetl.delta x using (cell, feature_id)
-    join conetl.changeset c on c.changeset_id = x.changeset_id
-    join conetl.drive d on d.drive_uuid = c.drive_uuid
-    where x.changed_at <= %(valid_at)s::timestamptz and x.system_period @> %(known_at)s::timestamptz
-    group by v.feature_id
-)
-select
-    {{feature columns of v}}, coalesce(e.existence_after, v.existence_probability) as existence_probability,
-    lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to, v.changeset_id,
-    coalesce(e.seen_count, 0) as seen_count, coalesce(e.missed_count, 0) as missed_count
-from v
-left join evidence e using (feature_id)
-order by v.feature_id
+-- Columns: as MapFeature (metres, m^2, UTC nanoseconds), then valid_from, valid_to (null while open), changeset_id.
+select {{feature columns of v}}, s.valid_from, s.valid_to, s.changeset_id
+from conetl.feature_states(
+    %(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz,
+    ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
+) s
+join conetl.feature_version v using (version_row_id)
+where s.line is null or %(lines)s
+order by s.feature_id
 limit %(max_rows)s;
+
+-- name: changes
+-- Features that differ between two instants, each as known at its own; a row per state, the earlier one first.
+-- Parameters: map_name; from_at, known_from, to_at, known_at (timestamptz; 'infinity' = latest).
+-- Columns: of conetl.feature_changes (change as kind), with changeset_no and drive_id of the row that is shown; is_old; as MapFeature.
+select
+    c.change as kind, c.changed_at, c.shift_m, n.changeset_no, n.drive_id, v.version_row_id = c.old_row_id as is_old,
+    {{feature columns of v}}
+from conetl.feature_changes(
+    %(map_name)s, %(from_at)s::timestamptz, %(to_at)s::timestamptz, %(known_at)s::timestamptz, %(known_from)s::timestamptz
+) c
+join conetl.feature_state n using (version_row_id)
+join conetl.feature_version v on v.version_row_id in (c.old_row_id, c.new_row_id)
+order by c.feature_id, is_old desc;
 
 -- name: find_features
 -- Features of a map by the beginning of their id, standing or removed. Two rows are enough to show that it is
@@ -146,7 +130,7 @@ order by f.feature_id;
 -- name: versions_of_ids
 -- All versions, also replaced ones, of the current features of a map with these ids. Parameters: map_id; feature_ids
 -- (uuid[]). Columns: as MapFeature.
-select {{feature columns of v}}, v.existence_probability
+select {{feature columns of v}}
 from conetl.feature f
 join conetl.feature_version v on v.cell = f.cell and v.feature_id = f.feature_id
 where f.feature_id = any(%(feature_ids)s) and f.map_id > 0 and f.map_id = %(map_id)s
@@ -157,12 +141,12 @@ and exists (
 order by v.feature_id, v.version;
 
 -- name: current_versions
--- Every current version of one feature or all features of a map that began no later than an instant, ended versions
+-- Every current row of one feature or all features of a map that began no later than an instant, ended ones
 -- included. Parameters: map_name; feature_id (null: all); valid_until (timestamptz; 'infinity' = all).
 -- Columns: as FeatureVersion, valid_to_ns to the microsecond.
 select
-    {{feature columns of v}}, v.existence_probability,
-    v.changeset_id, v.present or v.suppressed as present, v.suppressed, v.valid_from_ns,
+    {{feature columns of v}}, v.changeset_id, v.present or v.suppressed as present, v.suppressed,
+    min(v.valid_from_ns) over (partition by v.feature_id, v.version) as version_from_ns, v.valid_from_ns,
     case
         when upper_inf(v.valid_period) then null
         else (extract(epoch from upper(v.valid_period)) * 1000000)::bigint * 1000
@@ -171,4 +155,4 @@ from conetl.feature_version v
 join conetl.map m using (map_id)
 where m.map_name = %(map_name)s and upper_inf(v.system_period) and lower(v.valid_period) <= %(valid_until)s::timestamptz
 and (%(feature_id)s::uuid is null or (v.cell = conetl.cell_of(%(feature_id)s::uuid) and v.feature_id = %(feature_id)s))
-order by v.feature_id, v.version;
+order by v.feature_id, lower(v.valid_period);

@@ -1,14 +1,16 @@
 -- What OGC API Features reads beside tipg's own queries. Parameters are those of asyncpg.
 
 -- name: maps
--- Maps that hold something, for the collections. Parameters: $1 name of one map, null for all.
--- Columns: map_name, srid, changeset_no (the newest), last_committed_at (of changesets and decisions, as map.find_map:
--- both change the map).
+-- Maps, for the collections. Parameters: $1 name of one map, null for all.
+-- Columns: map_name, srid, changeset_no (the newest, 0: none), last_committed_at (of changesets and decisions, which both change the
+-- map; of an empty map its creation).
 select
-    m.map_name, m.srid, c.changeset_no,
-    greatest(c.committed_at, (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)) as last_committed_at
+    m.map_name, m.srid, coalesce(c.changeset_no, 0) as changeset_no,
+    greatest(
+        m.created_at, c.committed_at, (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)
+    ) as last_committed_at
 from conetl.map m
-join lateral (
+left join lateral (
     select x.changeset_no, x.committed_at
     from conetl.changeset x
     where x.map_id = m.map_id
@@ -20,43 +22,88 @@ order by m.map_name;
 
 -- name: extent
 -- Extent and beginning of a map. Parameters: $1 map name.
--- Columns: west, south, east, north (degrees; around the areas of all drives), since (beginning of the first drive),
--- share (of this map in all versions of features of the database), version_count (of this map): both as PostgreSQL last
--- estimated them for its plans, 0 without an estimate.
+-- Columns: west, south, east, north (degrees; around the areas of all drives; null: none), since (beginning of the first drive, or
+-- creation of the map), share (of this map in all versions of features of the database), version_count (of this map): both as
+-- PostgreSQL last estimated them for its plans, 0 without an estimate.
 select
-    ST_XMin(a.box) as west, ST_YMin(a.box) as south, ST_XMax(a.box) as east, ST_YMax(a.box) as north, a.since,
+    ST_XMin(a.box) as west, ST_YMin(a.box) as south, ST_XMax(a.box) as east, ST_YMax(a.box) as north,
+    coalesce(a.since, m.created_at) as since,
     coalesce(s.share, 0)::float8 as share, coalesce(s.share * s.row_count, 0)::float8 as version_count
-from (
+from conetl.map m
+cross join lateral (
     select
         ST_Extent(ST_Transform(ST_Segmentize(e.edges, greatest(ST_Perimeter(e.edges) / 64, 1)), 4326)) as box,
         min(e.since) as since
     from (
-        select ST_Envelope(d.area) as edges, lower(d.captured_period) as since
-        from conetl.drive d
-        join conetl.map m using (map_id)
-        where m.map_name = $1
+        select ST_Envelope(d.area) as edges, lower(d.captured_period) as since from conetl.drive d where d.map_id = m.map_id
     ) e
 ) a
 left join (
-    select f.share, c.reltuples as row_count
-    from conetl.map m
-    join pg_class c on c.oid = 'conetl.feature_version'::regclass
+    select f.map_id, f.share, c.reltuples as row_count
+    from pg_class c
     join pg_stats p on p.schemaname = 'conetl' and p.tablename = 'feature_version' and p.attname = 'map_id'
-    join unnest(p.most_common_vals::text::integer[], p.most_common_freqs) f (map_id, share) using (map_id)
-    where m.map_name = $1
-) s on true;
+    cross join unnest(p.most_common_vals::text::integer[], p.most_common_freqs) f (map_id, share)
+    where c.oid = 'conetl.feature_version'::regclass
+) s on s.map_id = m.map_id
+where m.map_name = $1;
+
+-- name: features
+-- Rows of a collection of point objects. Placeholders: {{arguments}} (of conetl.feature_states), {{where}} (about s).
+select {{ogc_points columns of s}}, ST_Transform(s.geom, 4326) as geom, s.version_row_id
+from conetl.feature_states({{arguments}}) s
+where s.line is null and {{where}};
+
+-- name: lane_markings
+-- Rows of a collection of lane markings. Placeholders: as features.
+select {{ogc_lines columns of s}}, ST_Transform(s.line, 4326) as geom, s.version_row_id
+from conetl.feature_states({{arguments}}) s
+where s.line is not null and {{where}};
+
+-- name: changes
+-- Rows of a collection of changes of point objects. Placeholders: {{arguments}} (of conetl.feature_changes), {{where}} (about s).
+select {{ogc_changes columns of s}}, {{of_changes columns of c}}, ST_Transform(s.geom, 4326) as geom, s.version_row_id
+from conetl.feature_changes({{arguments}}) c
+join conetl.feature_state s using (version_row_id)
+where not c.is_line and {{where}};
+
+-- name: point_in_box
+-- Whether a point is in a box in degrees, edges included (west > east crosses 180 degrees). GeoJSON prints billionths of a degree (a
+-- tenth of a millimetre), and the edge of a box is as exact: a coordinate of an answer as the edge of a box finds that item. Only what
+-- is between a box around it and one inside it, both in the map's CRS, is transformed to degrees. Placeholders: the sides of the boxes.
+(ST_X(s.geom) between {{inner_min_x_m}} and {{inner_max_x_m}} and ST_Y(s.geom) between {{inner_min_y_m}} and {{inner_max_y_m}})
+or (
+    ST_X(s.geom) between {{min_x_m}} and {{max_x_m}} and ST_Y(s.geom) between {{min_y_m}} and {{max_y_m}}
+    and ST_Y(ST_Transform(s.geom, 4326)) between {{south}} - 5e-10 and {{north}} + 5e-10
+    and case
+        when {{west}} <= {{east}} then ST_X(ST_Transform(s.geom, 4326)) between {{west}} - 5e-10 and {{east}} + 5e-10
+        else ST_X(ST_Transform(s.geom, 4326)) >= {{west}} - 5e-10 or ST_X(ST_Transform(s.geom, 4326)) <= {{east}} + 5e-10
+    end
+);
+
+-- name: line_in_box
+-- Whether a line meets a box in degrees. Placeholders: as point_in_box.
+ST_Intersects(
+    ST_Transform(s.line, 4326),
+    case
+        when {{west}} <= {{east}}
+            then ST_MakeEnvelope({{west}} - 5e-10, {{south}} - 5e-10, {{east}} + 5e-10, {{north}} + 5e-10, 4326)
+        else ST_Collect(
+            ST_MakeEnvelope({{west}} - 5e-10, {{south}} - 5e-10, 180, {{north}} + 5e-10, 4326),
+            ST_MakeEnvelope(-180, {{south}} - 5e-10, {{east}} + 5e-10, {{north}} + 5e-10, 4326)
+        )
+    end
+);
 
 -- name: page
 -- One page of items as GeoJSON made by PostgreSQL, so that items are sent to the client without unpacking.
--- Parameters: $1 limit, $2 offset; $3, $4 text before and after the id in the links of each item; then those of the call.
--- Placeholders: {{call}} (of a function of conetl_ogc, for points of standing where neither the condition nor the order needs
--- evidence), {{where}}, {{order}}, evidence (columns.evidence, or nothing for changes), {{properties}} (columns of p, and of the
--- evidence). Columns: items (with commas, in order; null: none), returned (number of items).
+-- Parameters: $1 limit, $2 offset; $3, $4 text before and after the id in the links of each item; then those of the source.
+-- Placeholders: {{source}} (rows of a collection), {{where}}, {{order}}, {{columns}} (that these and the items need),
+-- {{properties}} (columns of p). Columns: items (with commas, in order; null: none), returned (number of items).
 with page as materialized (
     select s.*, row_number() over () as item_no
     from (
-        select *
-        from {{call}}
+        select {{columns}}
+        from {{source}}
         {{where}}
         order by {{order}}
         limit $1 offset $2
@@ -70,25 +117,21 @@ select
     ) as items,
     count(*)::integer as returned
 from page p
-{{evidence}}
 cross join lateral (select {{properties}}) r;
 
--- name: features_found
--- Which versions are on a page of features out of many, and how many there are on all pages, in one pass over the
--- table. The page itself is read afterwards (ogc.page): here a row is narrow, so that a million of them can be
--- stored for counting.
--- Parameters: $1 limit, $2 offset; then those of the call. Placeholders: {{call}} (of conetl_ogc.standing; by_place true: by the
--- index of positions, false: through the whole table), {{where}}, {{order}}.
+-- name: items_found
+-- Which rows are on a page of many, and how many there are on all pages, in one pass over the table. The page itself is read afterwards
+-- (page): here a row is narrow, so that a million of them can be stored for counting.
+-- Parameters: $1 limit, $2 offset; then those of the source. Placeholders: as page.
 -- Columns: version_row_id (in order), matched (the same in all rows).
-select s.version_row_id, count(*) over () as matched
-from {{call}} s
+select version_row_id, count(*) over () as matched
+from {{source}}
 {{where}}
 order by {{order}}
 limit $1 offset $2;
 
 -- name: count
--- How many items there are on all pages. Parameters: those of the call. Placeholders: {{call}}, {{where}}, as for ogc.page.
--- Columns: matched.
+-- How many items there are on all pages. Parameters: those of the source. Placeholders: as page. Columns: matched.
 select count(*) as matched
-from {{call}}
+from {{source}}
 {{where}};

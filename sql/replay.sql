@@ -16,7 +16,7 @@ with recursive affected (drive_uuid) as (
     cross join lateral (
         select l.drive_uuid, l.area from conetl.drive l
         where l.map_id = d.map_id and l.area && d.area
-        and (l.captured_from_ns, l.content_sha256 collate "C") > (d.captured_from_ns, d.content_sha256 collate "C")
+        and (l.captured_from_ns, l.content_sha256) > (d.captured_from_ns, d.content_sha256)
         offset 0
     ) near
     cross join lateral (select from conetl.active_drive v where v.drive_uuid = near.drive_uuid offset 0) active
@@ -25,7 +25,7 @@ with recursive affected (drive_uuid) as (
 select d.drive_uuid, d.changeset_id, d.idempotency_key
 from affected a
 join conetl.active_drive d using (drive_uuid)
-order by d.captured_from_ns, d.content_sha256 collate "C", d.idempotency_key collate "C";
+order by d.drive_order;
 
 -- name: superseded_drives
 -- The other analysis or delivery of the same recording that is active now, as newer_delivery knows it; this drive replaces it.
@@ -52,11 +52,12 @@ where m.map_name = %(map_name)s
 and ST_DWithin(d.area, ST_SetSRID(ST_MakePoint(%(easting_m)s::float8, %(northing_m)s::float8), m.srid), %(radius_m)s);
 
 -- name: standing_around
--- The features that stand around a drive's path now, suppressed ones included: what the drive is compared with where no
--- later drive has been. Parameters: drive_uuid. Columns: as FeatureVersion, then version_row_id.
+-- The open rows of the features that stand around a drive's path now, suppressed ones included: what the drive is compared with
+-- where no later drive has been. Parameters: drive_uuid. Columns: as FeatureVersion, then version_row_id; of missed features
+-- version_from_ns is later than their version: see rows_of_missed.
 select distinct on (v.feature_id)
-    {{feature columns of v}}, v.existence_probability,
-    v.changeset_id, true as present, v.suppressed, v.valid_from_ns, null::bigint as valid_to_ns, v.version_row_id
+    {{feature columns of v}}, v.changeset_id, true as present, v.suppressed,
+    v.valid_from_ns as version_from_ns, v.valid_from_ns, null::bigint as valid_to_ns, v.version_row_id
 from conetl.drive d
 cross join lateral conetl.pieces(d.area) piece
 join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece
@@ -65,38 +66,22 @@ where d.drive_uuid = %(drive_uuid)s
 and upper_inf(v.system_period) and upper_inf(v.valid_period) and (v.present or v.suppressed)
 order by v.feature_id;
 
--- name: doubts_around
--- State after all misses of the features that stand around a drive's path now: existence probability
--- after the latest of them, and time of the earliest. Parameters: drive_uuid.
--- around is materialized: starting with the deltas, the planner would subdivide the drive's area once per delta.
-with around as materialized (
-    select v.cell, v.feature_id, v.version
-    from conetl.drive d
-    cross join lateral conetl.pieces(d.area) piece
-    join conetl.feature_version v on v.map_id = d.map_id and v.geom && piece
-    and case when v.map_id = d.map_id then ST_Intersects(v.geom, piece) else false end
-    where d.drive_uuid = %(drive_uuid)s
-    and upper_inf(v.system_period) and upper_inf(v.valid_period) and (v.present or v.suppressed)
-)
+-- name: rows_of_missed
+-- All current rows of the standing versions of some features. Parameters: feature_ids (uuid[]).
+-- Columns: as FeatureVersion, then version_row_id.
 select
-    v.feature_id,
-    (
-        array_agg(
-            x.existence_after
-            order by m.captured_from_ns desc, m.content_sha256 collate "C" desc, c.idempotency_key collate "C" desc
-        )
-    )[1] as existence_probability,
-    min(x.changed_at_ns) as first_missed_ns
-from around v
-join conetl.delta x on x.cell = v.cell and x.feature_id = v.feature_id and x.old_version = v.version
-join conetl.changeset c on c.changeset_id = x.changeset_id
-join conetl.drive m on m.drive_uuid = c.drive_uuid
-where x.kind = 'missed' and upper_inf(x.system_period)
-group by v.feature_id
-order by v.feature_id;
+    {{feature columns of v}}, v.changeset_id, true as present, v.suppressed,
+    min(v.valid_from_ns) over (partition by v.feature_id) as version_from_ns, v.valid_from_ns,
+    lead(v.valid_from_ns) over (partition by v.feature_id order by lower(v.valid_period)) as valid_to_ns, v.version_row_id
+from unnest(%(feature_ids)s::uuid[]) n (feature_id)
+join conetl.feature_version o on o.cell = conetl.cell_of(n.feature_id) and o.feature_id = n.feature_id
+    and upper_inf(o.system_period) and upper_inf(o.valid_period)
+join conetl.feature_version v on v.cell = o.cell and v.feature_id = o.feature_id and v.version = o.version
+    and upper_inf(v.system_period)
+order by v.feature_id, lower(v.valid_period);
 
 -- name: versions_around
--- All current versions of the features that ever stood around the paths of some drives.
+-- All current rows of the features that ever stood around the paths of some drives.
 -- Parameters: drive_uuids (uuid[], of one map).
 -- Columns: as FeatureVersion, then version_row_id, drive_uuid, and the drive's fold key: captured_from_ns,
 -- content_sha256, idempotency_key.
@@ -110,8 +95,8 @@ with around as materialized (
     where a.drive_uuid = any(%(drive_uuids)s) and upper_inf(w.system_period)
 )
 select
-    {{feature columns of v}}, v.existence_probability,
-    v.changeset_id, v.present or v.suppressed as present, v.suppressed, v.valid_from_ns,
+    {{feature columns of v}}, v.changeset_id, v.present or v.suppressed as present, v.suppressed,
+    min(v.valid_from_ns) over (partition by v.feature_id, v.version) as version_from_ns, v.valid_from_ns,
     lead(v.valid_from_ns) over (partition by v.feature_id order by lower(v.valid_period)) as valid_to_ns,
     v.version_row_id, d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key
 from around n
@@ -126,10 +111,11 @@ order by v.feature_id, lower(v.valid_period);
 
 -- name: misses_around
 -- Every current miss (a drive to which the feature was visible did not observe it) of features that ever stood around
--- the paths of some drives. Parameters: drive_uuids (uuid[], of one map).
--- Columns: as MissSummary, then drive_uuid and the drive's fold key: captured_from_ns, content_sha256, idempotency_key.
+-- the paths of some drives, also those that a later drive made part of a removal.
+-- Parameters: drive_uuids (uuid[], of one map).
+-- Columns: as Miss, then drive_uuid and the drive's fold key: captured_from_ns, content_sha256, idempotency_key.
 select
-    x.feature_id, x.existence_after as existence_probability, x.changed_at_ns as first_missed_ns,
+    x.feature_id, x.changeset_id, x.existence_after as existence_probability, x.changed_at_ns as missed_ns,
     d.drive_uuid, d.captured_from_ns, d.content_sha256, c.idempotency_key
 from conetl.delta x
 join conetl.changeset c on c.changeset_id = x.changeset_id

@@ -69,14 +69,12 @@ join conetl.detection r
 -- name: seen_before
 -- The last drive that saw a feature among those recorded before another one.
 -- Parameters: feature_id; before_ns (UTC ns). Columns: drive_uuid, track_index, drive_id, captured_from_ns.
-select d.drive_uuid, x.track_index, d.drive_id, d.captured_from_ns
-from conetl.delta x
-join conetl.changeset c using (changeset_id)
-join conetl.drive d using (drive_uuid)
+select x.drive_uuid, x.track_index, x.drive_id, x.captured_from_ns
+from conetl.feature_delta x
 where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s
 and x.track_index is not null and upper_inf(x.system_period)
-and d.kind = 'drive' and d.captured_from_ns < %(before_ns)s
-order by d.captured_from_ns desc, c.changeset_no desc
+and x.drive_kind = 'drive' and x.captured_from_ns < %(before_ns)s
+order by x.drive_order desc
 limit 1;
 
 -- name: map_size
@@ -153,51 +151,35 @@ where w.state in ('failed', 'crashed', 'started')
 order by w.receipt_no;
 
 -- name: night_markings
--- Stretches of lane markings that drives committed in a time span changed, as the database knows it now, by kind of change.
+-- Stretches of lane markings that drives committed in a time span changed, as known now, by kind of change.
 -- Parameters: map_name; since; until. Columns: kind, count, length_m.
-select x.kind, count(*) as count, sum(ST_3DLength(v.line)) as length_m
-from conetl.delta x
-join conetl.changeset c using (changeset_id)
-join conetl.map m using (map_id)
-join lateral (
-    select w.line from conetl.feature_version w
-    where w.cell = x.cell and w.feature_id = x.feature_id and w.version = x.new_version
-    order by w.version_row_id desc
-    limit 1
-) v on true
-where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
+select x.kind, count(*) as count, sum(s.length_m) as length_m
+from conetl.feature_delta x
+join lateral conetl.state_after(x.cell, x.feature_id, x.new_version, x.changeset_id, 'infinity') s on true
+where x.map_name = %(map_name)s and x.committed_at >= %(since)s and x.committed_at < %(until)s
 and x.of_line and upper_inf(x.system_period)
 group by x.kind
 order by x.kind;
 
 -- name: night_changes
--- Cones and other point objects that drives committed in a time span changed, as the database knows it now; those that are
--- gone first, then moved ones. Parameters: map_name; since; until; max_rows.
--- Columns: as below; total, gone: of all rows; xyz_m and sigma_m: of the version after the change; frames_empty: pairs without it.
+-- Cones and other point objects that drives committed in a time span changed, as known now; those that are gone first, then moved
+-- ones. Parameters: map_name; since; until; max_rows.
+-- Columns: as below; total, gone: of all rows; xyz_m and sigma_m: of the state after the change; frames_empty: pairs without it.
 with changed as (
     select
-        x.*, c.changeset_no, d.drive_id, count(*) over () as total,
-        count(*) filter (where x.kind in ('removed', 'merged')) over () as gone,
-        row_number() over (order by x.kind in ('removed', 'merged') desc, x.kind = 'moved' desc, c.changeset_no, x.feature_id) as number
-    from conetl.delta x
-    join conetl.changeset c using (changeset_id)
-    join conetl.map m using (map_id)
-    join conetl.drive d using (drive_uuid)
-    where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
+        x.*, count(*) over () as total, count(*) filter (where x.kind in ('removed', 'merged')) over () as gone,
+        row_number() over (order by x.kind in ('removed', 'merged') desc, x.kind = 'moved' desc, x.changeset_no, x.feature_id) as number
+    from conetl.feature_delta x
+    where x.map_name = %(map_name)s and x.committed_at >= %(since)s and x.committed_at < %(until)s
     and x.kind not in ('confirmed', 'missed') and not x.of_line and upper_inf(x.system_period)
     order by number
     limit %(max_rows)s
 )
 select
     x.number, x.feature_id, x.kind, x.changeset_no, x.drive_id, x.changed_at, x.existence_after, x.frames_empty, x.shift_m, x.total,
-    x.gone, v.category, array[ST_X(v.geom), ST_Y(v.geom), ST_Z(v.geom)] as xyz_m, {{sigma columns of v}} as sigma_m
+    x.gone, s.category, array[s.easting_m, s.northing_m, s.ellipsoidal_height_m] as xyz_m, s.sigma_m
 from changed x
-join lateral (
-    select w.* from conetl.feature_version w
-    where w.cell = x.cell and w.feature_id = x.feature_id and w.version = x.new_version
-    order by w.version_row_id desc
-    limit 1
-) v on true
+join lateral conetl.state_after(x.cell, x.feature_id, x.new_version, x.changeset_id, 'infinity') s on true
 order by x.number;
 
 -- name: night_rejections

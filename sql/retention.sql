@@ -89,7 +89,7 @@ select
     d.drive_id, d.srid, r.drive_uuid, r.frame_index, r.match_index, r.category,
     ST_X(r.geom) as easting_m, ST_Y(r.geom) as northing_m, ST_Z(r.geom) as height_m,
     ST_X(r.centre_geom) as centre_easting_m, ST_Y(r.centre_geom) as centre_northing_m, ST_Z(r.centre_geom) as centre_height_m,
-    r.cov_xx, r.cov_xy, r.cov_xz, r.cov_yy, r.cov_yz, r.cov_zz, r.cone_height_m, r.camera_x_m, r.camera_y_m,
+    r.cov_xx, r.cov_xy, r.cov_xz, r.cov_yy, r.cov_yz, r.cov_zz, r.object_height_m, r.camera_x_m, r.camera_y_m,
     r.camera_z_m, r.camera_cov_xx, r.camera_cov_xy, r.camera_cov_xz, r.camera_cov_yy, r.camera_cov_yz,
     r.camera_cov_zz, r.range_m, r.ray_angle_rad, r.residual_rms_px, r.iterations, r.score
 from conetl.position r

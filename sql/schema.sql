@@ -17,6 +17,14 @@ select name, sha256 from conetl.schema_migration order by name;
 -- Record an applied migration. Parameters: name; sha256 (hex, of the file).
 insert into conetl.schema_migration (name, sha256) values (%(name)s, %(sha256)s);
 
+-- name: functions_sha256
+-- Hash of the files from which the views and functions were made last. Columns: sha256; no row in a new database.
+select sha256 from conetl.schema_functions order by applied_at desc limit 1;
+
+-- name: record_functions
+-- Record from which files the views and functions were made. Parameters: sha256 (hex).
+insert into conetl.schema_functions (sha256) values (%(sha256)s);
+
 -- name: search_path
 -- Let the session find conetl's tables and PostGIS's functions, in whichever schema PostGIS is installed.
 select set_config(
@@ -69,7 +77,7 @@ begin
 end
 $$;
 revoke all on all tables in schema conetl from conetl_reader, conetl_writer;
-grant usage on schema conetl, conetl_ogc to conetl_reader, conetl_writer;
+grant usage on schema conetl to conetl_reader, conetl_writer;
 grant select on all tables in schema conetl to conetl_reader, conetl_writer;
 grant insert on all tables in schema conetl to conetl_writer;
 grant update (system_period) on conetl.feature_version, conetl.delta, conetl.hold to conetl_writer;
@@ -79,7 +87,7 @@ grant update (map_name) on conetl.receipt to conetl_writer;  -- a map may be ren
 grant delete on conetl.base_source, conetl.base_tile, conetl.base_line to conetl_writer;  -- see the baseline
 -- What a drive shows while it is recorded is not history either, see conetl.watched_drive.
 grant update, delete on conetl.watched_drive, conetl.provisional_feature to conetl_writer;
-revoke insert on conetl.schema_migration from conetl_writer;
+revoke insert on conetl.schema_migration, conetl.schema_functions from conetl_writer;
 do $$
 begin
     execute format('grant temporary on database %%I to conetl_writer', current_database());

@@ -11,11 +11,20 @@ from conetl.db.map.commit import add_drive, commit_changeset
 from conetl.db.map.map_store import map_transaction
 from conetl.db.map.replay_store import read_versions
 from conetl.evaluation.truth import TruthCone
-from conetl.mapping.history import MapUpdate
+from conetl.mapping.existence_update import missed
+from conetl.mapping.history import MapUpdate, next_rows
 from conetl.model.base import Cov3
 from conetl.model.drive import Detection, Drive, DriveRecords, FramePair, Pose, Position, StereoMatch, Track
 from conetl.model.feature_classes import CONE, LANE_MARKING
-from conetl.model.map_records import Changeset, Delta, DeltaKind, FeatureVersion, MapFeature
+from conetl.model.map_records import (
+    Changeset,
+    Decisions,
+    Delta,
+    DeltaKind,
+    ExistenceEvidence,
+    FeatureVersion,
+    MapFeature,
+)
 from conetl.model.markings import Marking, MarkingTrack
 from conetl.model.rig import Camera, Rig, Side
 from conetl.pipeline.replay import replay_of_newest
@@ -26,6 +35,8 @@ DAY_NS = 86_400_000_000_000
 START_NS = 1_772_352_000_000_000_000
 _IDENTITY4 = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 COV_M2 = (0.01, 0.001, 0.0, 0.02, 0.0, 0.04)
+#: Of a drive after which a feature is gone.
+ABSENT = ExistenceEvidence(log_likelihood_ratio=-6.0, existence_probability=0.05, frames_seen=0, frames_empty=9)
 _NAMESPACE = UUID("00000000-0000-4000-8000-000000000000")
 
 
@@ -113,7 +124,7 @@ def position(frame_index: int = 0, match_index: int = 0, **changes: Any) -> Posi
         "frame_index": frame_index,
         "match_index": match_index,
         "cov_m2": COV_M2,
-        "cone_height_m": 0.7,
+        "object_height_m": 0.7,
         "xyz_m": (458_001.0, 5_428_010.0, 114.5),
         "centre_xyz_m": (458_001.0, 5_428_010.0, 114.85),
         "camera_xyz_m": (0.5, 1.6, 12.0),
@@ -136,7 +147,7 @@ def track(track_index: int = 0, frames: int = 3, *, seen_ns: int = START_NS + 7,
         "track_index": track_index,
         "relative_cov_m2": COV_M2,
         "existence_probability": 0.97,
-        "cone_height_sigma_m": 0.02,
+        "object_height_sigma_m": 0.02,
         "observation_count": frames,
         "first_seen_ns": seen_ns,
         "last_seen_ns": seen_ns + (frames - 1) * 100_000_000,
@@ -161,9 +172,10 @@ def feature(name: str | int = "cone", *, seen_ns: int = START_NS, **changes: Any
         "feature_id": UUID(int=name) if isinstance(name, int) else uuid5(_NAMESPACE, name),
         "version": 1,
         "category": "traffic_cone",
-        "cone_height_sigma_m": 0.02,
+        "object_height_sigma_m": 0.02,
         "existence_probability": 0.97,
         "observation_count": 3,
+        "seen_count": 1,
         "first_seen_ns": seen_ns,
         "last_seen_ns": seen_ns + 200_000_000,
     }
@@ -203,7 +215,7 @@ def line_feature(shape: Marking, name: str | int = "line", **changes: Any) -> Ma
     """A stretch of a lane marking on the map."""
     middle_m = shape.vertices_m[len(shape.vertices_m) // 2]
     at = {"xyz_m": middle_m, "centre_xyz_m": middle_m, "cov_m2": shape.cov_m2[len(shape.cov_m2) // 2]}
-    paint = {"category": LANE_MARKING, "marking": shape, "cone_height_m": 0.003, "cone_height_sigma_m": 0.002}
+    paint = {"category": LANE_MARKING, "marking": shape, "object_height_m": 0.003, "object_height_sigma_m": 0.002}
     return feature(name, **at | paint | changes)
 
 
@@ -211,7 +223,7 @@ def standing_at(xyz_m: Sequence[float], height_m: float = 0.7, cov_m2: Cov3 = CO
     """What a cone's foot and height say of a feature or a track."""
     x, y, z = map(float, xyz_m)
     centre_xyz_m = (x, y, z + height_m / 2)
-    return {"xyz_m": (x, y, z), "cov_m2": cov_m2, "centre_xyz_m": centre_xyz_m, "cone_height_m": height_m}
+    return {"xyz_m": (x, y, z), "cov_m2": cov_m2, "centre_xyz_m": centre_xyz_m, "object_height_m": height_m}
 
 
 def cov_of(sigma_m: float) -> Cov3:
@@ -233,11 +245,22 @@ def removed(feature: MapFeature, at_ns: int) -> Delta:
         track_index=None,
         changed_at_ns=at_ns,
         shift_m=None,
+        evidence=ABSENT,
+    )
+
+
+def not_seen(old: MapFeature, at_ns: int, existence_probability: float = 0.6) -> Delta:
+    """A miss."""
+    evidence = ABSENT.model_copy(update={"existence_probability": existence_probability})
+    new = missed(old, existence_probability, at_ns)
+    return Delta(
+        kind=DeltaKind.MISSED, feature_id=old.feature_id, old=old, new=new, changed_at_ns=at_ns, evidence=evidence
     )
 
 
 def changed(kind: str, old: MapFeature, at_ns: int, **changes: Any) -> Delta:
-    new = old.model_copy(update={"version": old.version + 1, **changes})
+    own = {"version": old.version + 1, "seen_count": old.seen_count + 1, "first_missed_ns": None}
+    new = old.model_copy(update=own | changes)
     shift_m = ((new.xyz_m[0] - old.xyz_m[0]) ** 2 + (new.xyz_m[1] - old.xyz_m[1]) ** 2) ** 0.5
     return Delta(
         kind=DeltaKind(kind),
@@ -283,24 +306,14 @@ def commit(
 def write(conn: Any, records: DriveRecords, made: Changeset, *, map_name: str = "default", **options: Any) -> Any:
     """`commit_changeset` of made-up deltas, of a drive that is newer than all others around it."""
     placed = add_drive(conn, records.drive, made.idempotency_key, map_name=map_name)
-    stored, _ = read_versions(conn, [placed])
-    standing = {one.feature_id: (one, row_id) for one, row_id in stored.items() if one.valid_to_ns is None}
-    replay = replay_of_newest(standing, MapUpdate(list(made.deltas), versions_of(made, standing)), made.changeset_id)
+    standing: dict[UUID, dict[FeatureVersion, int]] = {}
+    for row, row_id in read_versions(conn, [placed])[0].items():
+        standing.setdefault(row.feature_id, {})[row] = row_id
+    replay = replay_of_newest(standing, update_of(made, standing), made.changeset_id)
     return commit_changeset(conn, records, made, map_name=map_name, replay=replay, drive_uuid=placed, **options)
 
 
-def versions_of(made: Changeset, standing: Mapping[UUID, tuple[FeatureVersion, int]]) -> list[FeatureVersion]:
-    """The new versions that made-up deltas bring."""
-    versions = []
-    for delta in made.deltas:
-        if delta.is_change:
-            before, _ = standing.get(delta.feature_id, (None, 0))
-            number, from_ns = (before.feature.version + 1, before.valid_from_ns + 1000) if before else (1, 0)
-            state = delta.state_after.model_copy(update={"version": number})
-            versions.append(
-                FeatureVersion(
-                    feature=state, changeset_id=made.changeset_id, present=delta.new is not None, suppressed=False,
-                    valid_from_ns=max(delta.changed_at_ns, from_ns), valid_to_ns=None,
-                )
-            )  # fmt: skip
-    return versions
+def update_of(made: Changeset, standing: Mapping[UUID, Mapping[FeatureVersion, int]]) -> MapUpdate:
+    """What made-up deltas change; standing: the rows of the features."""
+    current = {feature_id: next(reversed(rows)) for feature_id, rows in standing.items()}
+    return MapUpdate([*made.deltas], next_rows(made.deltas, current, made.changeset_id, Decisions()))

@@ -22,11 +22,12 @@ from pydantic import SecretStr
 from conetl.db.map.map_store import map_transaction
 from conetl.model.base import utc_from_ns
 from conetl.model.drive import Detection, Drive, DriveRecords
-from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
+from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature
 from conetl.readers.maps.gazetteer import Gazetteer
 from conetl.web.app import create_app
 from conetl.web.basemap import BaseMap
 from conetl.web.decisions import Writer
+from tests.records import not_seen
 
 OWN = "http://127.0.0.1"
 
@@ -90,10 +91,7 @@ def missed(feature: MapFeature, at_ns: int, existence: float, frames_empty: int 
     evidence = ExistenceEvidence(
         log_likelihood_ratio=-1.5, existence_probability=existence, frames_seen=0, frames_empty=frames_empty
     )
-    return Delta(
-        kind=DeltaKind.MISSED, feature_id=feature.feature_id, old=feature, new=feature,
-        track_index=None, changed_at_ns=at_ns, shift_m=None, evidence=evidence,
-    )  # fmt: skip
+    return not_seen(feature, at_ns, existence).model_copy(update={"evidence": evidence})
 
 
 def view_of(database_url: str, **options: Any) -> TestClient:

@@ -172,8 +172,8 @@ def known_maps(conn: Connection, map_name: str = "default", days: Sequence[int] 
         {"map_name": map_name},
     )
     sql = (
-        "select (to_jsonb(f) - 'version_row_id' - 'system_period' - 'valid_period' - 'cell')::text as line "
-        "from conetl.map_as_of(%(map_name)s, to_timestamp(%(at)s), %(known)s) f order by 1"
+        "select (to_jsonb(s) - 'version_row_id' - 'system_period' - 'system_to')::text as line "
+        "from conetl.feature_states(%(map_name)s, to_timestamp(%(at)s), %(known)s) s order by 1"
     )
     found = {}
     for row in times:

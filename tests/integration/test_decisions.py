@@ -50,7 +50,7 @@ def test_a_suppressed_place_stays_suppressed_whatever_comes(conn):
         assert near(conn, 14.0, 3.6) == []
     assert feature in [v.feature for v in read_features_as_of(conn, known_at=known)]
     assert [d.note for d in list_decisions(conn)] == ["a bollard"]
-    [log] = {row["suppressed"] for row in feature_log(conn, feature.feature_id) if row["believed_until"] is None}
+    [log] = {row["suppressed"] for row in feature_log(conn, feature.feature_id) if row["known_to"] is None}
     assert log is True
     conn.rollback()
     with pytest.raises(InputError, match="already"):

@@ -26,7 +26,8 @@ from pyproj import Transformer
 
 from conetl.db.connection import execute
 from conetl.db.map.import_store import set_licence
-from conetl.db.map.map_store import read_features_as_of, require_map
+from conetl.db.map.map_store import read_changes, read_features_as_of, require_map
+from conetl.db.map.results import MapInstant
 from conetl.exports import FORMATS, text_files
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportContent, ExportRequest
@@ -215,7 +216,7 @@ def test_the_scene_in_mcap(conn, files):
         [cylinder] = entity["cylinders"]
         position, size = cylinder["pose"]["position"], cylinder["size"]
         known = {pair["key"]: pair["value"] for pair in entity["metadata"]}
-        assert size["z"] == float(known["height_m"])
+        assert size["z"] == float(known["object_height_m"])
         place = (position["x"] + origin["x"], position["y"] + origin["y"], position["z"] - size["z"] / 2 + origin["z"])
         found.append((*place, parsed(known["valid_from"])))
     same(found, rows_of(conn, ExportContent.FEATURES))
@@ -249,9 +250,12 @@ def test_changes_lead_from_one_map_to_the_other(conn, files):
     assert set(frame.index[frame["change"] == "added"]) == after.keys() - before.keys() != set()
     assert set(frame.index[frame["change"] == "removed"]) == before.keys() - after.keys() != set()
     assert not frame.index.duplicated().any()
+    shown = {str(one.feature_id): one.kind for one in read_changes(conn, MapInstant(NOON[0]), MapInstant(NOON[2]))}
+    conn.rollback()
+    assert dict(frame["change"]) == shown, "as `conetl map diff`"
     for feature_id, row in frame[frame["change"].isin(["moved", "confirmed"])].iterrows():
         old, new = before[feature_id], after[feature_id]
-        assert (row["old_easting_m"], row["old_northing_m"], row["old_height_m"]) == old.xyz_m
+        assert (row["old_easting_m"], row["old_northing_m"], row["old_ellipsoidal_height_m"]) == old.xyz_m
         assert (row.geometry.x, row.geometry.y, row.geometry.z) == new.xyz_m
         assert (row["old_version"], row["version"]) == (old.version, new.version)
         assert row["shift_m"] == pytest.approx(np.hypot(*np.subtract(old.xyz_m, new.xyz_m)[:2]))
@@ -265,7 +269,7 @@ def test_evidence_of_drives_is_exported(another_database, tmp_path):
             merge(conn, one)
         shown = {str(v.feature.feature_id): v for v in read_features_as_of(conn)}
         conn.rollback()
-        assert any(v.missed_count == 2 for v in shown.values())
+        assert any(v.feature.missed_count == 2 for v in shown.values())
         for what in ExportContent:
             since = NOON[0] - timedelta(days=1) if what is ExportContent.CHANGES else None
             path = tmp_path / f"{what}.parquet"
@@ -275,17 +279,23 @@ def test_evidence_of_drives_is_exported(another_database, tmp_path):
                 frame = frame[frame["present"] & frame["valid_to"].isna() & frame["system_to"].isna()]
             told = frame.set_index("feature_id")[["seen_count", "missed_count", "existence_probability"]]
             assert {key: tuple(row) for key, row in told.iterrows()} == {
-                key: (v.seen_count, v.missed_count, v.feature.existence_probability) for key, v in shown.items()
+                key: (v.feature.seen_count, v.feature.missed_count, v.feature.existence_probability)
+                for key, v in shown.items()
             }
+        since = ExportRequest(what=ExportContent.CHANGES, since=NOON[0])
+        export_map(conn, tmp_path / "since.parquet", "geoparquet", since)
+        frame = geopandas.read_parquet(tmp_path / "since.parquet").set_index("feature_id")
+        missed = {key for key, v in shown.items() if v.feature.seen_count == 1 and v.feature.missed_count}
+        assert set(frame.index[frame["change"] == "missed"]) == missed
 
 
 def test_an_earlier_database_state_can_be_exported(conn, tmp_path):
     [first] = execute(conn, "select min(committed_at) as at from conetl.changeset")
     conn.rollback()
-    manifest = export_map(conn, tmp_path / "old.parquet", "geoparquet", ExportRequest(believed_at=first["at"]))
+    manifest = export_map(conn, tmp_path / "old.parquet", "geoparquet", ExportRequest(known_at=first["at"]))
     assert manifest["rows"] == len(list(read_features_as_of(conn, known_at=first["at"]))) != 0
     conn.rollback()
-    history = ExportRequest(what=ExportContent.HISTORY, believed_at=first["at"])
+    history = ExportRequest(what=ExportContent.HISTORY, known_at=first["at"])
     assert export_map(conn, tmp_path / "h.csv", "csv", history)["rows"] == manifest["rows"]
 
 
@@ -305,7 +315,7 @@ def test_contradicting_requests_are_refused(conn, tmp_path):
         (ExportRequest("nowhere"), "no map named nowhere"),
         (ExportRequest(since=NOON[0]), "--what changes"),
         (ExportRequest(what=ExportContent.HISTORY, as_of=NOON[0]), "--as-of"),
-        (ExportRequest(what=ExportContent.CHANGES, since=NOON[1], until=NOON[0]), "--to is earlier"),
+        (ExportRequest(what=ExportContent.CHANGES, since=NOON[1], until=NOON[0]), "the end is before the beginning"),
     ):
         with pytest.raises(InputError, match=message):
             export_map(conn, tmp_path / "out.parquet", "geoparquet", request)
@@ -388,7 +398,8 @@ def test_lane_markings_are_lines_beside_the_points(lined, what):
         replaced = 2 if (what, name) == (ExportContent.HISTORY, "mcap") else 0  # which plays one state of the database
         assert lines["rows"] == rows - replaced
         assert lines["file"] == (f"{what}_lane_markings{suffix}" if name in beside else f"{what}{suffix}")
-        assert {"width_m", "pattern", "sigma_lateral_m"} <= set(lines["columns"]) and "height_m" not in lines["columns"]
+        columns = set(lines["columns"])
+        assert {"width_m", "pattern", "sigma_lateral_m"} <= columns and "object_height_m" not in columns
         assert {"width_m", "line"}.isdisjoint(manifest["columns"])
 
     frames = {

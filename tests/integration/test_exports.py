@@ -31,9 +31,10 @@ from conetl.pipeline.maps.decisions import SUPPRESS, decide_location
 from tests.integration.drives_of_days import merge, survey
 
 CONTRACT = [
-    "feature_id", "version", "category", "existence_probability", "height_m", "sigma_e_m", "sigma_n_m", "sigma_u_m",
-    "first_seen_at", "last_seen_at", "observation_count", "valid_from", "valid_to", "changeset_id", "seen_count", "missed_count",
-    "object_height_m", "ground_height_m", "height_system",
+    "feature_id", "version", "category", "existence_probability", "object_height_m", "object_height_sigma_m", "ground_height_m",
+    "height_system", "sigma_e_m", "sigma_n_m", "sigma_u_m", "cov_en_m2", "cov_eu_m2", "cov_nu_m2", "first_seen_at",
+    "last_seen_at", "observation_count", "seen_count", "missed_count", "first_missed_at", "valid_from", "valid_to",
+    "changeset_id", "changeset_no", "drive_id",
 ]  # fmt: skip
 
 
@@ -59,7 +60,7 @@ def test_geojson_keeps_the_contract(conn, samples, moved_cone, tmp_path):
     assert list(feature["properties"]) == CONTRACT
     properties = feature["properties"]
     assert properties["feature_id"] == feature["id"] == str(moved_cone.feature_id)
-    assert (properties["version"], properties["category"], properties["height_m"]) == (2, "traffic_cone", 0.7)
+    assert (properties["version"], properties["category"], properties["object_height_m"]) == (2, "traffic_cone", 0.7)
     assert [properties[f"sigma_{axis}_m"] for axis in "enu"] == [0.03, 0.04, 0.05]
     assert properties["first_seen_at"] == "2026-03-01T08:00:00.000000Z"
     assert properties["valid_from"] == "2026-03-02T08:00:00.000000Z"
@@ -78,7 +79,7 @@ def test_the_same_map_gives_the_same_bytes(conn, samples, tmp_path):
         paths = [tmp_path / f"{name}{form.suffix}" for name in ("once", "again")]
         once, again = (export_map(conn, path, file_format, ExportRequest()) for path in paths)
         assert once["sha256"] == again["sha256"], file_format
-    known_at = ExportRequest(believed_at=datetime.fromisoformat(once["last_committed_at"]))
+    known_at = ExportRequest(known_at=datetime.fromisoformat(once["last_committed_at"]))
     before = export_map(conn, tmp_path / "before.gpkg", "gpkg", known_at)
     samples.commit(conn, samples.added(samples.feature("later")), key="2")
     assert export_map(conn, tmp_path / "after.gpkg", "gpkg", known_at)["sha256"] == before["sha256"]
@@ -166,8 +167,8 @@ def test_qgis_opens_and_draws_it(surveyed, tmp_path):
     assert found["time"] == [_iso(first["at"]).rstrip("Z")]  # the first sighting, to the next second
     [counts] = execute(
         surveyed,
-        "select count(*) as over_time, count(*) filter (where upper_inf(valid_period) and present) as now "
-        "from conetl.feature_version where upper_inf(system_period) and line is null",
+        "select count(*) as over_time, count(*) filter (where upper_inf(valid_period)) as now "
+        "from conetl.feature_version where upper_inf(system_period) and line is null and present",
     )
     layers = found["layers"]
     assert all(layer["valid"] for layer in layers.values())

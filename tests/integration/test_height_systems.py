@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import struct
 import xml.etree.ElementTree as ET
 
@@ -13,13 +14,13 @@ import pyproj
 import pytest
 from pyproj import Transformer
 
-from conetl.db.connection import execute, load_sql, query_columns
+from conetl.db.connection import execute
 from conetl.db.map.map_store import read_current_features
 from conetl.exports import FORMATS
-from conetl.exports.fields import FIELDS, as_markdown
 from conetl.geometry import geodesy
+from conetl.model.columns import BY_NAME, as_markdown
 from conetl.readers.surveyed_points import read_surveyed_points
-from conetl.web.ogc.collections import CHANGE_COLUMNS, FEATURE_COLUMNS
+from conetl.web.ogc.collections import COLLECTIONS
 from tests.conftest import filled_template
 from tests.integration.drives_of_days import failed_audits, merge, survey
 
@@ -83,7 +84,7 @@ def test_heights_are_those_of_proj_in_every_format(conetl, conn, mapped, tmp_pat
         assert np.abs(found - wanted).max() < 0.001
         assert np.abs(table["ground_height_m"] - wanted[:, 2]).max() < 0.001
         assert set(table["height_system"]) == {"EPSG:5773"}
-        assert table["object_height_m"].tolist() == table["height_m"].tolist()
+        assert table["object_height_m"].tolist() == [feature.object_height_m for feature in mapped]
         # What comes back is ellipsoidal again, and recognised.
         back = np.array([point.xyz_m for point in read_surveyed_points(path, 32632, sigma_m=0.01)])
         apart_m = np.linalg.norm(back[:, None] - [feature.xyz_m for feature in mapped], axis=2)
@@ -145,15 +146,13 @@ def test_every_field_is_in_the_dictionary_with_one_meaning(conetl, conn, mapped,
     named |= set(features[0]["properties"])
     assert all(f["properties"]["drive_id"] and f["properties"]["sigma_e_m"] > 0 for f in features)
     assert all(f["properties"]["changeset_no"] == 2 for f in features)
-    for query in ("qgis_now", "qgis_over_time"):
-        columns = query_columns(conn, load_sql(f"exports.{query}").rstrip("; \n"), {"map_name": "default"})
-        named |= {name for name, _ in columns} - {"geom", "version_row_id"}
-    conn.rollback()
-    assert named - set(FIELDS) == set()
-    ogc = set(FEATURE_COLUMNS) | set(CHANGE_COLUMNS)
-    assert ogc - set(FIELDS) == set()
+    conetl("map", "qgis", "--out", tmp_path / "cones.qgs")
+    named |= {alias.get("field") for alias in ET.parse(tmp_path / "cones.qgs").iter("alias")} - {"version_row_id"}
+    for _, _, columns, _ in COLLECTIONS.values():
+        named |= set(columns)
+    assert named - set(BY_NAME) == set()
     page = as_markdown()
-    assert all(f"| `{name}` |" in page for name in FIELDS)
+    assert all(f"| `{name}` |" in page for name in BY_NAME)
 
 
 def test_qgis_shows_standing_cones_only_and_names_its_fields(conetl, conn, mapped, tmp_path):
@@ -164,7 +163,8 @@ def test_qgis_shows_standing_cones_only_and_names_its_fields(conetl, conn, mappe
     assert aliases["object_height_m"] == "Height of the object [m]" and all(
         name for field, name in aliases.items() if field != "version_row_id"
     )
-    rows = execute(conn, load_sql("exports.qgis_now"), {"map_name": "default"})
+    statement = re.search(r'table="\((.*)\)" \(geom\)', layer.find("datasource").text)[1]
+    rows = execute(conn, statement)
     conn.rollback()
     assert sorted(row["feature_id"] for row in rows) == sorted(str(f.feature_id) for f in mapped)
 
@@ -193,3 +193,5 @@ def test_a_date_is_its_whole_day(conetl, mapped, tmp_path):
         "--from",
     )
     assert json.loads(conetl(*changes, "2026-03-02"))["changes"] > 0
+    for day in ("2026-03-02", "2026-W10-1", "20260302"):
+        assert {change["kind"] for change in json.loads(conetl("map", "diff", day, day, "--json"))} == {"added"}

@@ -23,7 +23,7 @@ from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportContent, ExportRequest
 from conetl.files.parquet_store import file_sha256
-from conetl.model.base import ns_from_utc
+from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import ImportParams
@@ -81,16 +81,27 @@ def test_an_exported_map_comes_back(conn, surveyed, name):
             np.sqrt([other.cov_m2[i] for i in (0, 3, 5)]), abs=1e-4
         )
         assert one.existence_probability == pytest.approx(other.existence_probability, abs=1e-6)
-        assert (one.cone_height_m, one.observation_count) == (
-            pytest.approx(other.cone_height_m, abs=1e-4),
+        assert (one.object_height_m, one.observation_count) == (
+            pytest.approx(other.object_height_m, abs=1e-4),
             other.observation_count,
         )
+        assert one.object_height_sigma_m == pytest.approx(other.object_height_sigma_m, abs=1e-4)
         assert abs(one.last_seen_ns - other.last_seen_ns) < 1000
-        if name not in ("geojson", "csv"):  # which round, and have no correlations
+        if name not in ("geojson", "csv"):  # which round
             assert one.cov_m2 == pytest.approx(other.cov_m2, rel=1e-12)
     assert failed_audits(conn) == []
     assert not take(conn, folder / f"map{FORMATS[name].suffix}").committed
     assert len(list_changesets(conn)) == 1
+
+
+@pytest.mark.parametrize("name", IMPORTABLE)
+def test_small_correlated_covariances_come_back(conn, samples, tmp_path, name):
+    cov_m2 = (8.1e-5, 7.3e-5, 0.0, 8.1e-5, 0.0, 4e-4)
+    samples.commit(conn, samples.added(samples.feature(cov_m2=cov_m2)), key="1")
+    path = tmp_path / f"map{FORMATS[name].suffix}"
+    export_map(conn, path, name, ExportRequest())
+    [statement] = read(path).statements
+    assert statement.feature.cov_m2 == pytest.approx(cov_m2, rel=0.02, abs=1e-8)
 
 
 VALID_TIMES = """
@@ -167,7 +178,7 @@ def test_a_sequence_with_a_broken_row_is_refused_as_a_whole(tmp_path, row, text,
 
 def test_drives_confirm_move_and_remove_imported_cones(conn, tmp_path):
     """A cone list of the first day, the drive of the second: as if a drive had been there."""
-    names = ["height_m", "sigma_e_m", "sigma_n_m", "sigma_u_m"]
+    names = ["object_height_m", "sigma_e_m", "sigma_n_m", "sigma_u_m"]
     path = cones_csv(tmp_path / "plan.csv", DAYS[0], names, [[cone.height_m, 0.05, 0.05, 0.05] for cone in DAYS[0]])
     day = datetime.fromtimestamp(START_NS / 1e9, UTC)
     with pytest.raises(InputError, match="--surveyed-at"):
@@ -185,17 +196,16 @@ def test_an_import_saw_no_cone(conn, surveyed):
     take(conn, surveyed[0] / "map.parquet")
     shown = list(read_features_as_of(conn))
     conn.rollback()
-    assert {v.seen_count for v in shown} == {0}
+    assert {v.feature.seen_count for v in shown} == {0}
     merge(conn, survey(2))
-    shown = list(read_features_as_of(conn))
-    evidence = execute(
-        conn,
-        "select f.feature_id, e.seen_count from conetl.current_feature f, conetl.feature_evidence(f.feature_id, f.version) e",
-    )
-    assert {v.feature.feature_id: v.seen_count for v in shown} == {
-        row["feature_id"]: row["seen_count"] for row in evidence
-    }
-    assert 1 in {v.seen_count for v in shown}
+    assert {feature.seen_count for feature in read_current_features(conn)} == {1}
+
+
+@pytest.mark.parametrize("name", ["object_height", "height"])
+def test_the_height_of_an_object_is_read_by_its_name_now_and_before_0_3(tmp_path, name):
+    path = cones_csv(tmp_path / "plan.csv", DAYS[0][:1], [f"{name}_m", f"{name}_sigma_m"], [[0.63, 0.017]])
+    [statement] = read(path, **IN_UTM).statements
+    assert (statement.feature.object_height_m, statement.feature.object_height_sigma_m) == (0.63, 0.017)
 
 
 def cones_csv(path, cones, names=(), values=None):
@@ -732,6 +742,16 @@ def test_a_survey_before_2000_or_in_the_future_is_refused(tmp_path):
     path = geojson(tmp_path / "map.geojson", [(OTHER, {})])
     for year in (1970, 2199):
         complaint(path, f"--surveyed-at.*{year}.*(before 2000|future)", stated_at=datetime(year, 1, 2, tzinfo=UTC))
+
+
+@pytest.mark.parametrize("option", ["--object-height-m", "--cone-height-m"])
+def test_a_survey_of_a_date_lasts_until_the_end_of_the_day(conetl, conn, tmp_path, option):
+    path = cones_csv(tmp_path / "plan.csv", DAYS[0][:1], ["last_seen_at"], [["2026-03-01T18:00:00Z"]])
+    stated = ("--crs", "EPSG:32632", "--map-srid", 32632, "--surveyed-at", "2026-03-01", option, 0.75)
+    assert "1 cone" in conetl("map", "import", path, *stated)
+    [feature], [changeset] = read_current_features(conn), list_changesets(conn)
+    assert feature.object_height_m == 0.75
+    assert utc_from_ns(changeset.captured_to_ns) == datetime(2026, 3, 1, 23, 59, 59, 999999, UTC)
 
 
 def test_rows_that_nobody_saw_at_the_survey_are_refused(tmp_path):

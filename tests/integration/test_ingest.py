@@ -175,7 +175,7 @@ def check_the_table_of_the_tutorial(changes: list[dict[str, Any]]) -> None:
     kind, feature, *shown = re.findall(r"^confirmed .*$", text, re.MULTILINE)[0].split()
     [found] = [one for one in changes if one["feature_id"].startswith(feature)]
     xyz_m = found["xyz_m"]
-    rest = ("cone_height_m", "sigma_horizontal_m", "sigma_height_m", "existence_probability", "observation_count")
+    rest = ("object_height_m", "sigma_horizontal_m", "sigma_height_m", "existence_probability", "observation_count")
     assert found["kind"] == kind
     values = [*xyz_m, *(found[name] for name in rest), found["shift_m"]]
     assert [float(value) for value in shown] == [
@@ -462,7 +462,7 @@ def test_locate_needs_no_services(office: Desk) -> None:
     cones = json.loads(nowhere.ask("locate", *pair, "--calibration", SAMPLES[0], "--json"))["cones"]
     assert cones
     assert all(1 < cone["ground_distance_m"] < 40 for cone in cones)
-    assert all(0.3 < cone["height_m"] < 1.0 for cone in cones)
+    assert all(0.3 < cone["object_height_m"] < 1.0 for cone in cones)
     far = [path.with_name("0000000015.jpg") for path in pair]
     text = nowhere.ask("locate", *far, "--calibration", SAMPLES[0])
     assert "not used: match: the cone is 37.9 m away" in text, "its number would be taken for that of an object"

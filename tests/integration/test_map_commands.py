@@ -10,7 +10,7 @@ import pytest
 
 from conetl.db.map.map_store import list_changesets
 from conetl.reports.map_picture import drive_paths
-from tests.integration.drives_of_days import DAY_NS, START_NS, merge, survey
+from tests.integration.drives_of_days import merge, survey
 from tests.view_map import commit, cone, missed, two_drives
 
 
@@ -23,16 +23,20 @@ def surveyed(conn):
 
 
 def test_differences_between_changesets_and_times(conetl, surveyed, tmp_path):
-    # Changeset 3 is the late drive of day 1: after 2 the map was that of days 0 and 2.
-    late = json.loads(conetl("map", "diff", 2, 3, "--json"))
-    assert late
-    back = json.loads(conetl("map", "diff", 3, 2, "--json"))
-    assert [(c["feature_id"], c["old"], c["new"]) for c in late] == [
-        (c["feature_id"], c["new"], c["old"]) for c in back
-    ]
-    assert conetl("map", "diff", 3, 3).strip() == "No differences."
+    # Changeset 3 is the late drive of day 1, between those of changesets 1 and 2 on the road.
+    changes = json.loads(conetl("map", "diff", 3, 2, "--json"))
+    assert changes == json.loads(conetl("map", "diff", "2026-03-03T23:00", "2026-03-04T23:00", "--json")) != []
+    then = json.loads(conetl("map", "diff", 1, 2, "--known-at", "then", "--json"))
+    now = json.loads(conetl("map", "diff", 1, 2, "--json"))
+    seen = [{c["feature_id"]: c["new"]["seen_count"] for c in some if c["new"]} for some in (then, now)]
+    assert seen[0].keys() == seen[1].keys()
+    assert {seen[1][key] - count for key, count in seen[0].items()} == {0, 1}, "without the drive that came later"
+    assert conetl("map", "diff", 3, 3).strip() == "From changeset 3 to changeset 3, as known now: no differences."
+    for states in ((2, 3), ("2026-03-04", "2026-03-03")):
+        assert "exchange them" in conetl("map", "diff", *states, code=2)
+        assert "exchange them" in conetl("map", "picture", tmp_path / "no.png", "--changes", *states, code=2)
     drawn = tmp_path / "diff.png"
-    assert str(drawn) in conetl("map", "diff", 2, 3, "--picture", drawn).replace("\n", "")
+    assert str(drawn) in conetl("map", "diff", 3, 2, "--picture", drawn).replace("\n", "")
     assert cv2.imread(str(drawn)).std() > 5
     written = tmp_path / "diff.geojson"
     table = conetl("map", "diff", "2026-03-02T23:00", "2026-03-03T23:00", "--out", written)
@@ -48,14 +52,12 @@ def test_differences_between_changesets_and_times(conetl, surveyed, tmp_path):
 
 def test_a_miss_is_reported_as_one(conetl, surveyed, conn, samples, tmp_path):
     """In the table, the GeoJSON and JSON; the image has a mark of its own for it."""
-    there = cone(samples, "there", 400.0)
-    commit(conn, samples, tmp_path, "a", 10, samples.added(there, changed_at_ns=START_NS + 10 * DAY_NS))
-    commit(conn, samples, tmp_path, "b", 11, missed(there, START_NS + 11 * DAY_NS, 0.6))
+    there = cone(samples, "there", 0.0, day=10)
+    commit(conn, samples, tmp_path, "a", 10, samples.added(there))
+    commit(conn, samples, tmp_path, "b", 11, missed(there, there.first_seen_ns + samples.DAY_NS, 0.6))
     written = tmp_path / "diff.geojson"
-    assert (
-        "1 not observed"
-        in conetl("map", "diff", 4, 5, "--out", written, "--picture", tmp_path / "diff.png").splitlines()
-    )
+    said = conetl("map", "diff", 4, 5, "--out", written, "--picture", tmp_path / "diff.png").splitlines()
+    assert said[0] == "From changeset 4 to changeset 5, as known now: 1 not observed."
     assert [f["properties"]["change"] for f in json.loads(written.read_text())["features"]] == ["missed"]
     [change] = json.loads(conetl("map", "diff", "4", "5", "--json"))
     assert (change["kind"], change["new"]["existence_probability"]) == ("missed", 0.6)
@@ -135,7 +137,7 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
     cone, line = samples.feature(), samples.line_feature(shape)
     track = samples.marking_track(shape)
     samples.commit(conn, samples.added(cone), samples.added(line), key="1", markings=[track])
-    other = samples.added(samples.feature("other"))
+    other = samples.added(samples.feature("other", seen_ns=day))
     second = samples.changed("confirmed", line, day, marking=wider)
     samples.commit(conn, second, other, key="2", start_ns=day, markings=[track])
     line_only = samples.commit(
@@ -149,7 +151,10 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
 
     out = tmp_path / "changes.geojson"
     said = conetl("map", "diff", "1", "2", "--out", out, "--picture", tmp_path / "diff.png")
-    assert said.splitlines()[:2] == ["1 added", "Stretches of lane markings: 1 confirmed"]
+    assert said.splitlines()[:2] == [
+        "From changeset 1 to changeset 2, as known now: 1 added.",
+        "Stretches of lane markings: 1 confirmed.",
+    ]
     assert "This file does not contain lane markings" in said and len(json.loads(out.read_text())["features"]) == 1
     for words in ((), ("--changes", "1", "2")):
         facts = json.loads(conetl("map", "picture", tmp_path / "map.png", "--json", *words))
@@ -157,7 +162,7 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
     assert facts["bbox"][0] < 458_000 and facts["bbox"][2] > 458_010
     assert "no other class" in conetl("map", "classify", str(line.feature_id), "drum", code=2)
     page = next(w for w in conetl("report", "drive", str(line_only.drive_id)).split() if w.endswith(".html"))
-    assert "This drive did not change any cone" in Path(page).read_text()
+    assert "this drive did not change any cone" in Path(page).read_text()
 
 
 def test_exports_and_pictures_name_what_stands_on_the_map(conn, conetl, samples, tmp_path):

@@ -19,7 +19,7 @@ from tests.conftest import filled_template
 from tests.integration.drives_of_days import failed_audits, merge, survey
 
 #: Tables of the schema that a dump does not have: bookkeeping, the map itself, and what is shown while a drive is recorded.
-NOT_DUMPED = {"schema_migration", "map", "watched_drive", "provisional_feature"}
+NOT_DUMPED = {"schema_migration", "schema_functions", "map", "watched_drive", "provisional_feature"}
 
 
 @pytest.fixture(scope="module")

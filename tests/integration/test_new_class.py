@@ -143,4 +143,4 @@ def test_a_row_and_a_network_bring_a_new_class_onto_the_map(
     assert feature.category == "bollard"
     off_m = np.array(feature.xyz_m) - foot_m
     assert np.linalg.norm(off_m) < 0.1 and (np.abs(off_m) < 4 * np.sqrt(np.array(feature.cov_m2)[[0, 3, 5]])).all()
-    assert abs(feature.cone_height_m - 0.9) < 0.05
+    assert abs(feature.object_height_m - 0.9) < 0.05

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from conetl.db.connection import execute
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.base import utc_from_ns
+from conetl.model.columns import BY_NAME
 from conetl.pipeline.maps.decisions import SUPPRESS, decide_location, revert
 from conetl.web.app import create_app
 from tests import ogc_schemas as standard
@@ -31,6 +31,8 @@ FEATURES = f"{OGC}/collections/default.features"
 CHANGES = f"{OGC}/collections/default.changes"
 DAY = timedelta(days=1)
 TICK = timedelta(microseconds=1)
+#: What the second drive did.
+KINDS = {"stays": "confirmed", "goes": "removed", "wanders": "moved", "comes": "added"}
 
 
 @pytest.fixture(scope="module")
@@ -170,9 +172,8 @@ def iso(time):
 
 def test_changes_between_two_instants(client, features, start):
     early, late = iso(start + DAY / 2), iso(start + DAY * 2)
-    all_kinds = {"stays": "confirmed", "goes": "removed", "wanders": "moved", "comes": "added"}
-    assert kinds(client, features, **{"from": early, "to": late}) == all_kinds
-    assert kinds(client, features, datetime=f"{early}/{late}") == all_kinds
+    assert kinds(client, features, **{"from": early, "to": late}) == KINDS
+    assert kinds(client, features, datetime=f"{early}/{late}") == KINDS
     assert kinds(client, features, **{"from": late, "to": late}) == {}
     refused = get(client, f"{CHANGES}/items", 400, **{"from": late, "to": early})["detail"]
     assert "is later than to=" in refused
@@ -222,19 +223,17 @@ def test_a_change_has_its_own_instant_whatever_confirmed_the_cone_in_between(con
     assert len(seen_last) == 2
 
 
-def test_values_are_those_of_the_map(client, features, module_conn, samples, start):
+def test_values_are_those_of_the_map(client, features, samples, start):
+    drives = {"stays": 2, "wanders": 2, "comes": 1}
     page = get(client, f"{FEATURES}/items", at=iso(start + DAY * 2))
     for item in page["features"]:
-        feature = next(f for f in features.values() if str(f.feature_id) == item["id"])
-        values = item["properties"]
+        [name] = names(features, {"features": [item]})
+        feature, values = features[name], item["properties"]
         place = (values["easting_m"], values["northing_m"], values["ellipsoidal_height_m"])
         lat, lon, height = to_geodetic(samples.SRID, place)
         assert item["geometry"]["coordinates"] == pytest.approx([lon, lat, height], abs=1e-9)
-        [row] = execute(
-            module_conn, "select * from conetl.feature_evidence(%(id)s::uuid, %(version)s)",
-            {"id": str(feature.feature_id), "version": values["version"]},
-        )  # fmt: skip
-        assert (values["seen_count"], values["missed_count"]) == (row["seen_count"], row["missed_count"])
+        assert (values["seen_count"], values["missed_count"]) == (drives[name], 0)
+        assert (values["change"], values["drive_id"]) == (KINDS[name], "drive_2")
         assert values["sigma_e_m"] == pytest.approx(feature.cov_m2[0] ** 0.5)
 
 
@@ -307,18 +306,30 @@ def test_existence_probability_is_that_after_the_last_drive_that_could_see_the_c
 ):
     there, beside = (cone(samples, name, 2.0 * k) for k, name in enumerate(("there", "beside")))
     commit(conn, samples, tmp_path, "1", 0, samples.added(there), samples.added(beside))
+    state = there
     for day, existence in ((1, 0.6), (2, 0.3)):
-        at_ns = samples.START_NS + day * samples.DAY_NS + 7
-        commit(conn, samples, tmp_path, f"{day + 1}", day, missed(there, at_ns, existence))
+        miss = missed(state, samples.START_NS + day * samples.DAY_NS + 7, existence)
+        commit(conn, samples, tmp_path, f"{day + 1}", day, miss)
+        state = miss.new
     for day, existence in ((0, there.existence_probability), (1, 0.6), (2, 0.3)):
         asked = {"at": iso(start + (day + 0.5) * DAY)}
         pages = [get(own_view, f"{FEATURES}/items", schema=standard.ITEMS, **asked)["features"]]
         pages.append(text_sequence(own_view.get(f"{FEATURES}/items", params=asked | {"f": "geojsonseq"})))
         for items in pages:
             found = {item["id"]: item["properties"] for item in items}
-            names = ("existence_probability", "seen_count", "missed_count")
-            assert [found[str(there.feature_id)][name] for name in names] == [existence, 1, day]
-            assert [found[str(beside.feature_id)][name] for name in names] == [beside.existence_probability, 1, 0]
+            names = ("existence_probability", "seen_count", "missed_count", "version", "change", "drive_id")
+            change = "missed" if day else "added"
+            assert [found[str(there.feature_id)][name] for name in names] == [
+                existence,
+                1,
+                day,
+                1,
+                change,
+                f"drive_{day + 1}",
+            ]
+            assert [found[str(beside.feature_id)][name] for name in names] == [0.97, 1, 0, 1, "added", "drive_1"]
+            since = found[str(there.feature_id)]["first_missed_at"]
+            assert (since and utc(since)) == (start + DAY if day else None)
         low = get(own_view, f"{FEATURES}/items", limit=1, sortby="existence_probability", **asked)["features"]
         assert low[0]["properties"]["existence_probability"] == min(existence, beside.existence_probability)
 
@@ -563,7 +574,7 @@ def test_invalid_parameters_are_refused(client, query):
         ("properties=category,nope", "There is no property 'nope'; there are: feature_id, version"),
         ("properties=nope&f=csv", "There is no property 'nope'"),
         ("sortby=nope", "nope"),
-        ("change=moved", "Unknown parameter 'change'; known are: at, bbox, category"),
+        ("shift_m=1", "Unknown parameter 'shift_m'; known are: at, bbox, category"),
         ("colour=white", "Unknown parameter 'colour'"),
         ("limit=1&limit=5", "limit is given 2 times: expected one value"),
         ("bbox=8,49,9,50&bbox=0,0,1,1", "bbox is given 2 times"),
@@ -577,7 +588,7 @@ def test_an_error_names_the_expected_value(client, query, words):
 @pytest.mark.parametrize(
     ("collection", "query", "words"),
     [
-        ("changes", "change=foo", "change='foo' should be one of added, moved, removed, confirmed"),
+        ("changes", "change=foo", "change='foo' should be one of added, confirmed, moved, removed, missed"),
         ("lane_markings", "pattern=dotted", "pattern='dotted' should be one of solid, dashed"),
         ("lane_markings", "colour=", "colour='' should be one of white, yellow, other"),
     ],
@@ -589,7 +600,7 @@ def test_a_word_that_no_item_can_have_is_an_error(client, collection, query, wor
 def test_the_definition_states_the_values_of_filters(client):
     parameters = client.get(f"{OGC}/api").json()["paths"]["/collections/{collectionId}/items"]["get"]["parameters"]
     schemas = {parameter["name"]: parameter["schema"] for parameter in parameters}
-    assert schemas["change"] == {"type": "string", "enum": ["added", "moved", "removed", "confirmed"]}
+    assert schemas["change"] == {"type": "string", "enum": list(BY_NAME["change"].words)}
     assert schemas["version"] == {"type": "integer"} and schemas["shift_m"] == {"type": "number"}
     assert schemas["valid_from"] == {"type": "string", "format": "date-time"}
 

@@ -54,18 +54,18 @@ _MAKE = (
     """,
     """
     insert into feature_version (cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, centre_geom,
-        cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, cone_height_m, cone_height_sigma_m, existence_probability,
-        observation_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
+        cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, object_height_m, object_height_sigma_m, existence_probability,
+        observation_count, seen_count, missed_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
     select cell_at(ST_MakePoint(x, y)), md5(%(map)s || k)::uuid, 1, map_id, srid, md5(%(map)s)::uuid, true, 'traffic_cone',
         ST_SetSRID(ST_MakePoint(x, y, k), srid), ST_SetSRID(ST_MakePoint(x, y, k), srid), 1, 0, 0, 1, 0, 1, 0.7, 0.02, 0.9,
-        3, 0, 1, 0, tstzrange('2026-03-01T08:00Z', null), tstzrange('2026-03-01T20:00Z', null)
+        3, 1, 0, 0, 1, 0, tstzrange('2026-03-01T08:00Z', null), tstzrange('2026-03-01T20:00Z', null)
     from map, unnest(%(x)s, %(y)s) with ordinality p (x, y, k) where map_name = %(map)s
     """,
 )
 #: What a box is (migration 0009): longitude and latitude of every cone of the map decide.
 _DEFINITION = """
 select v.feature_id::text as id, ST_AsGeoJSON(p.place)::json -> 'coordinates' as place
-from map_as_of(%(map)s, 'infinity') v cross join lateral (select ST_Transform(v.geom, 4326) as place) p
+from feature_states(%(map)s) v cross join lateral (select ST_Transform(v.geom, 4326) as place) p
 where ST_Y(p.place) between %(south)s - 5e-10 and %(north)s + 5e-10 and case
     when %(west)s <= %(east)s then ST_X(p.place) between %(west)s - 5e-10 and %(east)s + 5e-10
     else ST_X(p.place) >= %(west)s - 5e-10 or ST_X(p.place) <= %(east)s + 5e-10

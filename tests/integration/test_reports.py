@@ -185,7 +185,7 @@ def test_an_empty_drive_has_a_report(shown: Any, samples: Any) -> None:
     bare = list_changesets(shown, map_name="bare")[0]
     page, _ = drive_page(shown, bare, map_name="bare")
     assert_loads_nothing(page)
-    assert "Not stored for this changeset" in page and "This drive did not change the map" in page
+    assert "Not stored for this changeset" in page and "this drive did not change the map" in page
     execute(shown, "update drive set pruned_at = now() where drive_uuid = %(d)s", {"d": bare.drive_uuid})
     execute(shown, "delete from position where drive_uuid = %(d)s", {"d": bare.drive_uuid})
     assert "were pruned on" in drive_page(shown, bare, map_name="bare")[0]

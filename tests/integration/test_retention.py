@@ -146,6 +146,16 @@ def test_archived_records_come_back_to_the_last_bit_when_a_comparison_needs_them
     assert raw_content(conn) == before
 
 
+def test_an_archive_of_before_0_3_comes_back(conn, tmp_path):
+    merge(conn, survey(0))
+    before = raw_content(conn)
+    archive(conn, tmp_path)
+    [path] = tmp_path.glob("*/position.parquet")
+    write_table(read_table(path).rename_columns({"object_height_m": "cone_height_m"}), path)
+    restore_drives(conn, "default")
+    assert raw_content(conn) == before
+
+
 def test_the_map_does_not_depend_on_what_was_archived(conn, another_database, tmp_path):
     def late_and_reverted(own, *, archived):
         for day in (0, 2):

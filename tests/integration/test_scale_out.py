@@ -225,8 +225,8 @@ def test_a_drive_in_object_storage_makes_the_same_map_even_if_a_worker_of_dask_d
                 features.append(
                     execute(
                         conn,
-                        "select st_astext(geom) as at, existence_probability, cone_height_m, observation_count "
-                        "from conetl.map_as_of(%(name)s, now()) order by 1",
+                        "select st_astext(geom) as at, existence_probability, object_height_m, observation_count "
+                        "from conetl.feature_states(%(name)s, now()) order by 1",
                         {"name": name},
                     )
                 )

@@ -112,7 +112,7 @@ PARAMETERS = {
     "/ogc/collections": ["bbox", "datetime", "limit", "offset"],
     "/ogc/collections/default.features/tiles/WebMercatorQuad/0/0/0": ["ids", "sortby", "properties", "category", "limit"],
     f"{MAP}/features": ["valid_at", "known_at"],
-    f"{MAP}/changes": ["from_valid_at", "to_known_at", "moved_from_m"],
+    f"{MAP}/changes": ["from_valid_at", "to_known_at"],
     f"{MAP}/search": ["text"],
     f"{MAP}/downloads/csv": ["valid_at", "box"],
 }  # fmt: skip

@@ -83,6 +83,16 @@ FAULTS = {
         ("update marking_track set relative_cov = relative_cov[1:2]",),
         ("update delta set of_line = not of_line",),
     ],
+    "evidence": [
+        ("update feature_version set seen_count = seen_count + 1 where version = 2",),
+        ("update feature_version set missed_count = 1 where version = 2",),
+        ("update feature_version set missed_count = 0 where first_missed_ns is not null",),
+        ("update feature_version set existence_probability = 0.61 where first_missed_ns is not null",),
+        ("update feature_version set first_missed_ns = first_missed_ns - 1 where first_missed_ns is not null",),
+        ("update feature_version set first_missed_ns = null where first_missed_ns is not null",),
+        ("update feature_version set first_missed_ns = first_seen_ns where version = 2",),
+        ("delete from feature_version where first_missed_ns is not null",),
+    ],
     "overlapping_periods": [
         (
             DROP_EXCLUDE,
@@ -195,13 +205,14 @@ FAULTS = {
 def good_map(module_database_url, samples):
     """A map with history; each test rolls back what it does to it."""
     conn = connect(module_database_url)
-    a, b, day = samples.feature("a"), samples.feature("b"), samples.DAY_NS
-    samples.commit(conn, samples.added(a), samples.added(b), key="1")
+    a, b, c, day = samples.feature("a"), samples.feature("b"), samples.feature("c"), samples.DAY_NS
+    samples.commit(conn, samples.added(a), samples.added(b), samples.added(c), key="1")
     moved = samples.changed("moved", a, samples.START_NS + day, xyz_m=(458_003.0, 5_428_010.0, 114.5))
     confirmed = samples.changed("confirmed", b, samples.START_NS + day, observation_count=6)
     line = samples.marking([(458_300.0 + 2.5 * k, 5_428_010.0, 114.5) for k in range(5)])
     of_line = samples.added(samples.line_feature(line), track_index=None)
-    samples.commit(conn, moved, confirmed, of_line, key="2", markings=[samples.marking_track(line)])
+    missed = samples.not_seen(c, samples.START_NS + day)
+    samples.commit(conn, moved, confirmed, missed, of_line, key="2", markings=[samples.marking_track(line)])
     yield conn
     conn.close()
 

@@ -83,13 +83,41 @@ def test_a_failing_migration_leaves_the_database_as_it_was(empty, tmp_path):
     assert execute(empty, "select to_regclass('conetl.half') as half") == [{"half": None}]
 
 
+def test_views_and_functions_are_made_again_when_their_files_change(conn, tmp_path, monkeypatch):
+    folder = shutil.copytree(sql_directory(), tmp_path / "sql")
+    monkeypatch.setattr("conetl.db.connection.sql_directory", lambda: folder)
+
+    def made() -> int:
+        return int(execute(conn, "select count(*) as n from schema_functions")[0]["n"])
+
+    assert (migrate(conn), made()) == ([], 1), "as they were made"
+    added = folder / "functions" / "9_more.sql"
+    # A second time it would be an error.
+    added.write_text("create view conetl.some_map as select map_name from conetl.map;")
+    for _ in range(2):
+        assert (migrate(conn), made()) == ([], 2)
+    execute(conn, "set role conetl_reader")
+    assert execute(conn, "select * from some_map") == []
+    conn.rollback()
+    added.write_text("create view conetl.another_map as select map_name from conetl.map; select 1 / 0;")
+    with pytest.raises(DatabaseError, match="division by zero"):
+        migrate(conn)
+    assert made() == 2
+    assert execute(conn, "select to_regclass('conetl.another_map') as name") == [{"name": None}]
+
+
+def migrate_until(conn, number):
+    """To the schema after one of the earlier migrations."""
+    execute(conn, load_sql("schema.schema_migration"))
+    for path in sorted((sql_directory() / "migrations").glob("*.sql"))[:number]:
+        execute(conn, path.read_text())
+        known = {"name": path.stem, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
+        execute(conn, load_sql("schema.insert_migration"), known)
+
+
 def test_rows_of_an_older_schema_are_brought_along(empty, caplog):
     """Changesets were numbered over the whole database, with gaps where a transaction failed; positions of a track had rows."""
-    execute(empty, load_sql("schema.schema_migration"))
-    for path in sorted((sql_directory() / "migrations").glob("000[1-4]*.sql")):
-        execute(empty, path.read_text())
-        known = {"name": path.stem, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-        execute(empty, load_sql("schema.insert_migration"), known)
+    migrate_until(empty, 4)
     made = """
         with m as (insert into map (map_name, srid, created_at) values ('a', 32632, now()), ('b', 32632, now()) returning map_id),
         d as (
@@ -128,6 +156,96 @@ def test_rows_of_an_older_schema_are_brought_along(empty, caplog):
     assert execute(empty, members) == positions
     kept = execute(empty, "select members from track order by track_index")
     assert [row["members"] for row in kept] == [[[1, 3], [2, 2], [3, 1]], []]
+
+
+#: Drives a to d of the days 0 to 3 of a map before migration 0016, in the order in which they came; their numbers are instants of
+#: the database. A row of versions: drive, version, present, valid from and until which day, known from and until when. Of deltas:
+#: drive, kind, old and new version, existence probability after it.
+OLD_MAP = """
+    create temporary table made as
+    select
+        letter, day * 86400000000000::bigint as ns, to_timestamp(day * 86400) as day_at, to_timestamp(1e9 + number) as at, number,
+        md5(letter)::uuid as id, repeat(letter, 64) as hash, 1 as map_id, 32632 as srid,
+        ST_SetSRID(ST_MakePoint(1, 2, 3), 32632) as geom
+    from (values ('a', 0, 1), ('c', 2, 2), ('d', 3, 3), ('b', 1, 4)) given (letter, day, number);
+    insert into map (map_name, srid, created_at) values ('default', 32632, now());
+    insert into drive (drive_uuid, map_id, srid, drive_id, source_path, content_sha256, captured_from_ns, captured_to_ns,
+        captured_period, expected_frame_count, reconcile, influence_m, area, rig)
+    select id, map_id, srid, letter, '', hash, ns, ns, tstzrange(day_at, day_at, '[]'), 1, '{}', 1, ST_Force2D(geom), '{}'
+    from made;
+    insert into changeset (changeset_id, changeset_no, map_id, drive_uuid, idempotency_key, params_sha256, model_sha256,
+        code_version, committed_at, added_count, confirmed_count, moved_count, removed_count, frame_pair_count, detection_count,
+        match_count, position_count, track_count, rejection_count, missed_count, height_changed_count, split_count, merged_count,
+        marking_count)
+    select id, number, map_id, id, hash, '', '', '', at, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0 from made"""
+OLD_FEATURE = """
+    insert into feature (feature_id, map_id, srid, created_by, cell)
+    select md5(%s)::uuid, map_id, srid, id, 0 from made limit 1"""
+OLD_VERSION = """
+    insert into feature_version (cell, feature_id, version, map_id, srid, changeset_id, present, category, geom, centre_geom,
+        cov_xx, cov_xy, cov_xz, cov_yy, cov_yz, cov_zz, cone_height_m, cone_height_sigma_m, existence_probability,
+        observation_count, first_seen_ns, last_seen_ns, valid_from_ns, valid_period, system_period)
+    select 0, md5(%s)::uuid, v.version, map_id, srid, id, v.present, 'traffic_cone', geom, geom, 1, 0, 0, 1, 0, 1, 1, 1, 0.9,
+        1, 0, 0, ns, tstzrange(to_timestamp(v.day * 86400), to_timestamp(v.until::int * 86400)),
+        tstzrange(to_timestamp(1e9 + v.known), to_timestamp(1e9 + v.known_until::int))
+    from made join (values %s) v (letter, version, present, day, until, known, known_until) using (letter)"""
+OLD_DELTA = """
+    insert into delta (cell, feature_id, changeset_id, kind, old_version, new_version, changed_at_ns, changed_at, existence_after,
+        of_line, system_period)
+    select 0, md5(%s)::uuid, id, x.kind, x.old::int, x.new, ns, day_at, x.existence, false, tstzrange(at, null)
+    from made join (values %s) x (letter, kind, old, new, existence) using (letter)"""
+OLD = {
+    "seen": (
+        [("a", 1, True, 0, None, 1, 2), ("a", 1, True, 0, 2, 2, None), ("c", 2, True, 2, None, 2, None)],
+        [("a", "added", None, 1, 0.9), ("c", "confirmed", 1, 2, 0.9), ("d", "missed", 2, 2, 0.7), ("b", "missed", 1, 1, 0.6)],
+    ),
+    "gone": (
+        [("a", 1, True, 0, None, 1, 2), ("a", 1, True, 0, 2, 2, None), ("c", 2, False, 2, None, 2, None)],
+        [("a", "added", None, 1, 0.9), ("c", "removed", 1, 2, 0.2)],
+    ),
+}  # fmt: skip
+
+
+def test_the_evidence_of_older_rows_is_that_of_their_deltas(empty):
+    """The drive b came last; it missed a cone whose next version, by the drive c, stayed as it was."""
+    migrate_until(empty, 15)
+    execute(empty, OLD_MAP)
+    for name, (versions, deltas) in OLD.items():
+        execute(empty, OLD_FEATURE, [name])
+        for sql, rows in ((OLD_VERSION, versions), (OLD_DELTA, deltas)):
+            for row in rows:
+                execute(empty, sql, [name, row])
+    empty.commit()
+    migrate(empty)
+
+    def known(name, at):
+        """As known after a commit: drive, version, valid from and until, seen, missed, first missed, existence, present."""
+        rows = execute(
+            empty,
+            """
+            select
+                d.drive_id, v.version, (extract(epoch from lower(v.valid_period)) / 86400)::int as day,
+                (extract(epoch from upper(v.valid_period)) / 86400)::int as until, v.seen_count, v.missed_count,
+                v.first_missed_ns / 86400000000000 as missed_day, v.existence_probability, v.present
+            from feature_version v join changeset c using (changeset_id) join drive d using (drive_uuid)
+            where v.feature_id = md5(%s)::uuid and v.system_period @> to_timestamp(1e9 + %s)
+            order by v.valid_period""",
+            [name, at],
+        )
+        return [tuple(row.values()) for row in rows]
+
+    assert known("seen", 1) == [("a", 1, 0, None, 1, 0, None, 0.9, True)]
+    assert known("seen", 2) == [("a", 1, 0, 2, 1, 0, None, 0.9, True), ("c", 2, 2, None, 2, 0, None, 0.9, True)]
+    assert known("seen", 3) == [
+        ("a", 1, 0, 2, 1, 0, None, 0.9, True), ("c", 2, 2, 3, 2, 0, None, 0.9, True), ("d", 2, 3, None, 2, 1, 3, 0.7, True),
+    ]  # fmt: skip
+    assert known("seen", 4) == [
+        ("a", 1, 0, 1, 1, 0, None, 0.9, True), ("b", 1, 1, 2, 1, 1, 1, 0.6, True),
+        ("c", 2, 2, 3, 2, 1, None, 0.9, True), ("d", 2, 3, None, 2, 2, 3, 0.7, True),
+    ]  # fmt: skip
+    assert known("gone", 4) == [("a", 1, 0, 2, 1, 0, None, 0.9, True), ("c", 2, 2, None, 1, 1, None, 0.2, False)]
+    for audit in ("evidence", "gaps_in_valid_periods", "open_versions", "overlapping_periods"):
+        assert execute(empty, load_sql(f"audits.{audit}")) == [], audit
 
 
 def test_a_database_from_before_the_baseline_is_refused_and_left_alone(empty):
@@ -210,7 +328,7 @@ def test_the_reader_may_only_read(conn, samples):
     samples.commit(conn, samples.added(samples.feature()), key="1")
     execute(conn, "set role conetl_reader")
     assert len(execute(conn, "select * from current_feature")) == 1
-    assert len(execute(conn, "select * from map_as_of('default', 'infinity')")) == 1
+    assert len(execute(conn, "select * from feature_states('default')")) == 1
     for statement in (
         "insert into run values (gen_random_uuid(), now(), now(), '{}', null)",
         "update feature_version set system_period = system_period",
@@ -237,7 +355,7 @@ def test_the_queries_of_the_documentation_run_for_a_reader(conn):
     page = (sql_directory().parent / "docs/reference/database.md").read_text()
     [block] = re.findall(r"```sql\n(.*?)```", page, re.DOTALL)
     queries = [query for query in block.split(";\n") if query.strip()]
-    assert len(queries) == 3
+    assert len(queries) == 4
     execute(conn, "set role conetl_reader")
     for query in queries:
         assert execute(conn, query) == []
@@ -292,7 +410,7 @@ def map_of_one(module_database_url, samples):
         ("geom = ST_SetSRID(geom, 32633)", psycopg2.errors.CheckViolation),
         ("centre_geom = ST_SetSRID(centre_geom, 32633)", psycopg2.errors.CheckViolation),
         ("cov_xx = -1", psycopg2.errors.CheckViolation),
-        ("cone_height_m = 'nan'", psycopg2.errors.CheckViolation),
+        ("object_height_m = 'nan'", psycopg2.errors.CheckViolation),
         ("valid_period = '[2020-01-01, 2021-01-01]'", psycopg2.errors.CheckViolation),
         ("valid_period = 'empty'", psycopg2.errors.CheckViolation),
         ("srid = 32633", psycopg2.errors.ForeignKeyViolation),
@@ -397,7 +515,8 @@ def test_of_two_sessions_the_second_sees_what_the_first_wrote(conn, database_url
     execute(conn, "create table copy as select v.* from feature_version v, generate_series(1, 2)")
     execute(
         conn,
-        "update copy set version_row_id = n + 1000, version = n, valid_period = '[2020-01-01,2021-01-01)' "
+        "update copy set version_row_id = n + 1000, version = n, "
+        "valid_period = tstzrange('2020-01-01'::date + n::int, '2021-01-01') "
         "from (select ctid as id, row_number() over () + 1 as n from copy) numbered where copy.ctid = numbered.id",
     )
     conn.commit()

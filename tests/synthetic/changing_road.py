@@ -16,12 +16,11 @@ from uuid import UUID
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from conetl.mapping.existence_update import miss_of, summarize_miss
 from conetl.mapping.history import DriveEvidence, MapUpdate, apply_drive
 from conetl.mapping.visibility import DriveObservations, check_visibility, observations_of_drive, pairs_in_view
 from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence, detect_probability
 from conetl.model.drive import Detection, FramePair
-from conetl.model.map_records import Decisions, Delta, DeltaKind, FeatureVersion, MapFeature, MissSummary
+from conetl.model.map_records import Decisions, Delta, DeltaKind, FeatureVersion, MapFeature
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.model.rig import Side
 from conetl.tracking.matching.apparent_boxes import hidden_share
@@ -236,7 +235,6 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
     rng = np.random.default_rng(seed)
     road, score = random_road(rng), Score()
     standing: dict[UUID, FeatureVersion] = {}
-    summaries: dict[UUID, MissSummary] = {}
     for day in range(days + 1):
         before, known = dict(road.places), owners(standing, road.places)
         road.before = before
@@ -248,7 +246,7 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
                 span = (0, FRAMES // 2) if rng.random() < 0.5 else (FRAMES // 2, FRAMES)
             start_ns = START_NS + day * DAY_NS + number * HOUR_NS
             drive, view = survey(road, evidence, rng, start_ns=start_ns, span=span)
-            extension = apply_drive(standing, drive, Decisions(), summaries)
+            extension = apply_drive(standing, drive, Decisions())
             if extension.hold is not None:
                 score.held.append(f"seed {seed}, day {day}, drive {number + 1}: {extension.hold.detail}")
             happened += [(number + 1, delta) for delta in extension.deltas]
@@ -261,7 +259,7 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
                 if number == 0 and fate[cone] == "removed" and plain >= WELL_SEEN_FRAMES:
                     score.removed_well_seen += 1
                     score.removed_at_once += feature_id in gone
-            take(extension, standing, summaries)
+            take(extension, standing)
         for cone in fate:
             if fate[cone] in ("removed", "moved") and most_plain.get(cone, 0) < WELL_SEEN_FRAMES:
                 fate[cone] += HIDDEN
@@ -274,12 +272,9 @@ def simulate(days: int, evidence: DetectorEvidence, *, seed: int = 5) -> Score:
     return score
 
 
-def take(extension: MapUpdate, standing: dict[UUID, FeatureVersion], summaries: dict[UUID, MissSummary]) -> None:
+def take(extension: MapUpdate, standing: dict[UUID, FeatureVersion]) -> None:
     """Bring the map up to what a drive made of it."""
-    for miss in (miss_of(delta) for delta in extension.deltas if delta.kind is DeltaKind.MISSED):
-        summaries[miss.feature_id] = summarize_miss(summaries.get(miss.feature_id), miss)
     for version in extension.versions:
-        summaries.pop(version.feature.feature_id, None)
         standing.pop(version.feature.feature_id, None)
         if version.present:
             standing[version.feature.feature_id] = version

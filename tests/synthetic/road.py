@@ -83,7 +83,7 @@ def random_drive(
                 len(tracks),
                 category="drum" if i % 4 == 3 else CONE,
                 **standing_at(xyz, cone.height_m, (SIGMA_M**2, 0.0, 0.0, SIGMA_M**2, 0.0, 0.1))
-                | {"cone_height_m": cone.height_m + float(rng.normal(0, 0.01))},
+                | {"object_height_m": cone.height_m + float(rng.normal(0, 0.01))},
                 relative_cov_m2=(1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3),
                 existence_probability=float(rng.uniform(0.7, 0.99)),
                 observation_count=int(rng.integers(3, 20)),

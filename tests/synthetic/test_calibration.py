@@ -241,7 +241,7 @@ def test_the_rendered_cone_stands_where_it_is_said_to_stand() -> None:
     # The outline lies a little nearer than the axis: radius^2 / distance, under half a millimetre.
     assert np.median(edges) == pytest.approx(truth[0, 0] - truth[1, 0], abs=0.25)
     rows = np.flatnonzero(orange[0].max(axis=1) > 0.3 * orange[0].max())
-    tip_row = cases.project(cases.views_of(pair.rig), pair.foot_m - [0.0, pair.cone_height_m, 0.0])[0, 1]
+    tip_row = cases.project(cases.views_of(pair.rig), pair.foot_m - [0.0, pair.object_height_m, 0.0])[0, 1]
     assert rows[0] == pytest.approx(tip_row, abs=2.0)
     lit = np.flatnonzero(orange[0][rows[0] + 8] > 0.1 * orange[0].max())
     radius_px = pair.rig.left.fx_px * 0.0376 / pair.foot_m[2]  # of the body, 8 rows below its top

@@ -49,7 +49,7 @@ def test_every_cone_becomes_one_track(cones: list[Cone]) -> None:
     for track in tracks:
         foot_m = np.array(track.xyz_m) - ORIGIN_M
         cone = min(cones, key=lambda one: float(np.linalg.norm(foot_m - one.foot_m)))
-        assert track.cone_height_m == pytest.approx(cone.height_m, abs=0.05)
+        assert track.object_height_m == pytest.approx(cone.height_m, abs=0.05)
 
 
 def test_missed_boxes_do_not_split_a_track() -> None:

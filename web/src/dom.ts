@@ -44,6 +44,9 @@ export function plural(count: number, one: string, many = `${one}s`): string {
 /** Three decimals that never read as certainty; the same in src/conetl/mapping/reasons.py. */
 export const probabilityText = (p: number): string => (p < 0.0005 ? "<0.001" : p >= 0.9995 ? ">0.999" : p.toFixed(3));
 
+/** Which state of the database; null is the newest. */
+export const knownText = (known: string | null): string => (known === null ? "as known now" : `as known at ${utc(known)} UTC`);
+
 export const messageOf = (error: unknown) => (error instanceof Error ? error.message : String(error));
 
 export const shortId = (id: string) => id.slice(0, 8);

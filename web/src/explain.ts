@@ -35,7 +35,7 @@ export function createEmptyPosition(host: HTMLElement, open: (start: Start) => v
     SIDES.forEach((side, i) => {
       const own = frame[side];
       const outline = outlineOf(own, now) ?? [];
-      const middle: Point = project(own, [now.xyz_m[0], now.xyz_m[1], now.xyz_m[2] + now.cone_height_m / 2]) ?? [0, 0];
+      const middle: Point = project(own, [now.xyz_m[0], now.xyz_m[1], now.xyz_m[2] + (now.object_height_m ?? 0) / 2]) ?? [0, 0];
       const rows = outline.map(([, v]) => v);
       const picture: Picture = {
         ...(images[i] ?? { url: null, problem: null }), size: [own.width_px, own.height_px], anchor: middle, caption: side,

@@ -1,7 +1,8 @@
 // Style of each kind of cone: a colour that is safe for colour-blind people (no red/green pair, no orange) and a marker.
 import type { ChangeKind, Marking, Vec3 } from "./api";
 
-export type Kind = ChangeKind | "standing" | "suppressed";
+/** `unchanged`: not among the changes. */
+export type Kind = ChangeKind | "unchanged" | "standing" | "suppressed";
 
 /** An object of any class. */
 export interface Cone {

@@ -2,7 +2,7 @@
 import { api, ApiError, type Decisions, type HistoryItem, type Marking, type Sighting } from "./api";
 import { classOf, nounOf } from "./classes";
 import { aboutFeature, createDecider, placeChoice, sentence, withdrawChoice, type DecideContext } from "./decisions";
-import { el, fill, messageOf, plural, probabilityText, shortId, utc } from "./dom";
+import { el, fill, knownText, messageOf, plural, probabilityText, shortId, utc } from "./dom";
 import { createEmptyPosition, sentenceOf } from "./explain";
 import { icon, isGone, STYLES, type Kind } from "./kinds";
 import { lengthOf, wordsOf } from "./markings";
@@ -25,6 +25,8 @@ export interface Chosen {
   map: string;
   srid: number;
   history: HistoryItem[];
+  /** Instant of the database; null is now. */
+  known: string | null;
   /** null while they are being fetched. */
   sightings: Sighting[] | null;
   truncated: boolean;
@@ -132,7 +134,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
           el("small", {}, "ellipse drawn at ", factor))),
         ...row("Existence probability", meter, el("span", { class: "mono", textContent: probabilityText(now.existence_probability) })),
         ...row("Evidence", el("span", { textContent: evidence(now) }), el("small", { textContent: `${plural(now.observation_count, "observation")} in total` })),
-        ...(line ? [] : row("Object height", el("span", { class: "mono", textContent: `${now.cone_height_m.toFixed(3)} ± ${now.cone_height_sigma_m.toFixed(3)} m` }))),
+        ...(now.object_height_m === null ? [] : row("Object height", el("span", { class: "mono", textContent: `${now.object_height_m.toFixed(3)} ± ${(now.object_height_sigma_m ?? 0).toFixed(3)} m` }))),
         ...row("First, last seen", el("span", { class: "mono", textContent: utc(now.first_seen_at) }), el("span", { class: "mono", textContent: `${utc(now.last_seen_at)} UTC` })),
       ),
     ); // prettier-ignore
@@ -158,7 +160,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
   function showStory(chosen: Chosen, now: HistoryItem | undefined): void {
     fill(
       story,
-      el("h3", { textContent: "History" }),
+      el("h3", { textContent: `History, ${knownText(chosen.known)}` }),
       el("ol", { class: "history" }, ...chosen.history.map((h) =>
         el("li", { class: h === now ? "chosen" : "" },
           el("button", { type: "button", title: h.why, onclick: () => actions.showChangeset(h.changeset_no) },

@@ -29,7 +29,8 @@ function all(points: (Point | null)[]): Point[] | null {
 }
 
 /** Outline of an object, facing the camera: base plate, body and tip of a cone, of other classes a rectangle. */
-export function outlineOf(view: FrameView, { category, xyz_m: foot, cone_height_m: height_m }: HistoryItem): Point[] | null {
+export function outlineOf(view: FrameView, { category, xyz_m: foot, object_height_m }: HistoryItem): Point[] | null {
+  const height_m = object_height_m ?? 0;
   const [dx, dy] = [foot[0] - view.xyz_m[0], foot[1] - view.xyz_m[1]];
   const range = Math.hypot(dx, dy) || 1;
   const aside = (share: number, up: number): Point | null => {

@@ -1,6 +1,6 @@
 // From the state of the page to the cones and drives that show it.
 import { api, type Change, type Changes, type Feature, type Features, type HistoryItem, type Instant, type Marking, type TimelineItem } from "./api";
-import { utc } from "./dom";
+import { knownText, utc } from "./dom";
 import { isGone, type Cone } from "./kinds";
 import type { State } from "./state";
 
@@ -10,7 +10,7 @@ export function changesetOf(items: TimelineItem[], no: number | null): TimelineI
 }
 
 const standing = (f: Feature & { marking?: Marking }): Cone => ({
-  id: f.feature_id, category: f.category, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.cone_height_m,
+  id: f.feature_id, category: f.category, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.object_height_m ?? 0,
   probability: f.existence_probability, observations: f.observation_count, sigma_m: f.marking?.sigma_lateral_m ?? f.sigma_m, seenAt: Date.parse(f.last_seen_at),
   changeset: f.changeset_no, marking: f.marking ?? null, oldLine: null,
 });
@@ -33,47 +33,34 @@ export function unknownChangeset(state: State, items: TimelineItem[]): number | 
 
 /** What `readCones` shows in a state: its times, the earlier time of a comparison, and words for it. */
 export function shownInstant(state: State, items: TimelineItem[]): { at: Instant; since: string | null; title: string } {
-  const known = state.known === null ? null : changesetOf(items, state.known)?.committed_at ?? null;
-  if (state.mode === "instant") return { at: { valid: state.valid, known }, since: null, title: state.valid === null ? "latest state" : `at ${utc(state.valid)} UTC` };
+  const known = knownAt(state, items);
+  if (state.mode === "instant") return { at: { valid: state.valid, known }, since: null, title: `${state.valid === null ? "latest state" : `at ${utc(state.valid)} UTC`}, ${knownText(known)}` };
   if (state.mode === "compare") {
-    const [from, to] = [instantAfter(items, state.from, known), instantAfter(items, state.to, known)];
+    const [from, at] = comparedInstants(state, items);
     const after = (no: number | null) => (no === 0 ? "before the first drive" : `after ${changesetOf(items, no)?.drive_id ?? ""}`);
-    return { at: to, since: from.valid, title: `${after(state.to)}, compared with ${after(state.from)}` };
+    return { at, since: from.valid, title: `${after(state.to)}, compared with ${after(state.from)}, ${knownText(known)}` };
   }
+  // Before and after are two states of the database for the same instant on the road, the end of the drive: the changes of a
+  // drive are shown even if it was committed after later ones.
   const item = changesetOf(items, state.changeset);
   const before = state.side === "before";
   const at = { valid: item?.valid_at ?? null, known: (before ? item?.known_before : item?.effective_at) ?? null };
-  return { at, since: null, title: `${before ? "before" : "after"} ${item ? `${item.drive_id} of ${utc(item.captured_from, false)} UTC` : ""}` };
+  return { at, since: null, title: `${before ? "before" : "after"} ${item ? `${item.drive_id} of ${utc(item.captured_from, false)} UTC` : ""}, as known then` };
 }
 
 /** The cones to draw for a state, and whether the answer was cut short. */
 export async function readCones(state: State, items: TimelineItem[]): Promise<[Cone[], boolean]> {
-  const { map } = state;
-  const known = state.known === null ? null : changesetOf(items, state.known)?.committed_at ?? null;
-  if (state.mode === "instant") {
-    const answer = await api.features(map, { valid: state.valid, known });
-    return [allStanding(answer), answer.truncated];
-  }
-  if (state.mode === "compare") {
-    const answer = await api.between(map, ...comparedInstants(state, items));
-    return [allChanged(answer), answer.truncated];
-  }
-  const item = changesetOf(items, state.changeset);
-  if (!item) return [[], false];
-  // Before and after are two states of the database for the same instant on the road, the end of the drive: the changes of a
-  // drive are shown even if it was committed after later ones.
-  if (state.side === "before") {
-    const answer = await api.features(map, { valid: item.valid_at, known: item.known_before });
-    return [allStanding(answer), answer.truncated];
-  }
-  const [features, answer] = await Promise.all([
-    api.features(map, { valid: item.valid_at, known: item.effective_at }),
-    api.changes(map, item.changeset_no),
-  ]);
+  const { map, mode, side } = state;
+  const item = mode === "drive" ? changesetOf(items, state.changeset) : undefined;
+  if (mode === "drive" && !item) return [[], false];
+  const asked = mode === "compare" ? api.between(map, ...comparedInstants(state, items)) : item && side !== "before" ? api.changes(map, item.changeset_no) : null;
+  const [features, answer] = await Promise.all([api.features(map, shownInstant(state, items).at), asked]);
+  const there = allStanding(features);
+  if (!answer) return [there, features.truncated];
   const changes = new Map(allChanged(answer).map((c) => [c.id, c]));
-  const rest = allStanding(features).filter((c) => !changes.has(c.id)).map((c): Cone => ({ ...c, kind: "unchanged" }));
-  const after = [...changes.values()].filter((c) => !isGone(c.kind)).map((c): Cone => ({ ...c, old: null, oldLine: null, shift_m: null }));
-  return [[...(state.side === "changes" ? changes.values() : after), ...rest], features.truncated];
+  const rest = there.filter((c) => !changes.has(c.id)).map((c): Cone => ({ ...c, kind: "unchanged" }));
+  const after = () => [...changes.values()].filter((c) => !isGone(c.kind)).map((c): Cone => ({ ...c, old: null, oldLine: null, shift_m: null }));
+  return [[...(item && side === "after" ? after() : changes.values()), ...rest], features.truncated || answer.truncated];
 }
 
 /** Whether a change had happened in the state that is shown; `known` is the instant of the database, null now. */

@@ -28,8 +28,6 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
   let chosen: Chosen | null = null;
   /** Number of the latest selection: answers to earlier ones are dropped. */
   let selecting = 0;
-  /** Instant of the database of the history that is shown; null is now. */
-  let chosenKnown: string | null = null;
 
   const panel = createPanel(host, {
     close: () => void select(null),
@@ -68,9 +66,8 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
       const { reached, known } = shown();
       const { history } = await api.history(map, id, known);
       if (mine !== selecting) return;
-      chosenKnown = known;
       // The images of before stay until there are others.
-      chosen = { id, map, srid: page.timeline()?.srid ?? 0, history, sightings: chosen?.sightings ?? null, truncated: chosen?.truncated ?? false, sightingIndex: 0, reached, kind: null, factor: chosen?.factor ?? null, decisions: null };
+      chosen = { id, map, srid: page.timeline()?.srid ?? 0, history, known, sightings: chosen?.sightings ?? null, truncated: chosen?.truncated ?? false, sightingIndex: 0, reached, kind: null, factor: chosen?.factor ?? null, decisions: null };
       draw();
       if (centred) centre();
       const { sightings, truncated } = await api.sightings(map, id);
@@ -172,7 +169,7 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
     },
     /** Read it again if another state of the database is shown. */
     follow: () => {
-      if (chosen && chosenKnown !== shown().known) void select(chosen.id);
+      if (chosen && chosen.known !== shown().known) void select(chosen.id);
     },
   };
 }

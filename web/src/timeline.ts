@@ -22,15 +22,14 @@ export interface TimelineActions {
 
 const MODES: [Mode, string][] = [["drive", "Drive by drive"], ["compare", "Compare two"], ["instant", "Any time"]];
 const SIDES: [Side, string][] = [["before", "Before"], ["changes", "Changes"], ["after", "After"]];
-type Changed = Exclude<ChangeKind, "unchanged">;
-const CHANGED: Changed[] = ["added", "moved", "removed", "split", "merged", "height_changed", "missed", "confirmed"];
+const CHANGED: ChangeKind[] = ["added", "moved", "removed", "split", "merged", "height_changed", "missed", "confirmed"];
 const BAR_PX = 30;
 
-const objectsOf = (t: TimelineItem, kind: Changed) => t[`${kind}_count`];
-const linesOf = (t: TimelineItem, kind: Changed) => t.line_counts[kind] ?? 0;
-const bothOf = (t: TimelineItem, kind: Changed) => objectsOf(t, kind) + linesOf(t, kind);
+const objectsOf = (t: TimelineItem, kind: ChangeKind) => t[`${kind}_count`];
+const linesOf = (t: TimelineItem, kind: ChangeKind) => t.line_counts[kind] ?? 0;
+const bothOf = (t: TimelineItem, kind: ChangeKind) => objectsOf(t, kind) + linesOf(t, kind);
 
-function changes(items: TimelineItem[], count: (t: TimelineItem, kind: Changed) => number, noun: (sum: number) => string) {
+function changes(items: TimelineItem[], count: (t: TimelineItem, kind: ChangeKind) => number, noun: (sum: number) => string) {
   return CHANGED.flatMap((kind) => {
     const sum = items.reduce((all, t) => all + count(t, kind), 0);
     return sum ? [{ kind, count: sum, text: `${noun(sum)} ${STYLES[kind].label}` }] : [];
@@ -155,7 +154,7 @@ function driveView(actions: TimelineActions) {
       fill(
         text,
         el("strong", { textContent: t.drive_id }),
-        el("span", { textContent: [position, ...(t.kind === "drive" ? [`recorded ${utc(t.captured_from)} UTC`, plural(t.frame_pair_count, "frame pair")] : [`state of the road on ${utc(t.captured_from)} UTC`]), `committed ${utc(t.committed_at)} UTC`].join(" · ") }),
+        el("span", { textContent: [position, ...(t.kind === "drive" ? [`recorded ${utc(t.captured_from)} UTC`, plural(t.frame_pair_count, "frame pair")] : [`state of the road on ${utc(t.captured_from)} UTC`]), `committed ${utc(t.committed_at)} UTC, as known then`].join(" · ") }),
         el("span", { class: "chips" }, ...changesOf([t]).map((c) => changeChip(c.kind, c.text, (kind) => actions.showChanges(kind))),
           !t.counts && notCounted(about, t.hold),
           t.hold !== null && el("span", { class: "hold-reason", title: t.hold, textContent: t.hold })),
@@ -174,12 +173,12 @@ function knownSelect(actions: TimelineActions) {
   let filled: TimelineItem[] | null = null; // thousands of drives are filled in once
   const select = el("select", { onchange: () => actions.change({ known: select.value === "now" ? null : Number(select.value) }) });
   return {
-    node: el("label", {}, "Database as of ", select),
+    node: el("label", {}, "As known ", select),
     update: (state: State, items: TimelineItem[]) => {
       if (filled !== items) {
         filled = items;
         fill(select, el("option", { value: "now", textContent: "now" }),
-          ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `${utc(t.committed_at)} · after ${changesetName(t)}` }))); // prettier-ignore
+          ...items.map((t) => el("option", { value: String(t.changeset_no), textContent: `at ${utc(t.committed_at)} UTC · after ${changesetName(t)}` }))); // prettier-ignore
       }
       select.value = state.known === null ? "now" : String(state.known);
     },
@@ -203,7 +202,7 @@ function compareView(actions: TimelineActions) {
   return {
     node: el("div", { class: "form-line" }, el("label", {}, "From ", from), swap, el("label", {}, "to ", to), known.node,
       el("label", { class: "check", title: "Show the first state left of a divider, the second right of it" }, swipe, "Swipe"),
-      el("p", { class: "hint", textContent: "A cone counts as moved if it shifted by 0.5 m or more." })), // prettier-ignore
+      el("p", { class: "hint", textContent: "A cone counts as moved if it shifted by more than min_gate_m, a parameter of the newest drive (0.5 m by default)." })), // prettier-ignore
     update(state: State, items: TimelineItem[]): void {
       latest = state;
       newest = items.at(-1)?.changeset_no ?? 0;

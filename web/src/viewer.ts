@@ -322,7 +322,7 @@ export function createViewer(host: HTMLElement) {
   function pictureOf({ frame, side, image, title: name }: Shown): Picture {
     const { now } = subject as Subject;
     const own = frame[side];
-    const tip = now && project(own, [now.xyz_m[0], now.xyz_m[1], now.xyz_m[2] + now.cone_height_m / 2]);
+    const tip = now && project(own, [now.xyz_m[0], now.xyz_m[1], now.xyz_m[2] + (now.object_height_m ?? 0) / 2]);
     const anchor: Point = tip ? [Math.min(Math.max(tip[0], 0), own.width_px), Math.min(Math.max(tip[1], 0), own.height_px)] : [own.width_px / 2, own.height_px / 2];
     return {
       ...image, anchor, size: [own.width_px, own.height_px],

@@ -56,7 +56,7 @@ def backfill(
     os.environ.update(prefect_environment(settings.home))
     from conetl.pipeline.backfill_plan import plan_as_dict, plan_drives
 
-    begin, end = ui.parse_time(since), ui.parse_instant(until)
+    begin, end = ui.parse_span(since, until, ("--since", "--until"))
     with open_maps(settings) as conn, ui.spinner("Planning"):
         plan = plan_drives(conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck)
         pending = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)

@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import logging
 import math
-import re
 import signal
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 from enum import StrEnum
+from functools import partial
+from itertools import pairwise
+from math import dist
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any
@@ -26,9 +28,15 @@ from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from conetl.exports.kind_marks import kind_label
+from conetl.geometry.packing import horizontal_sigma_m
+from conetl.mapping.reasons import probability_text
+from conetl.model.base import utc_from_ns
+from conetl.model.columns import BY_NAME, TABLES, FeatureColumn, stored_names
 from conetl.model.errors import ConetlError, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
 from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, hold_remedy
+from conetl.model.map_records import MapFeature
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 ParamsOption = Annotated[
@@ -41,13 +49,21 @@ MapSridOption = Annotated[
 MapOption = Annotated[
     str | None, typer.Option("--map", metavar="NAME", help="Name of the map; default: CONETL_MAP_NAME, or `default`.")
 ]
+#: Knowledge right after each state, before later drives, decisions and corrections.
+THEN = "then"
+KnownOption = Annotated[
+    str | None,
+    typer.Option(
+        "--known-at", "--believed-at",
+        help=f"As known at this time, or `{THEN}`: before later drives and decisions; default: as known now.",
+    ),
+]  # fmt: skip
 
 #: Heading of a column -> attribute of the record (of a row of the database: column), or function of the record.
 Columns = Mapping[str, str | Callable[[Any], object]]
 _ANY_WIDTH = 100_000
 #: Columns of text, wherever they are.
-_TEXT_COLUMNS = frozenset({"class", "paint"})
-_DATE = re.compile(r"\d{4}-?\d{2}-?\d{2}")
+_TEXT_COLUMNS = frozenset({"class", "paint", "pattern"})
 out = Console(highlight=False, soft_wrap=True)
 #: Progress and messages go to standard error: standard output is for results.
 err = Console(stderr=True, highlight=False)
@@ -139,6 +155,48 @@ def print_records(title: str, columns: Columns, records: Iterable[object], *, nu
     """A table of records on standard output."""
     rows = [[_read(record, value) for value in columns.values()] for record in records]
     print_table(title, list(columns), rows, numbers_from=numbers_from)
+
+
+def print_features(table: str, rows: Sequence[Mapping[str, Any]], *, numbers_from: int = 1, **more: Any) -> None:
+    """A table of features, of a name in `TABLES`. rows: values by the name of the column. more: further columns, as for
+    `print_records`, by heading with _ for a space."""
+    mixed = {row.get("category", CONE) for row in rows} - {CONE}
+    chosen = [BY_NAME[name] for name in TABLES[table] if name != "category" or mixed]
+    columns: dict[str, Any] = {column.heading: partial(_shown, column) for column in chosen}
+    print_records(
+        "",
+        {**columns, **{name.replace("_", " "): read for name, read in more.items()}},
+        rows,
+        numbers_from=numbers_from,
+    )
+
+
+def _shown(column: FeatureColumn, row: Mapping[str, Any]) -> object:
+    value = row.get(column.name)
+    match column.name:
+        case _ if value is None:
+            return None
+        case "existence_probability":
+            return probability_text(value)
+        case "change":
+            return kind_label(value)
+        case "missed_count":
+            return value or ""
+    return f"{value:.{column.decimals}f}" if isinstance(value, float) else value
+
+
+def row_of(feature: MapFeature, **more: object) -> dict[str, Any]:
+    """Values of a feature by the name of the column, with others."""
+    shape = feature.marking
+    own = set(stored_names()).difference(stored_names("lines")) | {"feature_id", "version"}
+    values: dict[str, Any] = {name: getattr(feature, name) for name in own}
+    values |= dict(zip(("easting_m", "northing_m", "ellipsoidal_height_m"), feature.xyz_m, strict=True))
+    values |= {"sigma_m": horizontal_sigma_m(feature.cov_m2), "sigma_u_m": feature.cov_m2[5] ** 0.5}
+    values["first_seen_at"] = utc_from_ns(feature.first_seen_ns)
+    if shape is not None:
+        values |= {name: getattr(shape, name) for name in stored_names("lines")}
+        values["length_m"] = sum(dist(a, b) for a, b in pairwise(shape.vertices_m))
+    return values | more
 
 
 def _read(record: Any, value: str | Callable[[Any], object]) -> object:
@@ -306,20 +364,52 @@ def parse_size(
     return width, height
 
 
+def parse_known(known_at: str | None, valid_at: datetime | None) -> datetime | None:
+    """The instant of the database of `KnownOption`; valid_at: time on the road, which `then` means. Raises InputError."""
+    if known_at == THEN and valid_at is None:
+        raise InputError(f"--known-at {THEN} requires a time on the road: give --as-of")
+    return valid_at if known_at == THEN else parse_instant(known_at)
+
+
+def known_text(known_at: str | None) -> str:
+    """`as known now`, or which earlier knowledge is shown."""
+    return "as known now" if known_at is None else "as known then" if known_at == THEN else f"as known at {known_at}"
+
+
 def parse_instant(text: str | None) -> datetime | None:
-    """As `parse_time`, but a date is its whole day: the last microsecond of it."""
-    time = parse_time(text)
-    return (
-        time + timedelta(days=1, microseconds=-1) if time is not None and _DATE.fullmatch(str(text).strip()) else time
-    )
+    """ISO 8601 date or time; UTC unless it names a zone. A date is its whole day: as an instant, the last microsecond of it.
+
+    Raises InputError.
+    """
+    return _parse_time(text, at_end=True)
 
 
-def parse_time(text: str | None) -> datetime | None:
-    """ISO 8601 date or time; UTC unless it names a zone; a date is its first instant. Raises InputError."""
+def parse_span(begin: str | None, end: str | None, options: tuple[str, str]) -> tuple[datetime | None, datetime | None]:
+    """Begin and end of a span, as `parse_instant`; a date at its begin or end belongs to it. options: the names of both.
+
+    Raises InputError if it ends before it begins.
+    """
+    since, until = _parse_time(begin, at_end=False), _parse_time(end, at_end=True)
+    if since is not None and until is not None and until < since:
+        raise InputError(f"{options[1]} {end} is before {options[0]} {begin}: exchange them")
+    return since, until
+
+
+def _parse_time(text: str | None, *, at_end: bool) -> datetime | None:
     if text is None:
         return None
     try:
-        time = datetime.fromisoformat(text)
-    except ValueError:
+        time = datetime.fromisoformat(text.strip())
+        day = timedelta(days=1, microseconds=-1) if at_end and _is_date(text.strip()) else timedelta()
+        return (time if time.tzinfo else time.replace(tzinfo=UTC)) + day
+    except (ValueError, OverflowError):
         raise InputError(f"invalid time {text!r}: use for example 2026-03-02 or 2026-03-02T10:00:00+01:00") from None
-    return time if time.tzinfo else time.replace(tzinfo=UTC)
+
+
+def _is_date(text: str) -> bool:
+    """Whether the text is a date without a time, in any form of ISO 8601."""
+    try:
+        date.fromisoformat(text)
+    except ValueError:
+        return False
+    return True

@@ -19,11 +19,10 @@ from conetl.files.atomic import remove_leftovers
 from conetl.files.documents import input_errors, library_errors, read_yaml_model
 from conetl.files.home import make_home
 from conetl.files.storage import as_path, is_remote
-from conetl.mapping.reasons import probability_text
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, ConetlError, InputError, ServiceError
 from conetl.model.feature_classes import CONE, LANE_MARKING, LINE_CLASSES, known_classes
 from conetl.model.health import Verdict, hold_checks
-from conetl.model.ingest_report import IngestReport, NeedsAttentionError
+from conetl.model.ingest_report import ChangeLine, IngestReport, NeedsAttentionError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams
 from conetl.perception.model_card import read_model_card
@@ -193,22 +192,12 @@ def _with_refinement(params: IngestParams, *, refine: bool, self_calibrate: bool
 _USUAL = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED)
 #: Kinds of which each is one of the drive's objects.
 _OBSERVED = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.HEIGHT_CHANGED, DeltaKind.SPLIT)
-_CHANGES: ui.Columns = {
-    "change": lambda line: kind_label(line.kind),
-    "feature": "feature_id",
-    "class": "category",
-    "easting m": lambda line: line.xyz_m[0],
-    "northing m": lambda line: line.xyz_m[1],
-    "height m": lambda line: line.xyz_m[2],
-    "object m": lambda line: f"{line.cone_height_m:.2f}",
-    "sigma horiz. m": "sigma_horizontal_m",
-    "sigma height m": "sigma_height_m",
-    "probability": lambda line: (
-        None if line.kind is DeltaKind.REMOVED else probability_text(line.existence_probability)
-    ),
-    "observations": "observation_count",
-    "shift m": "shift_m",
-}
+
+
+def _row_of(line: ChangeLine) -> dict[str, object]:
+    position = dict(zip(("easting_m", "northing_m", "ellipsoidal_height_m"), line.xyz_m, strict=True))
+    sigmas = {"sigma_m": line.sigma_horizontal_m, "sigma_u_m": line.sigma_height_m}
+    return {**line.model_dump(), **position, **sigmas, "change": line.kind}
 
 
 def print_report(report: IngestReport) -> None:
@@ -227,11 +216,10 @@ def print_report(report: IngestReport) -> None:
             state = f", but not in effect: {report.not_counted}"
         ui.out.print(f"{drive}: nothing to do, {known}{state}.")
         return
-    categories = {change.category for change in report.changes}
-    ui.print_records("", ui.class_if_mixed(_CHANGES, categories), report.changes, numbers_from=2)
+    ui.print_features("changes by a drive", [_row_of(line) for line in report.changes], numbers_from=2)
     failed = ", ".join(check.name for check in hold_checks(report.health))
     changed = counts if report.on_hold is None else f"on hold ({failed}), the map is unchanged"
-    noun = "object" if categories - {CONE} else "cone"
+    noun = "object" if {change.category for change in report.changes} - {CONE} else "cone"
     left = _left_out(0 if report.on_hold else report.tracks - sum(report.counts[kind] for kind in _OBSERVED))
     ui.out.print(
         f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "

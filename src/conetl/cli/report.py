@@ -85,11 +85,13 @@ def _period(day: str | None, since: str | None, until: str | None) -> tuple[date
     if day is not None:
         if since or until:
             raise InputError("give a day or --since and --until, not both")
-        if (begin := ui.parse_time(day)) is not None:
-            begin = begin.replace(hour=0, minute=0, second=0, microsecond=0)
-            try:
-                return begin, begin + timedelta(days=1)
-            except OverflowError:
-                raise InputError(f"invalid time {day!r}: the calendar ends here") from None
-    end = ui.parse_instant(until) or datetime.now(UTC)
-    return ui.parse_time(since) or end - timedelta(days=1), end
+        begin = ui.parse_instant(day)
+        assert begin is not None
+        begin = begin.replace(hour=0, minute=0, second=0, microsecond=0)
+        try:
+            return begin, begin + timedelta(days=1)
+        except OverflowError:
+            raise InputError(f"invalid time {day!r}: the calendar ends here") from None
+    begin, end = ui.parse_span(since, until, ("--since", "--until"))
+    end = end or datetime.now(UTC)
+    return begin or end - timedelta(days=1), end

@@ -24,6 +24,7 @@ import psycopg2.errors
 import psycopg2.extensions
 import psycopg2.extras
 
+from conetl.model.columns import GROUPS, select_list
 from conetl.model.errors import DatabaseError, InputError
 
 if TYPE_CHECKING:
@@ -55,7 +56,7 @@ COPY_CHUNK_BYTES = 1 << 20
 CopyBlock: TypeAlias = tuple[str, BytesIO]
 """A COPY statement and the rows that are ready to be sent."""
 _NAME = re.compile(r"^-- name: (\w+)\n", re.MULTILINE)
-#: A list of columns in `sql/columns.sql`, and the alias of the table that has them.
+#: A list of columns of `model/columns.py` or `sql/columns.sql`, and the alias of the table that has them.
 _COLUMNS = re.compile(r"\{\{(\w+) columns(?: of (\w+))?\}\}")
 REPORT_AFTER_S = 5.0
 REPORT_EVERY_S = 60.0
@@ -188,6 +189,7 @@ def database_errors(what: str) -> Iterator[None]:
         psycopg2.errors.UndefinedTable,
         psycopg2.errors.InvalidSchemaName,
         psycopg2.errors.UndefinedColumn,
+        psycopg2.errors.UndefinedFunction,
     ) as error:
         raise DatabaseError(
             f"{what}: {_first_line(error)}. The database schema is not up to date: run `conetl db migrate`."
@@ -355,7 +357,9 @@ def statements(topic: str) -> dict[str, str]:
 
 
 def _columns(found: re.Match[str]) -> str:
-    return statements("columns")[found[1]].replace("x.", f"{found[2]}." if found[2] else "")
+    group = found[1]
+    listed = select_list(group) if group in GROUPS else statements("columns")[group]
+    return listed.replace("x.", f"{found[2]}." if found[2] else "")
 
 
 def load_sql(name: str) -> str:

@@ -16,7 +16,7 @@ from conetl.model.drive import Drive, Track
 #: Watched drives that were never ingested are deleted after this time, when the next watch begins.
 KEEP_DAYS = 7
 _COV = ("cov_xx", "cov_xy", "cov_xz", "cov_yy", "cov_yz", "cov_zz")
-_OF_TRACK = {"cone_height_m", "existence_probability", "observation_count", "first_seen_ns", "last_seen_ns"}
+_OF_TRACK = {"object_height_m", "existence_probability", "observation_count", "first_seen_ns", "last_seen_ns"}
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 
@@ -24,6 +24,8 @@ ALL_ROWS: Metres = (-1e30, -1e30, 1e30, 1e30)
 NO_ROWS: Metres = (1e30, 1e30, 1e30, 1e30)
 #: An inner box that contains nothing: every row is tested in degrees.
 NOTHING_INSIDE: Metres = (1e30, 1e30, -1e30, -1e30)
+_NEAR = ("min_x_m", "min_y_m", "max_x_m", "max_y_m")
+_INNER = ("inner_min_x_m", "inner_min_y_m", "inner_max_x_m", "inner_max_y_m")
 #: Margin around the areas of a map's drives that contains all its features (about 2 km; rounding of PROJ).
 _SPARE_DEG = 0.02
 #: Distance of an inner box from the box in degrees, beside the bulge of its edges: versions of PROJ may differ by metres.
@@ -50,14 +52,64 @@ class ServedMap:
     """Estimated number of versions of its features; 0 without an estimate."""
 
 
+@dataclass(frozen=True)
+class ItemRows:
+    """Rows of the read model as items: with the geometry in degrees, and a box exact to the rounding of an answer."""
+
+    kind: str
+    """features, lane_markings or changes."""
+    map_name: str
+    instants: Mapping[str, datetime | None]
+    """By parameter of the SQL function. None: `-infinity` for from_at and since, else infinity."""
+    box: Degrees | None = None
+    """West, south, east, north; edges included; west > east crosses 180 degrees."""
+    near: Metres | None = None
+    """Contains all rows in the box, for the index."""
+    inner: Metres = NOTHING_INSIDE
+    """Certainly inside the box: rows in it need no test in degrees."""
+    by_index: bool = True
+    """False: read the whole table, which takes less time for most of it."""
+    row_ids: Sequence[int] | None = None
+    """Only these states."""
+
+    def source(self, first: int) -> tuple[str, list[object]]:
+        """SQL for a FROM clause, and the values of its parameters, the first of which is numbered `first`."""
+        values: list[object] = []
+
+        def number(value: object, kind: str) -> str:
+            values.append(value)
+            return f"${first + len(values) - 1}::{kind}"
+
+        given = [f"map_name => {number(self.map_name, 'text')}"]
+        for name, instant in self.instants.items():
+            begins = "'-infinity'" if name in ("from_at", "since") else "'infinity'"
+            given.append(f"{name} => {begins if instant is None else number(instant, 'timestamptz')}")
+        where = ["true"]
+        if self.near is not None and self.by_index:
+            where.append(f"s.{'line' if self.kind == 'lane_markings' else 'geom'} && {_envelope(self.near, number)}")
+        if self.box is not None:
+            test = load_sql(f"ogc.{'line' if self.kind == 'lane_markings' else 'point'}_in_box")
+            sides = dict(zip(("west", "south", "east", "north"), self.box, strict=True))
+            sides |= dict(zip(_NEAR, self.near or ALL_ROWS, strict=True)) | dict(zip(_INNER, self.inner, strict=True))
+            where.append(f"({_filled(test, {name: number(value, 'float8') for name, value in sides.items()})})")
+        if self.row_ids is not None:
+            where.append(f"s.version_row_id = any({number(self.row_ids, 'bigint[]')})")
+        text = {"arguments": ", ".join(given), "where": " and ".join(where)}
+        return f"({_filled(load_sql(f'ogc.{self.kind}'), text)}) items", values
+
+
+def _envelope(box: Metres, number: Callable[[object, str], str]) -> str:
+    return f"ST_MakeEnvelope({', '.join(number(side, 'float8') for side in box)})"
+
+
 class MapDirectory:
-    """The non-empty maps of a database, read for every request; extents are computed once per changeset."""
+    """The maps of a database, read for every request; extents are computed once per changeset."""
 
     def __init__(self) -> None:
         self._known: dict[str, ServedMap] = {}
 
     async def maps(self, conn: asyncpg.Connection, map_name: str | None = None) -> list[ServedMap]:
-        """All maps by name, or the named one; [] if it does not exist or is empty."""
+        """All maps by name, or the named one; [] if it does not exist."""
         rows = await conn.fetch(load_sql("ogc.maps"), map_name)
         return [await self._described(conn, row) for row in rows]
 
@@ -66,6 +118,7 @@ class MapDirectory:
         if known is None or known.srid != row["srid"] or known.changeset_no != row["changeset_no"]:
             found = await conn.fetchrow(load_sql("ogc.extent"), row["map_name"])
             extent = (found["west"], found["south"], found["east"], found["north"])
+            extent = EVERYWHERE if None in extent else extent
             sizes = {"share": found["share"], "version_count": found["version_count"]}
             known = ServedMap(**row, extent=extent, since=found["since"], **sizes)
             self._known[row["map_name"]] = known
@@ -75,11 +128,15 @@ class MapDirectory:
 async def fetch(
     conn: asyncpg.Connection, name: str, text: Mapping[str, str], *arguments: object
 ) -> list[asyncpg.Record]:
-    """Rows of a statement of sql/ogc.sql; text: its placeholders."""
-    # In one pass: a condition may contain the text of a client, in which nothing is replaced.
-    filled = re.sub(r"\{\{(\w+)\}\}", lambda found: text[found[1]], load_sql(f"ogc.{name}"))
-    rows: list[asyncpg.Record] = await conn.fetch(filled, *arguments)
+    """ItemRows of a statement of sql/ogc.sql; text: its placeholders."""
+    rows: list[asyncpg.Record] = await conn.fetch(_filled(load_sql(f"ogc.{name}"), text), *arguments)
     return rows
+
+
+def _filled(sql: str, text: Mapping[str, str]) -> str:
+    """In one pass: a condition may contain the text of a client, in which nothing is replaced."""
+    without_comments = re.sub(r"^--.*\n", "", sql, flags=re.MULTILINE)  # which name the placeholders
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: text[found[1]], without_comments).rstrip("; \n")
 
 
 def rows_near(box: Degrees, served: ServedMap) -> Metres:

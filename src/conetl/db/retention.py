@@ -134,6 +134,8 @@ def _restore(conn: Connection, drive_uuid: UUID, path: Path, rows: Mapping[str, 
         archived = db.load_sql(f"retention.records_of_{table}").rstrip(";")
         try:
             records = read_table(path / f"{table}.parquet")
+            if "cone_height_m" in records.column_names:  # of files before 0.3
+                records = records.rename_columns({"cone_height_m": "object_height_m"})
         except (OSError, pa.ArrowException) as error:
             raise InputError(
                 f"{path / table}.parquet: the archived records of the drive are required, but cannot be read ({error}). Nothing "

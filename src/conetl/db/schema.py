@@ -29,16 +29,21 @@ _log = logging.getLogger(__name__)
 def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
     """Bring the schema up to date, all or nothing. Returns the names of the migrations that were applied now.
 
-    Migrations only go forwards. Raises `DatabaseError` if an applied one was changed afterwards, the database is newer than this
+    Views and functions (`sql/functions/`) are made again after new migrations, or if their files changed. Migrations only go
+    forwards. Raises `DatabaseError` if an applied one was changed afterwards, the database is newer than this
     conetl or older than its baseline, PostGIS is missing or cannot be created. Two calls at once wait for each other; if nothing
     has to be done, nothing is locked or written, so users without rights on the schema may call it too.
     """
     wanted = _migration_files(directory or db.sql_directory() / "migrations")
+    functions = "\n".join(
+        path.read_text(encoding="utf-8") for path in sorted((db.sql_directory() / "functions").glob("*.sql"))
+    )
     with db.transaction(conn, "The state of the database cannot be read"):
         if db.query(conn, "schema.status")[0]["has_schema"]:
             applied = _applied(conn)
             _check_history(applied, wanted)
-            if not wanted.keys() - applied.keys() and (not _missing_roles(conn) or not _may_create_roles(conn)):
+            current = not wanted.keys() - applied.keys() and _functions_sha256(conn) == _sha256(functions)
+            if current and (not _missing_roles(conn) or not _may_create_roles(conn)):
                 return []
     done: list[str] = []
     with db.transaction(conn, "The database could not be migrated, and is unchanged"):
@@ -51,6 +56,9 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
             db.execute(conn, wanted[name])
             db.query(conn, "schema.insert_migration", name=name, sha256=_sha256(wanted[name]))
             done.append(name)
+        if done or _functions_sha256(conn) != _sha256(functions):
+            db.execute(conn, functions)
+            db.query(conn, "schema.record_functions", sha256=_sha256(functions))
         if _may_create_roles(conn):
             db.query(conn, "schema.roles")
     if applied and done:
@@ -109,6 +117,11 @@ def _migration_files(directory: Path) -> dict[str, str]:
         if not re.fullmatch(rf"{number:04d}_[a-z0-9_]+", name):
             raise DatabaseError(f"migration {name}.sql in {directory} should be named {number:04d}_<what it does>.sql")
     return files
+
+
+def _functions_sha256(conn: Connection) -> str | None:
+    """Hash of the files from which the views and functions of this database were made; None: of none."""
+    return next((row["sha256"] for row in db.query(conn, "schema.functions_sha256")), None)
 
 
 def _applied(conn: Connection) -> dict[str, str]:

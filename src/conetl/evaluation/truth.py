@@ -166,7 +166,7 @@ def table_3_rows(lines: Sequence[TruthLine[Found]], *, missing: str) -> list[tup
         if feature is None or line.range_m is None:
             rows.append(("", missing, *[""] * 6))
             continue
-        computed = (*feature.xyz_m, line.range_m, feature.cone_height_m)
+        computed = (*feature.xyz_m, line.range_m, feature.object_height_m)
         differences = [b - a for a, b in zip(known, computed, strict=True)]
         rows.append(("", "computed", *(f"{value:.3f}" for value in computed), ""))
         rows.append(("", "difference", *(f"{value:+.3f}" for value in differences), f"{line.error_3d_m:.3f}"))
@@ -190,7 +190,7 @@ def line_as_dict(line: TruthLine[Found]) -> dict[str, object]:
         "truth_range_m": line.truth_range_m,
         "range_m": line.range_m,
         "truth_cone_height_m": line.truth.cone_height_m,
-        "cone_height_m": line.feature.cone_height_m if line.feature else None,
+        "object_height_m": line.feature.object_height_m if line.feature else None,
     }
 
 

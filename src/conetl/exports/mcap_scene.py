@@ -3,7 +3,7 @@
 Topics, all JSON with the schemas of https://docs.foxglove.dev/docs/sdk/schemas: /cones and, if the map has them, /lane_markings
 (SceneUpdate), /tf (FrameTransform from the map's CRS to a frame `map` with its origin near the first cone, because graphics
 cards compute in float32) and /origin (LocationFix of that origin). Features and changes are shown at one instant. A history
-follows the time on the road, in one database state (that of `believed_at`): cones appear, change and disappear as the recording
+follows the time on the road, in one database state (that of `known_at`): cones appear, change and disappear as the recording
 plays.
 """
 
@@ -75,7 +75,7 @@ def _rows(source: ExportSource) -> Iterator[Object]:
     """Rows in the order of `instant_us`, the time at which they are shown (UTC microseconds since 1970)."""
     request = source.request
     shown_at = request.until if request.what is ExportContent.CHANGES else request.as_of
-    shown_at = shown_at or request.believed_at or source.info.last_committed_at or datetime.now(UTC)
+    shown_at = shown_at or request.known_at or source.info.last_committed_at or datetime.now(UTC)
     fixed_us = ns_from_utc(shown_at) // 1000
     for batch in source.batches:
         rows = batch.to_pylist()
@@ -117,7 +117,7 @@ def _entity(row: Object, origin: Point) -> Object:
 def _stripes(row: Object, origin: Point, colour: Object) -> Object:
     """A lane marking in its width: one line, or one per dash."""
     line = row[LINE_NAME] - np.array(origin)
-    if row["change"] in (None, "confirmed"):
+    if row["change"] in (None, "confirmed", "missed"):
         colour = _rgb(PAINT[row["colour"]]) | {"a": colour["a"]}
     return {
         "lines": [
@@ -139,7 +139,7 @@ def _stripes(row: Object, origin: Point, colour: Object) -> Object:
 def _body(row: Object, origin: Point, colour: Object) -> Object:
     """A cone (a cylinder for objects of other classes), and an arrow if it was moved."""
     x, y, z = row["easting_m"] - origin[0], row["northing_m"] - origin[1], row["ellipsoidal_height_m"] - origin[2]
-    height_m = row["height_m"]
+    height_m = row["object_height_m"]
     category = row["category"]
     width, top_share = (_FOOT_WIDTH, _TOP_SHARE) if category == CONE else (width_over_height(category), 1.0)
     width_m = width * height_m
@@ -152,7 +152,11 @@ def _body(row: Object, origin: Point, colour: Object) -> Object:
     }
     arrows = []
     if row["change"] == "moved" and row.get("old_easting_m") is not None:
-        old = (row["old_easting_m"] - origin[0], row["old_northing_m"] - origin[1], row["old_height_m"] - origin[2])
+        old = (
+            row["old_easting_m"] - origin[0],
+            row["old_northing_m"] - origin[1],
+            row["old_ellipsoidal_height_m"] - origin[2],
+        )
         arrows = [_arrow(old, (x, y, z), width_m, colour)]
     return {"arrows": arrows, "cylinders": [cone]}
 

@@ -9,6 +9,7 @@ the temporal controller.
 from __future__ import annotations
 
 import zipfile
+from collections.abc import Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -18,9 +19,9 @@ from pyproj import CRS
 
 from conetl.db.connection import Connection, address, database_errors, load_sql, query_columns, read
 from conetl.db.map.map_store import require_map
-from conetl.exports.fields import FIELDS
 from conetl.exports.kind_marks import CASING, KIND_MARKS, PAINT
 from conetl.files.atomic import atomic_files
+from conetl.model.columns import COLUMNS, Face, names
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 
@@ -28,6 +29,7 @@ _TEMPLATE = Path(__file__).with_suffix(".qgs.j2")
 #: QGIS marker and size (mm) per kind of change.
 _KINDS = {
     DeltaKind.CONFIRMED: ("triangle", 3.0),
+    DeltaKind.MISSED: ("circle", 3.0),
     DeltaKind.ADDED: ("cross_fill", 3.6),
     DeltaKind.MOVED: ("diamond", 3.6),
     DeltaKind.REMOVED: ("cross2", 3.0),
@@ -47,7 +49,7 @@ _PAINTS = {f"{colour} {pattern}": (colour, pattern) for colour in PAINT for patt
 _LAYERS: tuple[tuple[str, str, str, dict[str, bool]], ...] = (
     ("cones_standing_now", "Cones now", "qgis_now", {}),
     ("circles_standing_now", "95 % circle of the position", "qgis_now", {"circles": True}),
-    ("lane_markings_now", "Lane markings", "qgis_markings", {"lines": True}),
+    ("lane_markings_now", "Lane markings", "qgis_now", {"lines": True}),
     ("cones_over_time", "Cones over time (temporal controller)", "qgis_over_time", {"temporal": True, "shown": False}),
 )
 _DEFAULTS = {"shown": True, "circles": False, "temporal": False, "lines": False}
@@ -71,13 +73,17 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
         srid=info.srid,
         wkt=CRS.from_epsg(info.srid).to_wkt(),
         layers=[
-            {"id": key, "title": title, **_DEFAULTS, **flags, "fields": _fields(conn, map_name, query)}
-            | {"source": _source(server, map_name, info.srid, query, lines="lines" in flags)}
+            {
+                "id": key,
+                "title": title,
+                **_DEFAULTS,
+                **flags,
+                "fields": _fields(conn, map_name, _statement(query, flags)),
+            }
+            | {"source": _source(server, map_name, info.srid, _statement(query, flags), lines="lines" in flags)}
             for key, title, query, flags in _LAYERS
         ],
-        aliases={
-            name: f"{field.alias} [{field.unit}]" if field.unit else field.alias for name, field in FIELDS.items()
-        },
+        aliases={column.name: f"{column.title} [{column.unit}]" if column.unit else column.title for column in COLUMNS},
         markers={str(kind): _marker(kind) for kind in _KINDS},
         paints=_PAINTS,
         stripes=_stripe,
@@ -95,18 +101,28 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
             archive.writestr(f"{path.stem}.qgs", text)
 
 
-def _fields(conn: Connection, map_name: str, query: str) -> list[str]:
+def _statement(query: str, flags: Mapping[str, bool]) -> str:
+    """The statement of a layer on one line, without comments."""
+    lines = "lines" in flags
+    columns = [
+        "s.feature_id::text as feature_id",
+        *(f"s.{name}" for name in names(Face.OGC, "lines" if lines else "points")),
+    ]
+    text = load_sql(f"exports.{query}").replace("{{geometry}}", "line" if lines else "geom")
+    sql = " ".join(line.strip() for line in text.splitlines() if not line.startswith("--")).rstrip("; ")
+    return sql.replace("{{columns}}", ", ".join(one for one in columns if one != "s.feature_id"))
+
+
+def _fields(conn: Connection, map_name: str, statement: str) -> list[str]:
     """Names of the fields of a layer, in their order."""
     with database_errors(f"The map {map_name} cannot be read"):
-        columns = query_columns(conn, load_sql(f"exports.{query}").rstrip("; \n"), {"map_name": map_name})
+        columns = query_columns(conn, statement, {"map_name": map_name})
     return [name for name, _ in columns if name != "geom"]
 
 
-def _source(server: dict[str, str], map_name: str, srid: int, query: str, *, lines: bool) -> str:
+def _source(server: dict[str, str], map_name: str, srid: int, statement: str, *, lines: bool) -> str:
     """The data source URI of a query. map_name consists of letters, digits, - and _ (a constraint of the table `map`)."""
-    text = load_sql(f"exports.{query}").splitlines()
-    sql = " ".join(line.strip() for line in text if not line.startswith("--")).rstrip("; ")
-    sql = sql.replace("%(map_name)s", f"'{map_name}'")
+    sql = statement.replace("%(map_name)s", f"'{map_name}'")
     parts = " ".join(f"{key}='{value}'" for key, value in server.items())
     kind = "LineStringZ" if lines else "PointZ"
     return f"{parts} key='version_row_id' estimatedmetadata=true srid={srid} type={kind} table=\"({sql})\" (geom)"

@@ -23,39 +23,32 @@ from conetl.db.map.results import MapInfo
 from conetl.exports import Order
 from conetl.geometry.geodesy import axis_rotations, height_system_name, to_crs
 from conetl.model.arrays import Floats, Ints
+from conetl.model.columns import BY_NAME, DERIVED, Face, names
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES, require_classes
-from conetl.model.params import ReconcileParams
 
 #: Rows in memory at a time, and rows of a GeoParquet row group.
 BATCH_ROWS = 50_000
-#: Columns that follow from others: their type, and the column of the query without which they do not exist.
-_DERIVED = {
-    "object_height_m": (pa.float64(), "height_m"),
-    "ground_height_m": (pa.float64(), "ellipsoidal_height_m"),
-    "height_system": (pa.string(), "ellipsoidal_height_m"),
-    "old_ground_height_m": (pa.float64(), "old_height_m"),
-}
 POSITION_NAMES = ("easting_m", "northing_m", "ellipsoidal_height_m")
-#: Columns of the history, left out if neither history nor changes are exported.
-_HISTORY_NAMES = ("change", "shift_m", "present", "suppressed", "system_from", "system_to")
-#: The line itself, as well-known binary in hexadecimal digits, and the columns that only lines and only points have.
+#: The line itself, as well-known binary in hexadecimal digits.
 LINE_NAME = "line"
-_LINE_NAMES = (
-    "width_m", "width_sigma_m", "colour", "pattern", "dash_m", "gap_m", "sigma_lateral_m", "length_m", LINE_NAME,
-)  # fmt: skip
-_POINT_NAMES = ("height_m", "height_sigma_m")
+#: Columns of changes that differ from those of the state, or are not among them.
+_OF_CHANGES = {
+    "valid_to": "case when c.change = 'removed' then c.changed_at else s.valid_to end",
+    **{name: f"c.{name}" for name in names(Face.CHANGE)},
+}
+_LINE_WKB = f"encode(ST_AsBinary(s.line), 'hex') as {LINE_NAME}"
 
 
 class ExportContent(StrEnum):
     """Which rows an export contains."""
 
     FEATURES = "features"
-    """What stood on the road at `as_of`, in the database state of `believed_at`."""
+    """What stood on the road at `as_of`, as known at `known_at`."""
     HISTORY = "history"
-    """Every version that the database ever held; with `believed_at` only those that it held then."""
+    """Every state that the database ever held; with `known_at` only those that it held then."""
     CHANGES = "changes"
-    """The difference between the road at `since` (None: the beginning) and at `until`, both as known at `believed_at`."""
+    """The difference between the road at `since` (None: the beginning) and at `until`, both as known at `known_at`."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +58,7 @@ class ExportRequest:
     map_name: str = "default"
     what: ExportContent = ExportContent.FEATURES
     as_of: datetime | None = None
-    believed_at: datetime | None = None
+    known_at: datetime | None = None
     since: datetime | None = None
     until: datetime | None = None
     box_m: tuple[float, float, float, float] | None = None
@@ -89,20 +82,24 @@ class ExportSource:
 
     @cached_property
     def schema(self) -> pa.Schema:
-        """Columns of every batch: the properties in the order of the contract, then `POSITION_NAMES`."""
+        """Columns of every batch: the properties, then `POSITION_NAMES` and, of lines, the line."""
         with database_errors(f"The map {self.request.map_name} cannot be read"):
-            columns = schema_of(self.conn, self._sql, self._parameters)
-        left_out = {*(_POINT_NAMES if self.lines else _LINE_NAMES), *(() if self._has_change else _HISTORY_NAMES)}
-        shown = [column for column in columns if column.name not in left_out]
-        names = [column.name for column in shown]
-        derived = [pa.field(name, kind) for name, (kind, origin) in _DERIVED.items() if origin in names]
-        at = len(shown) - len(POSITION_NAMES)
-        return pa.schema([*shown[:at], *derived, *shown[at:]])
+            read = {field.name: field for field in schema_of(self.conn, self._sql, self._parameters)}
+        derived = {
+            name: pa.field(name, pa.string() if BY_NAME[name].kind == "text" else pa.float64()) for name in DERIVED
+        }
+        return pa.schema([(read | derived)[name] for name in (*self.property_names, *self._geometry_names)])
 
     @cached_property
     def property_names(self) -> list[str]:
         """Names of the columns except position and line."""
-        return [name for name in self.schema.names if name not in (*POSITION_NAMES, LINE_NAME)]
+        shown = Face.FILE | (Face.CHANGE if self._is_changes else Face.HISTORY if self._has_change else Face.NONE)
+        found = names(shown, "lines" if self.lines else "points")
+        return [name for name in found if name not in DERIVED or DERIVED[name] in (*found, *POSITION_NAMES)]
+
+    @property
+    def _geometry_names(self) -> tuple[str, ...]:
+        return (*POSITION_NAMES, LINE_NAME) if self.lines else POSITION_NAMES
 
     @property
     def epsg(self) -> tuple[int, int | None]:
@@ -142,8 +139,7 @@ class ExportSource:
         return self._read()
 
     def _read(self) -> Generator[pa.RecordBatch]:
-        names = [name for name in self.schema.names if name not in _DERIVED]
-        columns = pa.schema([self.schema.field(name) for name in names])
+        columns = pa.schema([field for field in self.schema if field.name not in DERIVED])
         rest = columns.empty_table()
         with (
             database_errors(f"The map {self.request.map_name} cannot be read"),
@@ -161,7 +157,7 @@ class ExportSource:
         columns = dict(zip(batch.schema.names, batch.columns, strict=True))
         self.counts.update({one["values"]: one["counts"] for one in columns["category"].value_counts().to_pylist()})
         ground_m = _floats(columns["ellipsoidal_height_m"])
-        old_ground_m = _floats(columns["old_height_m"]) if "old_height_m" in columns else None
+        old_ground_m = _floats(columns["old_ellipsoidal_height_m"]) if self._is_changes else None
         if self.epsg != (self.info.srid, None):
             xyz_m = _floats(*(columns[name] for name in POSITION_NAMES))
             columns |= _rotated(columns, axis_rotations(xyz_m, self.info.srid, self.epsg[0]))
@@ -169,24 +165,29 @@ class ExportSource:
             columns |= {name: pa.array(done_m[:, axis]) for axis, name in enumerate(POSITION_NAMES[:2])}
             ground_m = done_m[:, 2]
             if old_ground_m is not None:
-                old_m = _floats(columns["old_easting_m"], columns["old_northing_m"], columns["old_height_m"])
+                old_names = [f"old_{name}" for name in POSITION_NAMES]
+                old_m = _floats(*(columns[name] for name in old_names))
                 known = np.isfinite(old_m[:, 0])
                 old_m[known] = to_crs(old_m[known], self.info.srid, *self.epsg)
-                names = ("old_easting_m", "old_northing_m", "old_height_m")
-                columns |= {name: pa.array(old_m[:, axis], from_pandas=True) for axis, name in enumerate(names)}
+                columns |= {name: pa.array(old_m[:, axis], from_pandas=True) for axis, name in enumerate(old_names[:2])}
                 old_ground_m = old_m[:, 2]
-        if "height_m" in columns:
-            columns["object_height_m"] = columns["height_m"]
         columns["ground_height_m"] = pa.array(ground_m)
         columns["height_system"] = pa.repeat(height_system_name(self.epsg[1]), len(batch))
         if old_ground_m is not None:
             columns["old_ground_height_m"] = pa.array(old_ground_m, from_pandas=True)
         return pa.record_batch([columns[name] for name in self.schema.names], schema=self.schema)
 
-    @property
+    @cached_property
     def _sql(self) -> str:
-        name = "changes" if self.request.what is ExportContent.CHANGES else "versions"
-        return load_sql(f"exports.{name}").rstrip(";")
+        of_changes = _OF_CHANGES if self._is_changes else {}
+        chosen = [name for name in (*self.property_names, *POSITION_NAMES) if name not in DERIVED]
+        columns = [f"{of_changes.get(name, f's.{name}')} as {name}" for name in chosen] + [_LINE_WKB] * self.lines
+        text = load_sql(f"exports.{'states' if self.request.what is ExportContent.FEATURES else self.request.what}")
+        return text.replace("{{columns}}", ", ".join(columns)).rstrip(";")
+
+    @property
+    def _is_changes(self) -> bool:
+        return self.request.what is ExportContent.CHANGES
 
     @property
     def _has_change(self) -> bool:
@@ -197,19 +198,13 @@ class ExportSource:
     def _parameters(self) -> dict[str, Any]:
         request = self.request
         # Rows in the order of time are those of one database state.
-        one_state = request.believed_at is not None or self.order is Order.BY_TIME
-        every_state = request.what is ExportContent.HISTORY and not one_state
+        every_state = self.request.what is ExportContent.HISTORY and self.order is not Order.BY_TIME
         return {
             "map_name": request.map_name,
-            "map_id": self.info.map_id,
-            "every_version": request.what is ExportContent.HISTORY,
             "valid_at": or_infinity(request.as_of),
-            "known_at": None if every_state else or_infinity(request.believed_at),
+            "known_at": None if every_state and request.known_at is None else or_infinity(request.known_at),
             "from_valid_at": "-infinity" if request.since is None else request.since.isoformat(),
             "to_valid_at": or_infinity(request.until),
-            "moved_from_m": ReconcileParams().min_gate_m,
-            "line_moved_from_m": ReconcileParams().marking_gate_m,
-            "with_change": self._has_change,
             "srid": self.info.srid,
             **dict(zip(("west_m", "south_m", "east_m", "north_m"), request.box_m or (None,) * 4, strict=True)),
             "lines": self.lines,
@@ -266,12 +261,12 @@ def _require_class(source: ExportSource) -> None:
 
 
 def _check(request: ExportRequest) -> None:
-    for instant in (request.as_of, request.believed_at, request.since, request.until):
+    for instant in (request.as_of, request.known_at, request.since, request.until):
         if instant is not None and instant.tzinfo is None:
             raise ValueError(f"{instant} has no time zone: UTC or another one must be stated")
     if request.what is ExportContent.CHANGES:
         if None not in (request.until, request.since) and request.until < request.since:  # type: ignore[operator]
-            raise InputError(f"changes from {request.since} to {request.until}: --to is earlier than --from")
+            raise InputError(f"changes from {request.since} to {request.until}: the end is before the beginning")
     elif request.since is not None or request.until is not None:
         raise InputError("--from and --to require an export of changes (--what changes)")
     if request.box_m is not None and request.what is ExportContent.CHANGES:

@@ -18,6 +18,7 @@ from conetl.exports.source import POSITION_NAMES, ExportSource
 from conetl.exports.text_files import iso_utc
 from conetl.geometry.geodesy import compound_crs, to_crs
 from conetl.model.arrays import Floats
+from conetl.model.columns import COLUMNS
 from conetl.model.errors import InputError
 
 GEOMETRY = "geometry"
@@ -26,11 +27,8 @@ _MILLISECONDS = pa.timestamp("ms", tz="UTC")
 _SIDES = ("xmin", "ymin", "zmin", "xmax", "ymax", "zmax")
 _BBOX = pa.struct([pa.field(side, pa.float64(), nullable=False) for side in _SIDES])
 #: Columns of few different values. Parquet would also try a dictionary for the others, and discard it each time.
-_REPEATED = (
-    "version", "category", "height_m", "object_height_m", "height_system", "observation_count", "valid_from", "valid_to",
-    "changeset_id", "seen_count", "missed_count", "height_sigma_m", "change", "present", "suppressed", "system_from", "system_to",
-    "old_version", "colour", "pattern", "width_m", "dash_m", "gap_m",
-)  # fmt: skip
+_VARIED = ("feature_id", "first_seen_at", "last_seen_at")
+_REPEATED = tuple(one.name for one in COLUMNS if one.kind != "float8" and one.name not in _VARIED)
 
 
 def write_geoparquet(sources: Sequence[ExportSource], path: Path) -> None:
@@ -63,7 +61,7 @@ def write_geoparquet(sources: Sequence[ExportSource], path: Path) -> None:
 
 def write_geopackage(sources: Sequence[ExportSource], path: Path) -> None:
     """Write a GeoPackage (OGC 12-128r19), dated by its database state: equal maps give equal files. See `_write_layer`."""
-    known_at = sources[0].request.believed_at or sources[0].info.last_committed_at
+    known_at = sources[0].request.known_at or sources[0].info.last_committed_at
     # Requirement 15: with a fraction of a second.
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": known_at and iso_utc(known_at, "milliseconds")})
     _write_by_gdal(sources, path, "GPKG", ".gpkg")

@@ -11,7 +11,6 @@ from datetime import UTC, datetime
 from itertools import count, repeat
 from pathlib import Path
 from typing import Any, TextIO
-from uuid import UUID
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -26,18 +25,6 @@ from conetl.geometry.geodesy import ELLIPSOIDAL, to_geodetic
 from conetl.model.map_records import DeltaKind, FeatureChange
 from conetl.model.work_zone_records import Finding
 
-#: Exported properties of a feature, in this order. They are part of the contract with users: never rename one.
-PROPERTY_NAMES = (
-    "feature_id", "version", "category", "existence_probability", "height_m", "sigma_e_m", "sigma_n_m", "sigma_u_m",
-    "first_seen_at", "last_seen_at", "observation_count", "valid_from", "valid_to", "changeset_id", "seen_count", "missed_count",
-    "object_height_m", "ground_height_m", "height_system",
-    "width_m", "width_sigma_m", "colour", "pattern", "dash_m", "gap_m", "sigma_lateral_m", "length_m",
-)  # fmt: skip
-#: Additional properties of histories and changes.
-_CHANGE_NAMES = (
-    "change", "shift_m", "present", "suppressed", "system_from", "system_to",
-    "old_version", "old_easting_m", "old_northing_m", "old_height_m", "old_ground_height_m",
-)  # fmt: skip
 #: Longitude, latitude (degrees) and ellipsoidal height (m) of each vertex.
 Line = list[tuple[float, float, float]]
 Tags = Mapping[str, Any]
@@ -62,21 +49,14 @@ class ExportRow:
     northing_m: float
     ellipsoidal_height_m: float
     properties: dict[str, Any]
-    """`names_of(source)`; `height_m` and `object_height_m` are the cone's own height, `ground_height_m` is in `height_system`.
-    Times are ISO 8601 UTC, `valid_to` is None while open."""
+    """`ExportSource.property_names` (model/columns.py). Times are ISO 8601 UTC, `valid_to` is None while open."""
     line: Line | None = None
     """Of a lane marking."""
 
 
-def names_of(source: ExportSource) -> list[str]:
-    """Names of the properties of `rows_of(source)`."""
-    allowed = PROPERTY_NAMES if source.request.what is ExportContent.FEATURES else (*PROPERTY_NAMES, *_CHANGE_NAMES)
-    return [name for name in source.property_names if name in allowed]
-
-
 def rows_of(source: ExportSource) -> Iterator[ExportRow]:
     """The rows of a source: metres to 0.1 mm, probabilities to 6 decimals."""
-    names = names_of(source)
+    names = source.property_names
     for batch in source.batches:
         degrees = [values.tolist() for values in source.lon_lat_deg(batch)]
         positions = zip(*degrees, *(batch.column(name).to_pylist() for name in POSITION_NAMES), strict=True)
@@ -103,7 +83,7 @@ def write_csv(sources: Sequence[ExportSource], path: Path) -> None:
     [source] = sources
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow([*names_of(source), *_CSV_POSITION, *(["WKT"] if source.lines else [])])
+        writer.writerow([*source.property_names, *_CSV_POSITION, *(["WKT"] if source.lines else [])])
         for row in rows_of(source):
             degrees = [f"{row.lon_deg:.9f}", f"{row.lat_deg:.9f}"]
             metres = [f"{value:.4f}" for value in (row.ellipsoidal_height_m, row.easting_m, row.northing_m)]
@@ -200,16 +180,11 @@ def write_features(sources: Sequence[ExportSource], path: Path) -> None:
         file.write("\n]}\n")
 
 
-def export_diff_geojson(
-    changes: Sequence[FeatureChange], path: Path, *, srid: int, origins: Mapping[UUID, Mapping[str, Any]] | None = None
-) -> int:
-    """Write the difference of two maps: a point per changed feature, a line if it moved. Returns the number of features.
-
-    origins: by feature id, the row of `history.origins`; without one the time and the drive are null.
-    """
+def export_diff_geojson(changes: Sequence[FeatureChange], path: Path, *, srid: int) -> int:
+    """Write the difference of two states of a map: a point per changed feature, a line if it moved. Returns their number."""
     features = []
     for change in changes:
-        last, origin = change.state_after, (origins or {}).get(change.feature_id, {})
+        last = change.state_after
         sides = coordinates([side.xyz_m for side in (change.old, change.new) if side is not None], srid)
         features.append(
             {
@@ -222,12 +197,12 @@ def export_diff_geojson(
                     "shift_m": change.shift_m,
                     "old_version": change.old.version if change.old else None,
                     "new_version": change.new.version if change.new else None,
-                    "changed_at": iso_utc(origin["changed_at"]) if origin else None,
-                    "drive_id": origin.get("drive_id"),
-                    "changeset_no": origin.get("changeset_no"),
+                    "changed_at": change.changed_at and iso_utc(change.changed_at),
+                    "drive_id": change.drive_id,
+                    "changeset_no": change.changeset_no,
                     "existence_probability": round(last.existence_probability, 6),
                     "observation_count": last.observation_count,
-                    "object_height_m": round(last.cone_height_m, 4),
+                    "object_height_m": round(last.object_height_m, 4),
                     "ground_height_m": round(last.xyz_m[2], 4),
                     "height_system": ELLIPSOIDAL,
                     **{name: round(last.cov_m2[i] ** 0.5, 4) for name, i in _SIGMAS.items()},

@@ -80,7 +80,8 @@ class FeedContext:
     """Values that all parts of one feed share."""
 
     info: FeedInfo
-    map_name: str
+    id_name: str
+    """Name in the ids of the map's features, which stays when the map is renamed."""
     srid: int
     at: datetime
     """The instant that the feed describes."""
@@ -91,7 +92,7 @@ class FeedContext:
 
     @property
     def data_source_id(self) -> str:
-        made = uuid5(_NAMESPACE, f"{self.info.publisher}/{self.map_name}")
+        made = uuid5(_NAMESPACE, f"{self.info.publisher}/{self.id_name}")
         return self.info.data_source_id or str(made)
 
 
@@ -240,7 +241,7 @@ def _location_marker(cone: MapFeature, zone: WorkZone | None, context: FeedConte
         "has_automatic_location": False,
         "road_direction": _direction(zone, context) if zone is not None else None,
         "road_names": list(context.info.road_names),
-        "description": f"{cone.category.replace('_', ' ').capitalize()}, {cone.cone_height_m:.2f} m high, located by survey "
+        "description": f"{cone.category.replace('_', ' ').capitalize()}, {cone.object_height_m:.2f} m high, located by survey "
         f"drives; sigma {horizontal_sigma_m(cone.cov_m2):.2f} m; last seen at {_iso(utc_from_ns(cone.last_seen_ns))}.",
         "is_moving": False,
         "road_event_ids": [event_id] if event_id else None,

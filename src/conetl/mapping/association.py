@@ -164,8 +164,8 @@ def _move_candidates(
     feature_xyz_m = np.array([features[j].xyz_m for j in of_features])
     j, i = near_pairs(feature_xyz_m[:, :2], map_xyz_m[columns, :2], params.moved_max_m)
     distance = np.hypot(*(map_xyz_m[columns[i], :2] - feature_xyz_m[j, :2]).T)
-    heights = np.array([features[k].cone_height_m for k in of_features])[j]
-    alike = np.abs(np.array([tracks[k].cone_height_m for k in of_tracks])[i] - heights)
+    heights = np.array([features[k].object_height_m for k in of_features])[j]
+    alike = np.abs(np.array([tracks[k].object_height_m for k in of_tracks])[i] - heights)
     allowed = (alike <= params.moved_height_tolerance_m) & (distance <= params.moved_max_m)
     allowed &= classes_of([tracks[k] for k in of_tracks])[i] == classes_of([features[k] for k in of_features])[j]
     return rows[j[allowed]], columns[i[allowed]], distance[allowed]

@@ -56,7 +56,7 @@ def reconcile(
 
     features: the map after all drives that were recorded before this one.
     """
-    params, founding_key, pinned, summaries = context
+    params, founding_key, pinned = context
     tracks = _drop_duplicates(sorted(tracks, key=lambda track: track.members[0]))
     features = sorted(features, key=attrgetter("feature_id.int"))
     offset_m, weight = common_offset(tracks, features, params)
@@ -82,17 +82,14 @@ def reconcile(
     for j, feature in enumerate(features):
         absence = None if j in pairs or j in merged else check_visibility(feature, shift_m, others_m)
         if absence is not None:
-            unobserved[j] = absence, miss_evidence(feature, summaries.get(feature.feature_id), absence, params)
+            unobserved[j] = absence, miss_evidence(feature, absence, params)
     loose = {j: evidence for j, (_, evidence) in unobserved.items() if features[j].feature_id not in pinned}
     vanished = [j for j, evidence in loose.items() if is_gone(evidence, params, moved=True)]
 
     moved = match_moved(comparison, free, vanished)
     free = sorted(set(free).difference(moved.values()))
     halves = _find_splits(comparison, free, pairs)
-    evidence_for = {
-        j: sighting_evidence(features[j], summaries.get(features[j].feature_id), tracks[i])
-        for j, i in {**pairs, **moved}.items()
-    }
+    evidence_for = {j: sighting_evidence(features[j], tracks[i]) for j, i in {**pairs, **moved}.items()}
     renewed = dict.fromkeys(moved, DeltaKind.MOVED)
     renewed |= dict.fromkeys(halves.values(), DeltaKind.CONFIRMED)  # its position was the mean of both cones
     for j, i in pairs.items():
@@ -114,8 +111,8 @@ def reconcile(
     for j, (absence, evidence) in unobserved.items():
         if j in moved or j in moved_to:
             continue
-        summary, gone = summaries.get(features[j].feature_id), j in loose and is_gone(evidence, params)
-        deltas.append(miss_or_remove(features[j], absence.first_ns, summary, evidence, gone=gone))
+        gone = j in loose and is_gone(evidence, params)
+        deltas.append(miss_or_remove(features[j], absence.first_ns, evidence, gone=gone))
     for i in free:
         half_of = features[halves[i]].feature_id if i in halves else None
         deltas.append(new_feature(own[i], map_xyz_m[i], shift_m, founding_key, half_of))
@@ -124,14 +121,14 @@ def reconcile(
 
 def height_differs(feature: MapFeature, track: Track, params: ReconcileParams) -> bool:
     """Whether the track shows another cone at the feature's position."""
-    sigma_m = hypot(feature.cone_height_sigma_m, track.cone_height_sigma_m)
-    difference_m = abs(track.cone_height_m - feature.cone_height_m)
+    sigma_m = hypot(feature.object_height_sigma_m, track.object_height_sigma_m)
+    difference_m = abs(track.object_height_m - feature.object_height_m)
     return difference_m > max(params.moved_height_tolerance_m, 3 * sigma_m)
 
 
 def _base_width_m(a: Track | MapFeature, b: Track | MapFeature) -> float:
     """Width of the smaller of two objects."""
-    return min(width_over_height(one.category) * one.cone_height_m for one in (a, b))
+    return min(width_over_height(one.category) * one.object_height_m for one in (a, b))
 
 
 def _drop_duplicates(tracks: Sequence[Track]) -> list[Track]:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from types import MappingProxyType
 from typing import NamedTuple
 from uuid import UUID, uuid5
 
 import numpy as np
 
 from conetl.geometry.packing import cov3, cov_matrices, stack_rows, vec3
-from conetl.mapping.existence_update import sighting_evidence
+from conetl.mapping.existence_update import missed, observed, sighting_evidence
 from conetl.mapping.fusion import birge_ratios, fuse
 from conetl.model.arrays import Floats
 from conetl.model.drive import Track
-from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature, MissSummary
+from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.params import ReconcileParams
 
 _NAMESPACE = UUID("6a3f2f0e-5a0f-4b55-8f0f-3d6a3f0c7e11")
@@ -28,8 +27,6 @@ class ReconcileContext(NamedTuple):
     """Map name and content of the drive or import, from which the ids of new features follow."""
     pinned: Collection[UUID] = ()
     """Features that are neither moved nor removed nor given another height."""
-    summaries: Mapping[UUID, MissSummary] = MappingProxyType({})
-    """Misses since the current versions of the features."""
 
 
 def new_feature(track: Track, map_xyz_m: Floats, shift: Floats, founding_key: str, half_of: UUID | None) -> Delta:
@@ -39,7 +36,7 @@ def new_feature(track: Track, map_xyz_m: Floats, shift: Floats, founding_key: st
     """
     frame, match = track.members[0]
     feature_id = uuid5(_NAMESPACE, f"{founding_key}/{frame}/{match}")
-    evidence = sighting_evidence(None, None, track)
+    evidence = sighting_evidence(None, track)
     return Delta(
         kind=DeltaKind.ADDED if half_of is None else DeltaKind.SPLIT,
         feature_id=feature_id,
@@ -70,22 +67,18 @@ def end_feature(
     )
 
 
-def miss_or_remove(
-    feature: MapFeature, missed_ns: int, summary: MissSummary | None, evidence: ExistenceEvidence, *, gone: bool
-) -> Delta:
-    """Miss a feature, or remove it if it is `gone`.
-
-    missed_ns: when this drive first missed it; summary: of the misses before.
-    """
+def miss_or_remove(feature: MapFeature, missed_ns: int, evidence: ExistenceEvidence, *, gone: bool) -> Delta:
+    """Miss a feature, or remove it if it is `gone`. missed_ns: when this drive first missed it."""
+    new = missed(feature, evidence.existence_probability, missed_ns)
     if gone:
+        assert new.first_missed_ns is not None
         # From the first miss on, perhaps by an earlier drive whose evidence was not enough.
-        from_ns = missed_ns if summary is None else min(summary.first_missed_ns, missed_ns)
-        return end_feature(DeltaKind.REMOVED, feature, from_ns, evidence=evidence)
+        return end_feature(DeltaKind.REMOVED, feature, new.first_missed_ns, evidence=evidence)
     return Delta(
         kind=DeltaKind.MISSED,
         feature_id=feature.feature_id,
         old=feature,
-        new=feature,
+        new=new,
         changed_at_ns=missed_ns,
         evidence=evidence,
     )
@@ -98,7 +91,8 @@ def move_and_merge(old: MapFeature, confirmation: Delta) -> list[Delta]:
     """
     merged, state = confirmation.old, confirmation.new
     assert merged is not None and state is not None  # as of every confirmation
-    new = add_counts(old, state).model_copy(update={"feature_id": old.feature_id, "version": old.version + 1})
+    own = {"feature_id": old.feature_id, "version": old.version + 1, "seen_count": old.seen_count + 1}
+    new = add_counts(old, state).model_copy(update=own)
     shift_m = float(np.hypot(*(np.array(new.xyz_m) - np.array(old.xyz_m))[:2]))
     moved = {"kind": DeltaKind.MOVED, "feature_id": old.feature_id, "old": old, "new": new, "shift_m": shift_m}
     return [
@@ -125,12 +119,14 @@ def update_feature(
 
 
 def add_counts(old: MapFeature, new: MapFeature) -> MapFeature:
-    """The new state with the time span and the number of all observations, old and new."""
+    """The new state with the time span and the numbers of all observations and drives, old and new."""
     return new.model_copy(
         update={
             "first_seen_ns": old.first_seen_ns,
             "last_seen_ns": max(old.last_seen_ns, new.last_seen_ns),
             "observation_count": old.observation_count + new.observation_count,
+            "seen_count": old.seen_count + new.seen_count,
+            "missed_count": old.missed_count,
         }
     )
 
@@ -163,8 +159,8 @@ def confirm_features(
     centres, new_centres = (stack_rows([one.centre_xyz_m for one in side], 3) for side in (old, new))
     centres = centres + _matvec(gain, new_centres - centres)
     shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1).tolist()
-    heights = np.array([[one.cone_height_m for one in side] for side in (old, new)]).T
-    weights = np.array([[one.cone_height_sigma_m for one in side] for side in (old, new)]).T ** -2.0
+    heights = np.array([[one.object_height_m for one in side] for side in (old, new)]).T
+    weights = np.array([[one.object_height_sigma_m for one in side] for side in (old, new)]).T ** -2.0
     height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
     unsound = ~(np.diagonal(cov, axis1=1, axis2=2) > 0).all(axis=1)
     if unsound.any():
@@ -178,10 +174,10 @@ def confirm_features(
             "xyz_m": vec3(fused[k]),
             "cov_m2": cov3(cov[k]),
             "centre_xyz_m": vec3(centres[k]),
-            "cone_height_m": float(height[k]),
-            "cone_height_sigma_m": float(sigmas_m[k]),
+            "object_height_m": float(height[k]),
+            "object_height_sigma_m": float(sigmas_m[k]),
             "shared_jacobian": jacobians[k],
-            "existence_probability": evidence[j].existence_probability,
+            **observed(feature, evidence[j]),
             "observation_count": feature.observation_count + track.observation_count,
             "last_seen_ns": max(feature.last_seen_ns, track.last_seen_ns),
         }
@@ -214,7 +210,7 @@ def feature_from_track(
         "version": version,
         "xyz_m": vec3(map_xyz_m),
         "centre_xyz_m": vec3(np.array(track.centre_xyz_m) - shift),
-        "existence_probability": evidence.existence_probability,
+        **observed(None, evidence),
         "marking": None,
     }
     return MapFeature(**{name: vars(track)[name] for name in MapFeature.model_fields.keys() - own} | own)

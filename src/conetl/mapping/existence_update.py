@@ -9,10 +9,11 @@ ln((1 - v) / v), v being the probability that a cone is removed between two driv
 from __future__ import annotations
 
 from math import exp, log
+from typing import Any
 
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
-from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature, MissSummary
+from conetl.model.map_records import ExistenceEvidence, MapFeature
 from conetl.model.params import ReconcileParams
 
 #: Limit of the log-odds, so that later drives can still change them.
@@ -20,19 +21,17 @@ MAX_LOG_ODDS = 7.0
 _EDGE = 1e-6
 
 
-def sighting_evidence(feature: MapFeature | None, summary: MissSummary | None, track: Track) -> ExistenceEvidence:
-    """Evidence of a drive that observed the feature (None: a new one) as `track`; summary: misses since its version."""
-    return confirmation_evidence(
-        feature, summary, track.existence_probability, len({frame for frame, _ in track.members})
-    )
+def sighting_evidence(feature: MapFeature | None, track: Track) -> ExistenceEvidence:
+    """Evidence of a drive that observed the feature (None: a new one) as `track`."""
+    return confirmation_evidence(feature, track.existence_probability, len({frame for frame, _ in track.members}))
 
 
 def confirmation_evidence(
-    feature: MapFeature | None, summary: MissSummary | None, existence_probability: float, frames_seen: int
+    feature: MapFeature | None, existence_probability: float, frames_seen: int
 ) -> ExistenceEvidence:
-    """Evidence of a drive that observed the feature in some frame pairs, or of an imported map that contains it."""
+    """Evidence of a drive that observed the feature in some frame pairs, or of an imported map (0) that contains it."""
     ratio = log_odds(existence_probability)
-    before = 0.0 if feature is None else log_odds((summary or feature).existence_probability)
+    before = 0.0 if feature is None else log_odds(feature.existence_probability)
     return ExistenceEvidence(
         log_likelihood_ratio=ratio,
         existence_probability=probability(min(before + ratio, MAX_LOG_ODDS)),
@@ -41,12 +40,10 @@ def confirmation_evidence(
     )
 
 
-def miss_evidence(
-    feature: MapFeature, summary: MissSummary | None, absence: NotObserved, params: ReconcileParams
-) -> ExistenceEvidence:
+def miss_evidence(feature: MapFeature, absence: NotObserved, params: ReconcileParams) -> ExistenceEvidence:
     """Evidence of a drive that did not observe the feature although its location was visible."""
     limit = log_odds(1 - params.vanished_probability)
-    after = min(log_odds((summary or feature).existence_probability), limit) + absence.log_likelihood_ratio
+    after = min(log_odds(feature.existence_probability), limit) + absence.log_likelihood_ratio
     return ExistenceEvidence(
         log_likelihood_ratio=absence.log_likelihood_ratio,
         existence_probability=probability(max(after, -MAX_LOG_ODDS)),
@@ -61,20 +58,35 @@ def is_gone(evidence: ExistenceEvidence, params: ReconcileParams, *, moved: bool
     return evidence.frames_empty >= params.removal_min_frames and evidence.existence_probability < below
 
 
-def miss_of(delta: Delta) -> MissSummary:
-    """A miss by one drive, alone."""
-    assert delta.evidence is not None  # every miss has it
-    return MissSummary(
-        feature_id=delta.feature_id,
-        existence_probability=delta.evidence.existence_probability,
-        first_missed_ns=delta.changed_at_ns,
+def observed(feature: MapFeature | None, evidence: ExistenceEvidence) -> dict[str, Any]:
+    """Evidence columns of a feature (None: a new one) after a drive, or an imported map, that observed it."""
+    seen, missed = (0, 0) if feature is None else (feature.seen_count, feature.missed_count)
+    return {
+        "existence_probability": evidence.existence_probability,
+        "seen_count": seen + (evidence.frames_seen > 0),  # imported maps have none
+        "missed_count": missed,
+        "first_missed_ns": None,
+    }
+
+
+def missed(feature: MapFeature, existence_probability: float, missed_ns: int) -> MapFeature:
+    """A feature that stays on the map, after a drive that missed it."""
+    first_ns = missed_ns if feature.first_missed_ns is None else min(feature.first_missed_ns, missed_ns)
+    return feature.model_copy(
+        update={
+            "existence_probability": existence_probability,
+            "missed_count": feature.missed_count + 1,
+            "first_missed_ns": first_ns,
+        }
     )
 
 
-def summarize_miss(summary: MissSummary | None, miss: MissSummary) -> MissSummary:
-    """The summary after one more miss."""
-    first_ns = min(one.first_missed_ns for one in (summary, miss) if one is not None)
-    return miss.model_copy(update={"first_missed_ns": first_ns})
+def ended(feature: MapFeature, evidence: ExistenceEvidence | None) -> MapFeature:
+    """A feature that is gone: removed by a drive that missed it, or (evidence: None) merged into another one."""
+    after: dict[str, Any] = {"version": feature.version + 1, "first_missed_ns": None}
+    if evidence is not None:
+        after |= {"existence_probability": evidence.existence_probability, "missed_count": feature.missed_count + 1}
+    return feature.model_copy(update=after)
 
 
 def log_odds(value: float) -> float:

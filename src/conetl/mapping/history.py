@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import compress, pairwise
+from itertools import compress
 from operator import attrgetter
 from uuid import UUID
 
@@ -20,7 +20,7 @@ from conetl.mapping.agreement import check_agreement, check_marking_agreement, i
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
-from conetl.mapping.existence_update import miss_of, summarize_miss
+from conetl.mapping.existence_update import ended, missed
 from conetl.mapping.imported_maps import reconcile_imported
 from conetl.mapping.markings import reconcile_markings
 from conetl.mapping.visibility import NotObserved, ViewCheck, VisibilityCheck, empty_view
@@ -37,7 +37,7 @@ from conetl.model.map_records import (
     ImportedFeature,
     Location,
     MapFeature,
-    MissSummary,
+    Miss,
 )
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import ReconcileParams
@@ -76,7 +76,7 @@ class MapUpdate:
 
     deltas: list[Delta]
     versions: list[FeatureVersion]
-    """One per delta that changes a feature, open."""
+    """One per delta that changes a feature or the evidence for it, open."""
     hold: HealthCheck | None = None
     """Why the drive contradicts the map and changes nothing until a person accepts it; None where it counts."""
 
@@ -100,69 +100,67 @@ def replay_drives(
     drives: Iterable[DriveEvidence],
     decisions: Decisions = Decisions(),  # noqa: B008 -- frozen
     *,
-    given: Iterable[tuple[DriveOrder, FeatureVersion | MissSummary]] = (),
+    given: Iterable[tuple[DriveOrder, FeatureVersion | Miss]] = (),
 ) -> MapHistory:
     """The map made by the drives; their order does not matter.
 
-    given: versions and single misses of other drives, which are not compared again, with the keys of these drives. Their valid
-    periods and suppression are recomputed.
+    given: versions and misses of other drives, which are not compared again, with the keys of these drives. Their valid periods
+    and suppression are recomputed.
     """
     history = MapHistory()
     current: dict[UUID, FeatureVersion] = {}
-    summaries: dict[UUID, MissSummary] = {}
-    events: list[tuple[DriveOrder, str, FeatureVersion | MissSummary | DriveEvidence]] = [
+    events: list[tuple[DriveOrder, str, FeatureVersion | Miss | DriveEvidence]] = [
         *((key, str(state.feature_id), state) for key, state in given),
         *((drive.key, "", drive) for drive in drives),
     ]
     for _, _, event in sorted(events, key=lambda event: event[:2]):
         versions: list[FeatureVersion] = []
-        misses: list[MissSummary] = []
         if isinstance(event, DriveEvidence):
-            update = apply_drive(current, event, decisions, summaries, known=history.chains.keys())
+            update = apply_drive(current, event, decisions, known=history.chains.keys())
             history.updates[event.changeset_id] = update
             versions = update.versions
-            misses = [miss_of(delta) for delta in update.deltas if delta.kind is DeltaKind.MISSED]
-        elif isinstance(event, MissSummary):
-            misses = [event]
+        elif isinstance(event, Miss):
+            if (before := current.get(event.feature_id)) is not None:
+                state = missed(before.feature, event.existence_probability, event.missed_ns)
+                versions = [_next_row(before, state, event.changeset_id, event.missed_ns, decisions)]
         else:
             suppressed = event.present and is_within(event.feature, decisions.suppressed)
             versions = [event.model_copy(update={"suppressed": suppressed})]
         for version in versions:
-            history.chains.setdefault(version.feature_id, []).append(version)
-            summaries.pop(version.feature_id, None)
+            chain = history.chains.setdefault(version.feature_id, [])
+            chain[:] = extended(chain, version)
             if version.present:
                 current[version.feature_id] = version
             else:
                 del current[version.feature_id]
-        for miss in misses:
-            summaries[miss.feature_id] = summarize_miss(summaries.get(miss.feature_id), miss)
-    for chain in history.chains.values():
-        ends: list[int | None] = [after.valid_from_ns for _, after in pairwise(chain)]
-        chain[:] = [
-            version if version.valid_to_ns == end else version.model_copy(update={"valid_to_ns": end})
-            for version, end in zip(chain, [*ends, None], strict=True)
-        ]
     return history
+
+
+def extended(chain: Sequence[FeatureVersion], row: FeatureVersion) -> list[FeatureVersion]:
+    """The rows of a feature after one more, without the misses that it precedes on the road: a removal begins with the first."""
+    kept = [one for one in chain if not one.is_missed or one.valid_from_ns < row.valid_from_ns]
+    if kept and kept[-1].valid_to_ns != row.valid_from_ns:
+        kept[-1] = kept[-1].model_copy(update={"valid_to_ns": row.valid_from_ns})
+    return [*kept, row if row.valid_to_ns is None else row.model_copy(update={"valid_to_ns": None})]
 
 
 def apply_drive(
     current: Mapping[UUID, FeatureVersion],
     drive: DriveEvidence,
     decisions: Decisions,
-    summaries: Mapping[UUID, MissSummary],
     *,
     known: Collection[UUID] = (),
 ) -> MapUpdate:
     """Compare one drive with the map after the drives recorded before it.
 
     current: open versions of present features, suppressed ones included, by feature id; those outside the drive's influence are
-    ignored. summaries: misses since these versions. known: all ids in use, required for imported maps only. A version that would
-    begin no later than its predecessor (drives that overlap in time) begins `MIN_VALID_NS` after it.
+    ignored. known: all ids in use, required for imported maps only. A row that would begin no later than the version before it
+    (drives that overlap in time) begins `MIN_VALID_NS` after it.
     """
     around, drive = _within_influence(current, drive), _apply_classes(drive, decisions.classified)
     points, lines = ([one for one in around if (one.marking is not None) == is_line] for is_line in (False, True))
     pinned = {feature.feature_id for feature in around if is_within(feature, decisions.pinned)}
-    context = ReconcileContext(drive.params, drive.founding_key, pinned, summaries)
+    context = ReconcileContext(drive.params, drive.founding_key, pinned)
     if drive.imported:
         deltas = reconcile_imported(drive.imported, points, context, at_ns=drive.key[0], known=known)
     else:
@@ -180,25 +178,44 @@ def apply_drive(
             return MapUpdate([], [], hold)
         if line_deltas:
             deltas = sorted([*deltas, *line_deltas], key=attrgetter("changed_at_ns", "feature_id.int"))
-    versions = []
-    for delta in deltas:
-        if not delta.is_change:
-            continue
-        before = current.get(delta.feature_id)
-        earliest_ns = delta.changed_at_ns if before is None else before.valid_from_ns + MIN_VALID_NS
-        number = 1 if delta.old is None else delta.old.version + 1
-        state = delta.state_after
-        versions.append(
-            FeatureVersion(
-                feature=state if state.version == number else state.model_copy(update={"version": number}),
-                changeset_id=drive.changeset_id,
-                present=delta.new is not None,
-                suppressed=delta.new is not None and is_within(state, decisions.suppressed),
-                valid_from_ns=max(delta.changed_at_ns, earliest_ns),
-                valid_to_ns=None,
-            )
+    return MapUpdate(deltas, next_rows(deltas, current, drive.changeset_id, decisions))
+
+
+def next_rows(
+    deltas: Iterable[Delta], current: Mapping[UUID, FeatureVersion], changeset_id: UUID, decisions: Decisions
+) -> list[FeatureVersion]:
+    """The open rows that deltas bring; current: as for `apply_drive`."""
+    return [
+        _next_row(
+            current.get(delta.feature_id), delta.new or ended(delta.state_after, delta.evidence), changeset_id,
+            delta.changed_at_ns, decisions, present=delta.new is not None,
         )
-    return MapUpdate(deltas, versions)
+        for delta in deltas
+        if delta.is_change or delta.kind is DeltaKind.MISSED
+    ]  # fmt: skip
+
+
+def _next_row(
+    before: FeatureVersion | None,
+    state: MapFeature,
+    changeset_id: UUID,
+    changed_at_ns: int,
+    decisions: Decisions,
+    *,
+    present: bool = True,
+) -> FeatureVersion:
+    """The open row of a feature after a change; before: the one that was open."""
+    from_ns = changed_at_ns if before is None else max(changed_at_ns, before.version_from_ns + MIN_VALID_NS)
+    same_version = before is not None and before.feature.version == state.version
+    return FeatureVersion(
+        feature=state,
+        changeset_id=changeset_id,
+        present=present,
+        suppressed=present and is_within(state, decisions.suppressed),
+        version_from_ns=before.version_from_ns if before is not None and same_version else from_ns,
+        valid_from_ns=from_ns,
+        valid_to_ns=None,
+    )
 
 
 def _apply_classes(drive: DriveEvidence, decided: Sequence[Classification]) -> DriveEvidence:

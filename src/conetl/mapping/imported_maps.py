@@ -16,7 +16,7 @@ import numpy as np
 from conetl.mapping.association import Comparison, match_unmoved
 from conetl.mapping.changes import height_differs
 from conetl.mapping.deltas import ReconcileContext, confirm_features, update_feature
-from conetl.mapping.existence_update import confirmation_evidence
+from conetl.mapping.existence_update import confirmation_evidence, observed
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, ImportedFeature, MapFeature
 from conetl.model.params import ReconcileParams
@@ -38,15 +38,13 @@ def reconcile_imported(
     features: the present ones nearby. A new feature keeps its id unless that is `known` already (of a feature that is gone, or
     elsewhere): then the id follows from `founding_key` and the imported id.
     """
-    params, founding_key, pinned, summaries = context
+    params, founding_key, pinned = context
     statements = sorted(statements, key=lambda statement: statement.feature.feature_id)
     features = sorted(features, key=lambda feature: feature.feature_id)
     tracks = [_as_track(statement.feature, at_ns) for statement in statements]
     pairs = _match(tracks, statements, features, params)
     evidence = {
-        j: confirmation_evidence(
-            features[j], summaries.get(features[j].feature_id), statements[i].feature.existence_probability, 0
-        )
+        j: confirmation_evidence(features[j], statements[i].feature.existence_probability, 0)
         for j, i in sorted(pairs.items())
     }
     kinds: dict[int, DeltaKind] = {}
@@ -107,8 +105,8 @@ def _added(statement: ImportedFeature, founding_key: str, known: Collection[UUID
     feature_id = statement.feature.feature_id
     if feature_id in known:
         feature_id = uuid5(_NAMESPACE, f"{founding_key}/{feature_id}")
-    evidence = confirmation_evidence(None, None, statement.feature.existence_probability, 0)
-    own = {"feature_id": feature_id, "version": 1, "existence_probability": evidence.existence_probability}
+    evidence = confirmation_evidence(None, statement.feature.existence_probability, 0)
+    own = {"feature_id": feature_id, "version": 1, **observed(None, evidence)}
     return Delta(
         kind=DeltaKind.ADDED,
         feature_id=feature_id,

@@ -12,6 +12,7 @@ import numpy as np
 from conetl.geometry.calibration.covariance import pack_jacobians, unpack_jacobians
 from conetl.geometry.packing import cov3, cov_matrices, vec3
 from conetl.mapping.deltas import add_counts
+from conetl.mapping.existence_update import observed
 from conetl.mapping.fusion import OffsetErrors, birge_ratios, fuse, in_map_frame
 from conetl.mapping.marking_lines import Feet, Lines, lines_of
 from conetl.mapping.visibility import MarkingView
@@ -198,10 +199,9 @@ def split_stretch(confirmation: Delta, vertices: Ints, at_ns: int, founding_key:
         "cov_m2": tuple(shape.cov_m2[k] for k in vertices.tolist()),
     }
     middle = int(vertices[len(vertices) // 2])
+    own = {"feature_id": feature_id, "version": 1, "seen_count": 1, "missed_count": 0}
     at = {"xyz_m": shape.vertices_m[middle], "centre_xyz_m": shape.vertices_m[middle], "cov_m2": shape.cov_m2[middle]}
-    new = whole.model_copy(
-        update={"feature_id": feature_id, "version": 1, "marking": shape.model_copy(update=part), **at}
-    )
+    new = whole.model_copy(update=own | at | {"marking": shape.model_copy(update=part)})
     return Delta(
         kind=DeltaKind.SPLIT,
         feature_id=feature_id,
@@ -271,9 +271,9 @@ def _feature(
         xyz_m=marking.vertices_m[middle],
         cov_m2=marking.cov_m2[middle],
         centre_xyz_m=marking.vertices_m[middle],
-        cone_height_m=_PAINT_M,
-        cone_height_sigma_m=_PAINT_SIGMA_M,
-        existence_probability=evidence.existence_probability,
+        object_height_m=_PAINT_M,
+        object_height_sigma_m=_PAINT_SIGMA_M,
+        **observed(None, evidence),
         observation_count=seen.frames,
         first_seen_ns=seen.first_ns,
         last_seen_ns=seen.last_ns,

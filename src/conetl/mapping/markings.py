@@ -13,7 +13,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from math import log
 from typing import NamedTuple
-from uuid import UUID
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +24,7 @@ from conetl.mapping.fusion import offset_errors
 from conetl.mapping.marking_lines import Claims, Feet, Lines, feet, lateral_offset
 from conetl.mapping.visibility import MarkingView, NotObserved, ViewCheck
 from conetl.model.arrays import Bools, Floats
-from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature, MissSummary
+from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature
 from conetl.model.markings import MarkingTrack, marking_existence
 from conetl.model.params import ReconcileParams
 
@@ -83,17 +82,14 @@ def reconcile_markings(
 
     offset: of the drive's cones (`association.common_offset`); if its weight is 0, that of the lines is used.
     """
-    params, founding_key, pinned, summaries = context
+    params, founding_key, pinned = context
     c = _compare(markings, stretches, params, offset)
     drive, features = c.drive, c.features
     states = _stretch_states(c, check_view, params)
 
     def evidence_for(j: int, one: marking_deltas.StretchSighting) -> ExistenceEvidence:
-        old = features[j]
         # An observation is never evidence against the marking.
-        return confirmation_evidence(
-            old, summaries.get(old.feature_id), max(_own_existence(drive, one), 0.5), one.frames
-        )
+        return confirmation_evidence(features[j], max(_own_existence(drive, one), 0.5), one.frames)
 
     seen = {
         j: marking_deltas.sighting(_main_line(c, j), drive, one.view, one.seen)
@@ -106,7 +102,7 @@ def reconcile_markings(
     fixed = {j for j, feature in enumerate(features) if feature.feature_id in pinned}
     absent = {j: one for j, one in states.items() if one.half_is_gone and not (j in seen and j in fixed)}
     deltas = [delta for j, delta in confirmations.items() if j not in absent]
-    against = _absence_evidence(absent, c, summaries, params)
+    against = _absence_evidence(absent, c, params)
 
     sure = np.array([t.existence_probability >= params.founding_existence_probability for t in drive.tracks], bool)
     vanished = {j for j, (_, one) in against.items() if is_gone(one, params, moved=True)} - fixed - seen.keys()
@@ -117,8 +113,8 @@ def reconcile_markings(
         deltas.append(marking_deltas.move_stretch(features[j], own, one, drive, evidence_for(j, one)))
     for j in against.keys() - anew.keys():
         absence, evidence = against[j]
-        summary, gone = summaries.get(features[j].feature_id), j not in fixed and is_gone(evidence, params)
-        end = miss_or_remove(features[j], absence.first_ns, summary, evidence, gone=gone)
+        gone = j not in fixed and is_gone(evidence, params)
+        end = miss_or_remove(features[j], absence.first_ns, evidence, gone=gone)
         deltas.append(end)
         if gone and j in seen:
             rest = _runs(states[j].seen)
@@ -130,7 +126,7 @@ def reconcile_markings(
             for piece in marking_deltas.stretches_of(drive, i, part_m):
                 view = check_view(piece.at(drive.lines.vertices_m))
                 one = marking_deltas.sighting(i, drive, view, np.ones(len(piece.point), bool))
-                founding = confirmation_evidence(None, None, _own_existence(drive, one), one.frames)
+                founding = confirmation_evidence(None, _own_existence(drive, one), one.frames)
                 if founding.existence_probability >= params.founding_existence_probability:
                     deltas.append(marking_deltas.new_stretch(piece, one, drive, founding_key, founding))
     return deltas
@@ -206,10 +202,7 @@ def _main_line(c: _Comparison, j: int) -> int:
 
 
 def _absence_evidence(
-    absent: Mapping[int, _State],
-    c: _Comparison,
-    summaries: Mapping[UUID, MissSummary],
-    params: ReconcileParams,
+    absent: Mapping[int, _State], c: _Comparison, params: ReconcileParams
 ) -> dict[int, tuple[NotObserved, ExistenceEvidence]]:
     """Evidence against the half-gone stretches."""
     shown_m = sum(c.drive.length_m(i) for i in range(len(c.drive.tracks)))
@@ -220,8 +213,7 @@ def _absence_evidence(
         period = state.view.period_of(state.missed)
         if period is not None:
             absence = NotObserved(frames=period[0], first_ns=period[1], log_likelihood_ratio=ratio)
-            summary = summaries.get(c.features[j].feature_id)
-            against[j] = absence, miss_evidence(c.features[j], summary, absence, params)
+            against[j] = absence, miss_evidence(c.features[j], absence, params)
     return against
 
 

@@ -26,7 +26,7 @@ class ChangeFacts(NamedTuple):
     shift_m: float | None = None
     sigma_m: float | None = None
     """Along the major axis of the horizontal error ellipse, after the change."""
-    cone_height_m: float | None = None
+    object_height_m: float | None = None
     """After the change."""
     other_feature_id: UUID | None = None
     """Of a split, the feature that was both; of a merger, the one that remains."""
@@ -69,8 +69,8 @@ def _absence(facts: ChangeFacts) -> str:
 def _what_changed(facts: ChangeFacts) -> str:
     if facts.kind is DeltaKind.MOVED and facts.shift_m is not None:
         return f", {facts.shift_m:.2f} m from its earlier position"
-    if facts.kind is DeltaKind.HEIGHT_CHANGED and facts.cone_height_m is not None:
-        return f", as {_article(facts.noun)} {facts.noun} {facts.cone_height_m:.2f} m high"
+    if facts.kind is DeltaKind.HEIGHT_CHANGED and facts.object_height_m is not None:
+        return f", as {_article(facts.noun)} {facts.noun} {facts.object_height_m:.2f} m high"
     if facts.kind is DeltaKind.SPLIT:
         return _other(facts, f", as a second {facts.noun} beside {{}}")
     return ""

@@ -150,7 +150,7 @@ def check_visibility(
     foot_m = np.array(feature.xyz_m) + offset_m
     seen = [
         pair
-        for pair in visible_pairs(foot_m, feature.cone_height_m, others_m, drive, params, feature.category)
+        for pair in visible_pairs(foot_m, feature.object_height_m, others_m, drive, params, feature.category)
         if drive.captured_at_ns[pair.row] > feature.last_seen_ns
     ]
     if not seen:
@@ -173,7 +173,7 @@ def check_visibility(
 
 def visible_pairs(
     foot_m: Floats,
-    cone_height_m: float,
+    object_height_m: float,
     others_m: Floats,
     drive: DriveObservations,
     params: ReconcileParams,
@@ -185,14 +185,14 @@ def visible_pairs(
     classes do not show the cone, but may hide it.
     """
     evidence = class_evidence(drive.figures.evidence, category)
-    rows, heights_px, boxes = pairs_in_view(foot_m, cone_height_m, drive, params, category)
+    rows, heights_px, boxes = pairs_in_view(foot_m, object_height_m, drive, params, category)
     near_m = others_m[np.hypot(*(others_m - foot_m)[:, :2].T) <= _NEIGHBOUR_M]
     visible = []
     for k, row in enumerate(rows.tolist()):
         frame = drive.frames[row]
         found = drive.detections.get(frame, ())
         alike = [d for d in found if d.category == category]
-        occupied = _is_detected(boxes[k], row, alike, near_m, cone_height_m, drive, category) or _is_occupied(
+        occupied = _is_detected(boxes[k], row, alike, near_m, object_height_m, drive, category) or _is_occupied(
             foot_m, drive.positions_m.get((frame, category)), near_m, params.min_gate_m
         )
         left, right = (
@@ -209,13 +209,13 @@ def visible_pairs(
 
 
 def pairs_in_view(
-    foot_m: Floats, cone_height_m: float, drive: DriveObservations, params: ReconcileParams, category: str = CONE
+    foot_m: Floats, object_height_m: float, drive: DriveObservations, params: ReconcileParams, category: str = CONE
 ) -> tuple[Ints, Floats, list[tuple[Box, Box]]]:
     """The frame pairs in which both images would contain a cone at `foot_m` (3,) in the drive's map frame, hidden or not.
 
     Returns their rows in `drive` (K,), the cone's apparent heights (K, 2) in px and its boxes, left and right.
     """
-    tip_m = foot_m + np.array([0.0, 0.0, cone_height_m])
+    tip_m = foot_m + np.array([0.0, 0.0, object_height_m])
     boxes, inside = [], np.ones(len(drive.frames), dtype=bool)
     for poses, camera in ((drive.map_SE3_left, drive.rig.left), (drive.map_SE3_right, drive.rig.right)):
         to_camera = np.swapaxes(poses[:, :3, :3], 1, 2)
@@ -234,7 +234,7 @@ def _is_detected(
     number: int,
     found: Sequence[Detection],
     others_m: Floats,
-    cone_height_m: float,
+    object_height_m: float,
     drive: DriveObservations,
     category: str,
 ) -> bool:
@@ -249,7 +249,7 @@ def _is_detected(
         if own and len(others_m):
             pose = poses[number]
             feet = (others_m - pose[:3, 3]) @ pose[:3, :3]
-            tips = (others_m + np.array([0.0, 0.0, cone_height_m]) - pose[:3, 3]) @ pose[:3, :3]
+            tips = (others_m + np.array([0.0, 0.0, object_height_m]) - pose[:3, 3]) @ pose[:3, :3]
             others = [_box(other) for other in apparent_boxes(feet, tips, camera, category) if not np.isnan(other[0])]
             own = [(d, share) for d, share in own if all(iou(other, d) <= share for other in others)]
         if own:

@@ -57,6 +57,10 @@ class SharedErrorJacobian(NamedTuple):
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
+#: PostgreSQL's timestamps count microseconds; periods are half-open.
+TICK = timedelta(microseconds=1)
+
+
 def utc_from_ns(nanoseconds: int) -> datetime:
     """UTC datetime of nanoseconds since 1970, truncated to microseconds (what datetime can hold)."""
     return _EPOCH + timedelta(microseconds=nanoseconds // 1000)

@@ -234,7 +234,7 @@ class Position(Record):
     """Foot centre on the ground; `geom` of the map."""
     cov_m2: Cov3
     centre_xyz_m: Vec3
-    cone_height_m: float
+    object_height_m: float
     camera_xyz_m: Vec3
     """Foot in the left camera's frame (x right, y down, z forward), without GNSS error."""
     camera_cov_m2: Cov3
@@ -260,8 +260,8 @@ class Track(Record):
     relative_cov_m2: Cov3
     """Without these errors: for distances between objects of one class in this drive."""
     centre_xyz_m: Vec3
-    cone_height_m: Positive
-    cone_height_sigma_m: Positive
+    object_height_m: Positive
+    object_height_sigma_m: Positive
     existence_probability: Probability
     observation_count: int = Field(ge=1)
     first_seen_ns: int

@@ -23,7 +23,7 @@ class ChangeLine(Record):
     feature_id: UUID
     category: str = CONE
     xyz_m: Vec3
-    cone_height_m: float
+    object_height_m: float
     sigma_horizontal_m: float
     sigma_height_m: float
     existence_probability: float

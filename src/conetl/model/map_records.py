@@ -5,10 +5,11 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from enum import StrEnum
 from uuid import UUID
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_serializer, model_validator
 
 from conetl.model.base import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec2, Vec3
 from conetl.model.markings import Marking
@@ -26,16 +27,28 @@ class MapFeature(Record):
     xyz_m: Vec3
     cov_m2: Cov3
     centre_xyz_m: Vec3
-    cone_height_m: Positive
-    cone_height_sigma_m: Positive
+    object_height_m: Positive
+    object_height_sigma_m: Positive
     existence_probability: Probability
+    """After the last drive to which it was visible."""
     observation_count: int = Field(ge=1)
+    seen_count: int = Field(default=0, ge=0)
+    """Drives that observed it; imported maps do not count."""
+    missed_count: int = Field(default=0, ge=0)
+    """Drives to which it was visible and that did not observe it."""
+    first_missed_ns: int | None = None
+    """When the first of the drives that missed it since its last observation did: it may be gone since then. None: none did."""
     first_seen_ns: int
     last_seen_ns: int
     shared_jacobian: SharedErrorJacobian | None = Field(default=None, exclude=True, repr=False)
     """Part of `cov_m2` shared with later drives of the same rig; None where unknown. Not part of JSON."""
     marking: Marking | None = None
     """Shape of a line; `xyz_m` is the middle vertex then. None of point objects."""
+
+    @field_serializer("object_height_m", "object_height_sigma_m")
+    def _height(self, value: float) -> float | None:
+        """A line has no height: the stored one is that of its paint."""
+        return value if self.marking is None else None
 
 
 class DeltaKind(StrEnum):
@@ -120,7 +133,7 @@ class Delta(_StateChange):
 
     @property
     def is_change(self) -> bool:
-        """False for a miss, and for a confirmation that leaves all stored values unchanged: these create no version."""
+        """False for a miss, and for a confirmation that leaves all stored values unchanged: the version keeps its number."""
         if self.kind is DeltaKind.MISSED:
             return False
         if self.kind is not DeltaKind.CONFIRMED or self.old is None or self.new is None:
@@ -144,25 +157,32 @@ class ImportedFeature(Record):
 
 
 class FeatureChange(_StateChange):
-    """Difference of one feature between two states of a map.
-
-    `confirmed`: the same position with other values; `missed`: the same version with a lower existence probability.
-    """
+    """Difference of one feature between two states of a map, by the SQL function `feature_changes`."""
 
     shift_m: NonNegative | None
+    changed_at: datetime | None
+    """On the road; None if it is nowhere as known at the later state."""
+    changeset_no: int
+    """Of the changeset that made the later state, of a removed feature the last one."""
+    drive_id: str
 
 
 class FeatureVersion(Record):
-    """One version of one feature in valid time, in the current state of the database."""
+    """One row of the history of a feature in valid time, in the current state of the database.
+
+    A drive that does not observe a visible feature begins a new row of the same version: only the evidence has changed.
+    """
 
     feature: MapFeature
-    """Of a removed feature, its last state."""
+    """Of a removed feature, its last state, with the evidence after the drive that removed it."""
     changeset_id: UUID
-    """Of the drive that made it."""
+    """Of the drive that made the row."""
     present: bool
     """False where that drive removed it."""
     suppressed: bool
     """A person decided that no cone stands at this location: on no map, but still compared with drives."""
+    version_from_ns: int
+    """Beginning of the first row of this version."""
     valid_from_ns: int
     valid_to_ns: int | None
 
@@ -170,14 +190,20 @@ class FeatureVersion(Record):
     def feature_id(self) -> UUID:
         return self.feature.feature_id
 
+    @property
+    def is_missed(self) -> bool:
+        """Whether a drive that did not observe the feature made this row."""
+        return self.feature.first_missed_ns is not None
 
-class MissSummary(Record):
-    """State of a feature after some misses: drives to which it was visible did not observe it, and it stays on the map."""
+
+class Miss(Record):
+    """One drive to which a feature was visible did not observe it, and it stays on the map."""
 
     feature_id: UUID
+    changeset_id: UUID
     existence_probability: Probability
-    first_missed_ns: int
-    """The earliest of them: the cone may have been gone since then."""
+    """After the drive."""
+    missed_ns: int
 
 
 #: Order in which drives are compared: start of the recording (ns), hash of its content, idempotency key.

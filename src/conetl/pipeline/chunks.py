@@ -16,7 +16,7 @@ from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
 
 #: Part of every result key: increment it when a step computes something else from the same inputs.
-RESULTS_VERSION = "32"
+RESULTS_VERSION = "33"
 
 
 class Chunk(Record):

@@ -168,7 +168,7 @@ def _line(delta: Delta) -> ChangeLine:
         feature_id=delta.feature_id,
         category=feature.category,
         xyz_m=feature.xyz_m,
-        cone_height_m=feature.cone_height_m,
+        object_height_m=feature.object_height_m,
         sigma_horizontal_m=horizontal_sigma_m(feature.cov_m2),
         sigma_height_m=feature.cov_m2[5] ** 0.5,
         existence_probability=delta.evidence.existence_probability if delta.evidence else feature.existence_probability,

@@ -50,7 +50,7 @@ def write_publication(
         raise InputError(f"{folder} cannot be written ({error.strerror}): choose another folder") from error
     remove_leftovers([folder])
     try:
-        request = ExportRequest(info.map_name, as_of=as_of, believed_at=info.last_committed_at)
+        request = ExportRequest(info.map_name, as_of=as_of, known_at=info.last_committed_at)
         manifests = [
             export_map(conn, unfinished / f"{info.map_name}{FORMATS[wanted].suffix}", wanted, request)
             for wanted in dict.fromkeys(formats)

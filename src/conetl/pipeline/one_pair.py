@@ -87,7 +87,7 @@ def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: 
     located.sort(key=lambda one: one.ground_distance_m)
     # No second pair distinguishes a cone from a sign, but its height must be that of a cone, as in a drive.
     limits_m = [params.track.heights_m(one.category) for one in located]
-    fits = [one for one, (least, most) in zip(located, limits_m, strict=True) if least <= one.cone_height_m <= most]
+    fits = [one for one, (least, most) in zip(located, limits_m, strict=True) if least <= one.object_height_m <= most]
     unmatched = {
         side: len(found) - len(matches) - sum(r.payload.get("side") == side for r in rejected)
         for side, found in zip(SIDES, detections, strict=True)

@@ -77,7 +77,8 @@ def renew_pages(conn: Connection, changeset_ids: Collection[UUID], settings: Set
 
 
 def publish_decision(conn: Connection, decided: DecisionOutcome, settings: Settings) -> str | None:
-    """Rewrite the QA reports of drives whose state a decision changed; returns why one could not be written, else None.
+    """Rewrite the map's file, if there is one, and the QA reports of drives whose state a decision changed; returns why that
+    failed, else None.
 
     The decision is made in either case.
     """
@@ -85,9 +86,11 @@ def publish_decision(conn: Connection, decided: DecisionOutcome, settings: Setti
     if decided.changeset_id is not None:
         about.add(decided.changeset_id)
     try:
+        if _map_path(settings).is_file():
+            _write_map(conn, settings)
         renew_pages(conn, about, settings)
     except ConetlError as error:
-        return f"The decision was stored, but a report could not be written: {error} `conetl report drive` writes it again."
+        return f"The decision was stored, but a file could not be written: {error} `conetl report drive` writes a report again."
     return None
 
 
@@ -133,9 +136,13 @@ def catch_up_all(settings: Settings, database: MapDatabase, send: Notify, *, qui
 
 def _write_map(conn: Connection, settings: Settings) -> Path:
     make_home(settings.home)
-    path = settings.exports_folder / f"{settings.map_name}.geojson"
+    path = _map_path(settings)
     export_geojson(conn, path, map_name=settings.map_name)
     return path
+
+
+def _map_path(settings: Settings) -> Path:
+    return settings.exports_folder / f"{settings.map_name}.geojson"
 
 
 def _write_page(

@@ -25,7 +25,15 @@ from conetl.db.map.map_store import require_map
 from conetl.db.map.results import NOTHING, CommittedChangeset, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
 from conetl.mapping.agreement import is_confirmed
-from conetl.mapping.history import DriveEvidence, MapHistory, MapUpdate, apply_drive, founding_key, replay_drives
+from conetl.mapping.history import (
+    DriveEvidence,
+    MapHistory,
+    MapUpdate,
+    apply_drive,
+    extended,
+    founding_key,
+    replay_drives,
+)
 from conetl.mapping.visibility import observations_of_drive, visibility_checks
 from conetl.model.detector_evidence import UNMEASURED, AbsenceFigures, DetectorEvidence
 from conetl.model.drive import Drive, DriveRecords
@@ -166,21 +174,24 @@ def _compare(
         folded, replay = replay_of(conn, again, later, decisions, own=[own], new_drive=_new_drive(near, drive))
         return folded.updates[own.changeset_id], replay
     standing = store.read_standing_around(conn, near.drive_uuid)
-    doubts = store.read_doubts_around(conn, near.drive_uuid)
-    update = apply_drive({one: version for one, (version, _) in standing.items()}, own, decisions, doubts)
+    update = apply_drive({one: next(reversed(rows)) for one, rows in standing.items()}, own, decisions)
     return update, replay_of_newest(standing, update, own.changeset_id)
 
 
 def replay_of_newest(
-    standing: Mapping[UUID, tuple[FeatureVersion, int]], update: MapUpdate, changeset_id: UUID
+    standing: Mapping[UUID, Mapping[FeatureVersion, int]], update: MapUpdate, changeset_id: UUID
 ) -> Replay:
-    """The changes by a drive that is newer than all others around it; standing: versions with their row ids, by feature id."""
-    replaced = [(*standing[new.feature_id], new) for new in update.versions if new.feature_id in standing]
-    ended = [version.model_copy(update={"valid_to_ns": new.valid_from_ns}) for version, _, new in replaced]
+    """The changes by a drive that is newer than all others around it; standing: as of `read_standing_around`."""
+    before: dict[FeatureVersion, int] = {}
+    after: list[FeatureVersion] = []
+    for new in update.versions:
+        rows = standing.get(new.feature_id, {})
+        before |= rows
+        after += extended([*rows], new)
     return Replay(
-        versions_before={version: row_id for version, row_id, _ in replaced},
+        versions_before=before,
         deltas_before={},
-        versions=[*ended, *update.versions],
+        versions=after,
         deltas=[(changeset_id, delta) for delta in update.deltas],
         holds={},
     )

@@ -137,7 +137,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         changes=tuple(
             row
             | {"number": number, "kind": DeltaKind(row["kind"]), "why": reasons.get(row["feature_id"], "")}
-            | {"xyz_m": (row["easting_m"], row["northing_m"], row["height_m"])}
+            | {"xyz_m": (row["easting_m"], row["northing_m"], row["ellipsoidal_height_m"])}
             for number, row in enumerate(rows, start=1)
         ),
         checks=(*checks, *against_map),

@@ -259,7 +259,7 @@ def _sighting(conn: Connection, drive_uuid: UUID, track_index: int, title: str) 
 def _expected(facts: DriveFacts, change: Row, drive: DriveObservations) -> PairOfCrops:
     """The expected image of the object, in the pair where it is largest of those in which both images would contain it."""
     rows, heights_px, boxes = pairs_in_view(
-        np.array(change["xyz_m"]), change["cone_height_m"], drive, ReconcileParams(), change["category"]
+        np.array(change["xyz_m"]), change["object_height_m"], drive, ReconcileParams(), change["category"]
     )
     if not len(rows):
         return PairOfCrops("this drive", (), "its position is not completely in view in any image pair")

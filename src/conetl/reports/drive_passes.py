@@ -37,7 +37,7 @@ _OF_ROW = (
     "frames_empty",
     "shift_m",
     "sigma_m",
-    "cone_height_m",
+    "object_height_m",
     "other_feature_id",
 )
 Row = Mapping[str, Any]
@@ -103,8 +103,8 @@ def _frames_in_view(
 ) -> tuple[PassFrame, ...]:
     params = ReconcileParams.model_validate(header["reconcile"])
     drive_uuid, easting_m, northing_m = header["drive_uuid"], state["easting_m"], state["northing_m"]
-    foot_m = np.array([easting_m, northing_m, state["height_m"]])
-    height_m, category = state["cone_height_m"], state["category"]
+    foot_m = np.array([easting_m, northing_m, state["ellipsoidal_height_m"]])
+    height_m, category = state["object_height_m"], state["category"]
     drive = read_view(conn, header, (easting_m, northing_m, _WITHIN_M))
     if not drive.frames:
         return ()
@@ -131,11 +131,11 @@ def _frames_in_view(
 
 
 def expected_box(
-    xyz_m: Vec3, cone_height_m: float, pose: Pose, rig: Rig, side: Side, category: str = CONE
+    xyz_m: Vec3, object_height_m: float, pose: Pose, rig: Rig, side: Side, category: str = CONE
 ) -> Box | None:
     """x, y, width, height (px, from the image's edge) of an object at a position; None behind the camera."""
     camera_SE3_map = se3.invert(map_SE3_camera(pose, rig, side))
-    ends = np.array([xyz_m, (*xyz_m[:2], xyz_m[2] + cone_height_m)])
+    ends = np.array([xyz_m, (*xyz_m[:2], xyz_m[2] + object_height_m)])
     foot, tip = ends @ camera_SE3_map[:3, :3].T + camera_SE3_map[:3, 3]
     x0, y0, x1, y1 = apparent_boxes(foot[None], tip[None], camera_of(rig, side), category)[0].tolist()
     return None if np.isnan(x0) else (x0 + 0.5, y0 + 0.5, x1 - x0, y1 - y0)

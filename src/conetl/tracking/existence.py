@@ -50,7 +50,7 @@ class ImageEvidence:
 
 def existence_probability(
     group: Sequence[Position],
-    cone_height_m: float,
+    object_height_m: float,
     rig: Rig,
     map_SE3_left: Mapping[int, Floats],
     detections: Mapping[int, Sequence[Detection]],
@@ -67,7 +67,7 @@ def existence_probability(
     another group.
     """
     images: dict[Side, list[ImageEvidence]] = {"left": [], "right": []}
-    for side, in_view in _boxes(group, cone_height_m, rig, map_SE3_left, params, category).items():
+    for side, in_view in _boxes(group, object_height_m, rig, map_SE3_left, params, category).items():
         for frame_index, box in in_view:
             of_pair = detections.get(frame_index, ())
             middle = (box[0] + box[2]) / 2, (box[1] + box[3]) / 2
@@ -129,7 +129,7 @@ def _run_of_misses(run: Sequence[tuple[float, float]], hidden_probability: float
 
 def _boxes(
     group: Sequence[Position],
-    cone_height_m: float,
+    object_height_m: float,
     rig: Rig,
     map_SE3_left: Mapping[int, Floats],
     params: IngestParams,
@@ -146,7 +146,7 @@ def _boxes(
     frame_SE3_start = np.linalg.inv(poses) @ starts
     feet = np.array([p.camera_xyz_m for p in known])[start]
     foot = (frame_SE3_start[:, :3, :3] @ feet[:, :, None])[:, :, 0] + frame_SE3_start[:, :3, 3]
-    tip = foot + cone_height_m * poses[:, 2, :3]
+    tip = foot + object_height_m * poses[:, 2, :3]
     right_SE3_left = np.linalg.inv(left_SE3_right(rig))
     rotation, translation = right_SE3_left[:3, :3], right_SE3_left[:3, 3]
 

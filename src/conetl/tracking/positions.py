@@ -56,7 +56,7 @@ class CameraPosition(Record):
     ground_distance_m: Positive
     """Horizontal distance from the left camera to the foot."""
     ground_distance_sigma_m: Positive
-    cone_height_m: float
+    object_height_m: float
     """Tip above foot."""
     foot_height_m: float
     """Foot above the left camera's centre, about minus the camera's height above the road."""
@@ -124,7 +124,7 @@ def locate_positions(
             xyz_m=vec3(xyz[0, i]),
             cov_m2=cov3(cov[i]),
             centre_xyz_m=vec3(xyz[1, i]),
-            cone_height_m=float(xyz[2, i, 2] - xyz[0, i, 2]),
+            object_height_m=float(xyz[2, i, 2] - xyz[0, i, 2]),
             camera_xyz_m=vec3(located.xyz[0, i]),
             camera_cov_m2=cov3(located.foot_cov[i]),
             sigma_outline_m=float(located.outline_m[i]),
@@ -157,7 +157,7 @@ def locate_in_camera(
             xyz_m=vec3(xyz[0, i]),
             cov_m2=cov3(cov[i]),
             centre_xyz_m=vec3(xyz[1, i]),
-            cone_height_m=float(height[2, i] - height[0, i]),
+            object_height_m=float(height[2, i] - height[0, i]),
             ground_distance_m=float(ground[i]),
             ground_distance_sigma_m=float(np.sqrt(along @ foot_cov[i] @ along)),
             foot_height_m=float(height[0, i]),

@@ -44,12 +44,11 @@ Reason = Annotated[str, StringConstraints(strip_whitespace=True, min_length=3, m
 #: Existence probabilities between these are near the threshold of 0.5.
 _LEAST, _MOST = 0.3, 0.7
 #: About half the width of a lane.
-_MOVED_FROM_M = 1.0
 _MAX_ITEMS = 100
 #: In the order of the queue, the statement of each kind of cones and its bounds.
 _CONES: dict[str, tuple[str, dict[str, float | str]]] = {
-    "removal": ("changes", {"change": "removed", "moved_from_m": _MOVED_FROM_M}),
-    "move": ("changes", {"change": "moved", "moved_from_m": _MOVED_FROM_M}),
+    "removal": ("changes", {"change": "removed"}),
+    "move": ("changes", {"change": "moved"}),
     "doubtful": ("doubtful", {"least": _LEAST, "most": _MOST}),
 }
 assert ("held", *_CONES) == get_args(m.ReviewItem.model_fields["kind"].annotation)

@@ -76,7 +76,7 @@ def download(
                     road_names=[road_name], lanes=None,
                 )  # fmt: skip
             else:
-                asked = ExportRequest(map_name, believed_at=known_at, as_of=valid_at, box_m=_corners(box))
+                asked = ExportRequest(map_name, known_at=known_at, as_of=valid_at, box_m=_corners(box))
                 if from_valid_at is not None:
                     asked = replace(asked, what=ExportContent.CHANGES, as_of=None, since=from_valid_at, until=valid_at)
                 export_map(conn, path, file_format, asked)

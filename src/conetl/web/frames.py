@@ -93,7 +93,7 @@ def frame_image(
         history = [] if feature_id is None else store.read_feature_history(conn, map_name, feature_id)
     rig, pose = Rig.model_validate(row["rig"]), to.pose_of(row)
     expected = {
-        expected_box(to.position(state), state["cone_height_m"], pose, rig, side, state["category"])
+        expected_box(to.position(state), state["object_height_m"], pose, rig, side, state["category"])
         for state in history
     }
     sharp = [_xywh(box) for box in boxes]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated
 from uuid import UUID
 
-from fastapi import APIRouter, HTTPException, Query, Request
+import orjson
+from fastapi import APIRouter, HTTPException, Request, Response
+from pydantic import BaseModel
 
 from conetl.db import serve_store as store
 from conetl.db.connection import or_infinity
@@ -14,7 +14,6 @@ from conetl.db.map.archive import list_maps
 from conetl.db.map.map_store import list_changesets, require_map
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.base import Vec3, utc_from_ns
-from conetl.model.params import ReconcileParams
 from conetl.model.rig import Rig
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
@@ -25,8 +24,6 @@ router = APIRouter(tags=["maps"])
 _MAP = "/maps/{map_name}"
 _MAX_SIGHTINGS = 2_000
 _MAX_TRAJECTORY = 50_000
-#: The pipeline, too, treats nearer positions as one.
-_MOVED_FROM_M = ReconcileParams().min_gate_m
 
 
 @router.get("/maps")
@@ -48,30 +45,24 @@ def timeline(map_name: MapName, conn: Reader, origin: Origin) -> m.Timeline:
     return m.Timeline(map_name=map_name, srid=srid, origin_m=origin, changesets=items)
 
 
-@router.get(f"{_MAP}/features")
+@router.get(f"{_MAP}/features", response_model=m.Features)
 def features(
     map_name: MapName, conn: Reader, origin: Origin, valid_at: Instant = None, known_at: Instant = None
-) -> m.Features:
-    """Features on the road at `valid_at`, in the state of the database at `known_at`."""
+) -> Response:
+    """Features on the road at `valid_at`, as known at `known_at`."""
     instants = {"valid_at": or_infinity(valid_at), "known_at": or_infinity(known_at)}
-    found, truncated = store.read_some(conn, "serving.features", MAX_FEATURES, map_name=map_name, **instants)
-    points, lines = to.by_geometry(found)
-    return m.Features(
-        origin_m=origin,
-        features=[to.answer(m.Feature, row, origin) for row in points],
-        markings=[to.answer(m.Stretch, row, origin) for row in lines],
-        truncated=truncated,
-    )
+    table = store.read_table(conn, "serving.features", map_name=map_name, max_rows=MAX_FEATURES + 1, **instants)
+    return _listing(table, origin, features=m.Feature, markings=m.Stretch)
 
 
-@router.get(f"{_MAP}/changes/{{changeset_no}}")
-def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Reader, origin: Origin) -> m.Changes:
+@router.get(f"{_MAP}/changes/{{changeset_no}}", response_model=m.Changes)
+def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Reader, origin: Origin) -> Response:
     """The decision of one changeset about every feature that its drive could see."""
-    rows = store.read_rows(conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset_no)
-    return _changes(rows, origin, truncated=False)
+    table = store.read_table(conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset_no)
+    return _listing(table, origin, changes=m.Change, markings=m.StretchChange)
 
 
-@router.get(f"{_MAP}/changes")
+@router.get(f"{_MAP}/changes", response_model=m.Changes)
 def changes_between(
     map_name: MapName,
     conn: Reader,
@@ -80,17 +71,14 @@ def changes_between(
     from_known_at: Instant = None,
     to_valid_at: Instant = None,
     to_known_at: Instant = None,
-    moved_from_m: Annotated[float, Query(ge=0.01, le=100.0, allow_inf_nan=False)] = _MOVED_FROM_M,
-) -> m.Changes:
-    """Differences of the map between two instants; a feature moved if its position changed by `moved_from_m` or more; a lane
-    marking, if the pipeline would take it for another one."""
-    found, truncated = store.read_some(
-        conn, "serving.changes_between", MAX_FEATURES, map_name=map_name, moved_from_m=moved_from_m,
-        line_moved_from_m=ReconcileParams().marking_gate_m,
+) -> Response:
+    """Features that differ between two instants, each as known at its own."""
+    table = store.read_table(
+        conn, "serving.changes_between", map_name=map_name, max_rows=MAX_FEATURES + 1,
         from_valid_at=or_infinity(from_valid_at), from_known_at=or_infinity(from_known_at),
         to_valid_at=or_infinity(to_valid_at), to_known_at=or_infinity(to_known_at),
     )  # fmt: skip
-    return _changes(found, origin, truncated=truncated)
+    return _listing(table, origin, changes=m.Change, markings=m.StretchChange)
 
 
 @router.get(f"{_MAP}/features/{{feature_id}}")
@@ -146,11 +134,13 @@ def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader, origin: Origin
     )
 
 
-def _changes(rows: Sequence[to.Row], origin: Vec3, *, truncated: bool) -> m.Changes:
-    points, lines = to.by_geometry(rows)
-    return m.Changes(
-        origin_m=origin,
-        changes=[to.answer(m.Change, row, origin) for row in points],
-        markings=[to.answer(m.StretchChange, row, origin) for row in lines],
-        truncated=truncated,
-    )
+def _listing(table: store.Table, origin: Vec3, **models: type[BaseModel]) -> Response:
+    """Point objects and lane markings, by the names and models of their lists."""
+    names, rows = table
+    at = names.index("marking")
+    parts = ([row for row in rows[:MAX_FEATURES] if (row[at] is not None) is lines] for lines in (False, True))
+    lists = {
+        name: to.items(model, names, part, origin) for (name, model), part in zip(models.items(), parts, strict=True)
+    }
+    body = {"origin_m": origin, "truncated": len(rows) > MAX_FEATURES, **lists}
+    return Response(orjson.dumps(body, option=orjson.OPT_UTC_Z), media_type="application/json")

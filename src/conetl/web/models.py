@@ -14,8 +14,6 @@ from conetl.reports.drive_passes import DrivePass
 
 Cov2 = tuple[float, float, float]
 """xx, xy, yy of the horizontal position."""
-ChangeKind = DeltaKind | Literal["unchanged"]
-"""Change of a feature by a drive; between two instants, `unchanged` if both have the same version."""
 
 
 class Listing(Record):
@@ -93,7 +91,8 @@ class FeatureState(Record):
     version: int
     category: str
     xyz_m: Vec3
-    cone_height_m: float
+    object_height_m: float | None
+    """Null for lane markings."""
     existence_probability: float
     observation_count: int
     last_seen_at: datetime
@@ -134,7 +133,8 @@ class Features(Listing):
 
 
 class Change(Feature):
-    kind: ChangeKind
+    kind: DeltaKind
+    """Change by a drive, or difference between two instants."""
     changed_at: datetime | None
     shift_m: float | None
     old_xyz_m: Vec3 | None
@@ -154,7 +154,7 @@ class HistoryItem(FeatureState):
     """Change of a feature by one drive: the version after the drive, and the evidence up to it."""
 
     cov_m2: Cov3
-    cone_height_sigma_m: float
+    object_height_sigma_m: float | None
     first_seen_at: datetime
     seen_count: int
     """Number of drives that observed it."""
@@ -340,7 +340,7 @@ class ProvisionalFeature(Record):
     """False if the watch has ended and the drive is not ingested yet."""
     xyz_m: Vec3
     cov_m2: Cov2
-    cone_height_m: float
+    object_height_m: float
     existence_probability: float
     observation_count: int
     last_seen_at: datetime

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from datetime import timedelta
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -11,24 +10,28 @@ from pydantic import BaseModel
 
 from conetl.db.map.results import CommittedChangeset
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
-from conetl.model.base import Vec3, utc_from_ns
+from conetl.model.base import TICK, Vec3, utc_from_ns
 from conetl.model.drive import Pose
 from conetl.model.rig import Rig, Side
 from conetl.reports.drive_passes import DrivePass
-from conetl.web.models import Box, Decision, FrameBox, FrameView, HistoryItem, MarkingShape, Sighting, TimelineItem
+from conetl.web.models import Box, Decision, FrameBox, FrameView, HistoryItem, Sighting, TimelineItem
 
 Row = Mapping[str, Any]
 A = TypeVar("A", bound=BaseModel)
 #: Decimals of offsets: a tenth of a millimetre.
 _DECIMALS = 4
-#: PostgreSQL's timestamps count microseconds; periods are half-open.
-_TICK = timedelta(microseconds=1)
 
 
 def offset(xyz_m: Sequence[float], origin_m: Vec3) -> Vec3:
     """A position of the map as metres from the origin."""
-    x, y, z = (round(float(value) - start, _DECIMALS) for value, start in zip(xyz_m, origin_m, strict=True))
+    [[x, y, z]] = offsets([xyz_m], origin_m)
     return x, y, z
+
+
+def offsets(xyz_m: Sequence[Sequence[float]], origin_m: Vec3) -> list[list[float]]:
+    """`offset` of several positions (N, 3)."""
+    rounded: list[list[float]] = np.round(np.subtract(xyz_m, origin_m), _DECIMALS).tolist()
+    return rounded
 
 
 def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
@@ -45,29 +48,34 @@ def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
         if name == "cov_m2":
             axes = ("xx", "xy", "xz", "yy", "yz", "zz") if "cov_xz" in row else ("xx", "xy", "yy")
             return tuple(row[f"cov_{axis}"] for axis in axes)
-        return utc_from_ns(row[f"{name.removesuffix('_at')}_ns" if "seen" in name else f"{name}_ns"])
+        return utc_from_ns(row[f"{name}_ns"])
 
     return model(**{name: value(name) for name in model.model_fields if name not in computed}, **computed)
 
 
-def marking(shape: Mapping[str, Any] | None, origin_m: Vec3) -> MarkingShape | None:
-    """The shape of a lane marking, as returned by conetl.marking_json; None of point objects."""
-    if shape is None:
-        return None
-    return MarkingShape(**{**shape, "line_m": [offset(vertex, origin_m) for vertex in shape["line_m"]]})
+def items(model: type[BaseModel], names: Sequence[str], rows: Sequence[tuple[Any, ...]], origin_m: Vec3) -> list[Row]:
+    """What `answer` makes of many rows, not validated, which takes a tenth of the time."""
+    if not rows:
+        return []
+    columns: dict[str, Sequence[Any]] = dict(zip(names, zip(*rows, strict=True), strict=True))
+    for name in model.model_fields:
+        if name.endswith("marking"):
+            columns[name] = [marking(shape, origin_m) for shape in columns[name]]
+        elif name.endswith("xyz_m"):
+            places = np.array(position(columns, name.removesuffix("xyz_m")), float).T
+            columns[name] = [None if xyz_m[0] != xyz_m[0] else xyz_m for xyz_m in offsets(places, origin_m)]
+    fields = [columns[name] for name in model.model_fields]
+    return [dict(zip(model.model_fields, values, strict=True)) for values in zip(*fields, strict=True)]
 
 
-def by_geometry(rows: Iterable[Row]) -> tuple[list[Row], list[Row]]:
-    """Point objects and lane markings."""
-    both: tuple[list[Row], list[Row]] = ([], [])
-    for row in rows:
-        both[row["marking"] is not None].append(row)
-    return both
+def marking(shape: Row | None, origin_m: Vec3) -> Row | None:
+    """The shape of a lane marking of columns.marking, as `MarkingShape`; None of point objects."""
+    return shape and {**shape, "line_m": offsets(shape["line_m"], origin_m)}
 
 
 def timeline_item(c: CommittedChangeset) -> TimelineItem:
     """One changeset of the timeline."""
-    known = {"valid_at": utc_from_ns(c.captured_to_ns) + _TICK, "known_before": c.effective_at - _TICK}
+    known = {"valid_at": utc_from_ns(c.captured_to_ns) + TICK, "known_before": c.effective_at - TICK}
     return answer(TimelineItem, vars(c), (0.0, 0.0, 0.0), **known)
 
 
@@ -104,7 +112,7 @@ def sighting(row: Row, rig: Rig, origin_m: Vec3) -> Sighting:
 
 def position(row: Row, prefix: str = "") -> Vec3:
     """Position in the map's CRS."""
-    return row[f"{prefix}easting_m"], row[f"{prefix}northing_m"], row[f"{prefix}height_m"]
+    return row[f"{prefix}easting_m"], row[f"{prefix}northing_m"], row[f"{prefix}ellipsoidal_height_m"]
 
 
 def frame_view(row: Row, side: Side, boxes: Sequence[Row], problem: str | None, origin_m: Vec3) -> FrameView:

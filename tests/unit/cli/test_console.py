@@ -10,18 +10,32 @@ import pytest
 from rich.console import Console
 
 from conetl.cli import console
-from conetl.cli.console import parse_instant, parse_time, print_table
+from conetl.cli.console import parse_instant, parse_span, print_table
 from conetl.model.errors import InputError
 
+#: One day in all forms of ISO 8601 (extended and basic, also by its week); the spaces are a user's.
+DAYS = ("2026-03-02", "20260302", "2026-W10-1", "2026W101", " 2026-03-02 ")
+MORNING, LAST = datetime(2026, 3, 2, tzinfo=UTC), datetime(2026, 3, 2, 23, 59, 59, 999999, tzinfo=UTC)
+OPTIONS = ("--since", "--until")
 
-def test_a_day_is_its_first_instant_in_either_form_of_iso_8601():
-    assert parse_time("2026-03-02") == parse_time("20260302") == datetime(2026, 3, 2, tzinfo=UTC)
+
+@pytest.mark.parametrize("day", DAYS)
+def test_a_day_as_an_instant_is_its_end_and_belongs_to_a_span_at_either_end(day):
+    assert parse_instant(day) == LAST
+    assert parse_span(day, day, OPTIONS) == (MORNING, LAST)
 
 
-def test_an_instant_of_a_day_is_its_end():
-    end = datetime(2026, 3, 2, 23, 59, 59, 999999, tzinfo=UTC)
-    assert parse_instant("2026-03-02") == parse_instant("20260302") == end
-    assert parse_instant("2026-03-02T10:00") == parse_time("2026-03-02T10:00") and parse_instant(None) is None
+def test_a_time_is_itself_in_utc_unless_it_names_a_zone():
+    for text, hour in (("2026-03-02T10:00", 10), ("2026-W10-1T10", 10), ("2026-03-02T10:00+01:00", 9)):
+        assert parse_instant(text) == parse_span(text, None, OPTIONS)[0] == MORNING.replace(hour=hour)
+    assert parse_instant("2026-03-02T00:00") == MORNING, "midnight is not its day"
+    assert parse_instant(None) is None and parse_span(None, None, OPTIONS) == (None, None)
+
+
+def test_a_span_that_ends_before_it_begins_is_refused_with_its_options():
+    with pytest.raises(InputError, match=r"--until 2026-03-01 is before --since 2026-03-02: exchange them"):
+        parse_span("2026-03-02", "2026-03-01", OPTIONS)
+    assert parse_span("2026-03-02T10:00", "2026-03-02T10:00", OPTIONS) == (MORNING.replace(hour=10),) * 2
 
 
 def test_times_in_json_have_the_form_of_the_models(capsys):
@@ -29,11 +43,13 @@ def test_times_in_json_have_the_form_of_the_models(capsys):
     assert json.loads(capsys.readouterr().out) == {"at": "2026-03-02T10:00:00Z"}
 
 
-@pytest.mark.parametrize("text", ["2026", "1772352000", "1772352000.5", "0", "2026-03", "yesterday", ""])
+@pytest.mark.parametrize("text", ["2026", "1772352000", "1772352000.5", "0", "2026-03", "9999-12-32", "yesterday", ""])
 def test_a_number_is_not_a_time(text):
     """2026 is not meant as seconds since 1970."""
     with pytest.raises(InputError, match="invalid time"):
-        parse_time(text)
+        parse_instant(text)
+    with pytest.raises(InputError, match="invalid time"):
+        parse_span(text, None, OPTIONS)
 
 
 def test_table_cells_are_never_cut_off(capsys):

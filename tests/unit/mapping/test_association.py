@@ -14,7 +14,6 @@ from scipy.optimize import linear_sum_assignment
 from conetl.mapping.association import Comparison, assign, common_offset, match_unmoved, near_pairs
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
-from conetl.mapping.existence_update import miss_of, summarize_miss
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from tests.unit.mapping.test_changes import NO_FIX, PARAMS, RTK, NotObserved, changes, feature, track
@@ -77,7 +76,7 @@ def test_a_cone_of_another_height_at_the_same_position_replaces_the_height() -> 
     assert kinds(found) == {DeltaKind.HEIGHT_CHANGED: 1}
     (delta,) = found[DeltaKind.HEIGHT_CHANGED]
     assert delta.new is not None
-    assert (delta.new.feature_id, delta.new.cone_height_m) == (UUID(int=0), 0.5)
+    assert (delta.new.feature_id, delta.new.object_height_m) == (UUID(int=0), 0.5)
     assert kinds(changes([track(0, 0.0, 3.0, height_m=0.6)], [feature(0, 0.0, 3.0)])) == {DeltaKind.CONFIRMED: 1}
 
 
@@ -123,19 +122,18 @@ def test_a_drive_without_shared_cones_has_no_offset() -> None:
 
 
 def test_misses_of_several_drives_remove_from_the_first_miss_on() -> None:
-    cone, summary, first_ns = feature(0, 0.0, 3.0, sigma_m=RTK), None, 10**18
+    cone, first_ns = feature(0, 0.0, 3.0, sigma_m=RTK), 10**18
     for drive in range(4):
         at_ns = cone.last_seen_ns + (drive + 1) * first_ns
 
         def check_visibility(_feature: MapFeature, _offset: object, _others: object, at_ns: int = at_ns) -> NotObserved:
             return NotObserved(8, at_ns, -0.9)
 
-        summaries = {cone.feature_id: summary} if summary else {}
-        (delta,) = reconcile([], [cone], check_visibility, ReconcileContext(PARAMS, "d", summaries=summaries))
-        assert delta.evidence is not None
-        if delta.kind is DeltaKind.REMOVED:
+        (delta,) = reconcile([], [cone], check_visibility, ReconcileContext(PARAMS, "d"))
+        if delta.new is None:
             break
-        summary = summarize_miss(summary, miss_of(delta))
+        cone = delta.new
+        assert (cone.version, cone.missed_count) == (1, drive + 1)
     assert drive == 2
     assert delta.kind is DeltaKind.REMOVED
     assert delta.changed_at_ns == cone.last_seen_ns + first_ns

@@ -90,9 +90,16 @@ def test_weak_evidence_of_absence_is_a_miss_and_no_removal(evidence: dict[str, A
     found = changes([], [feature(0, *ROW[0])], **evidence)
     assert {kind for kind, deltas in found.items() if deltas} == {DeltaKind.MISSED}
     (miss,) = found[DeltaKind.MISSED]
-    assert miss.new == miss.old
     assert not miss.is_change
+    assert miss.old is not None
+    assert miss.new is not None
     assert miss.evidence is not None
+    after = {
+        "existence_probability": miss.evidence.existence_probability,
+        "missed_count": 1,
+        "first_missed_ns": miss.changed_at_ns,
+    }
+    assert miss.new == miss.old.model_copy(update=after)
     assert miss.evidence.existence_probability < 0.97
 
 
@@ -209,5 +216,5 @@ def test_covariances_that_cannot_be_fused_are_refused() -> None:
             {0: 0},
             [broken],
             [track(0, *ROW[0])],
-            {0: sighting_evidence(broken, None, track(0, *ROW[0]))},
+            {0: sighting_evidence(broken, track(0, *ROW[0]))},
         )

@@ -12,16 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conetl.geometry.packing import vec3
-from conetl.mapping.existence_update import miss_of
 from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
 from conetl.mapping.visibility import NotObserved
-from conetl.model.map_records import Decisions, DeltaKind, DriveOrder, FeatureVersion, Location, MissSummary
+from conetl.model.map_records import Decisions, DeltaKind, DriveOrder, FeatureVersion, Location, Miss
+from tests.records import DAY_NS, standing_at, track
 from tests.synthetic.painted_road import random_painted_drives
 from tests.synthetic.road import HOUR_NS, SECOND_NS, random_drive, random_world
-from tests.synthetic.world import START_NS
+from tests.synthetic.world import ORIGIN_M, START_NS, evidence_of
 
 Chains = dict[UUID, list[FeatureVersion]]
-Misses = dict[UUID, list[MissSummary]]
+Misses = dict[UUID, list[Miss]]
 State = tuple[Chains, Misses, dict[UUID, str]]
 DAYS = 5
 EVERYTHING = {DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED}
@@ -78,7 +78,7 @@ class Ingest:
 
     @property
     def state(self) -> State:
-        """The map, the misses that made no version, and the drives on hold."""
+        """The map, the misses by drive, and the drives on hold."""
         return self.chains, self.misses, self.holds
 
     def copy(self) -> Ingest:
@@ -103,11 +103,9 @@ class Ingest:
             if any(key > earlier and meet(self.drives[key], drive) for earlier, drive in affected.items()):
                 affected[key] = self.drives[key]
         keys = {drive.changeset_id: drive.key for drive in [*self.drives.values(), *seeds]}
-        states: list[tuple[UUID, FeatureVersion | MissSummary]] = [
-            *((changeset_id, miss) for changeset_id, own in self.misses.items() for miss in own),
-            *((version.changeset_id, version) for chain in self.chains.values() for version in chain),
-        ]
-        rest = [(keys[changeset_id], one) for changeset_id, one in states if keys[changeset_id] not in affected]
+        states: list[FeatureVersion | Miss] = [miss for own in self.misses.values() for miss in own]
+        states += [row for chain in self.chains.values() for row in chain if not row.is_missed]
+        rest = [(keys[one.changeset_id], one) for one in states if keys[one.changeset_id] not in affected]
         again = [drive for key, drive in affected.items() if key in self.drives]
         self.compared += len(again)
         history = replay_drives(again, self.decisions, given=rest)
@@ -124,9 +122,16 @@ def holds(history: MapHistory) -> dict[UUID, str]:
 def misses(history: MapHistory) -> Misses:
     """By changeset, of the drives that missed anything."""
     found = {
-        key: [miss_of(delta) for delta in update.deltas if delta.kind is DeltaKind.MISSED]
+        key: [
+            Miss(
+                feature_id=delta.feature_id, changeset_id=key, missed_ns=delta.changed_at_ns,
+                existence_probability=delta.state_after.existence_probability,
+            )
+            for delta in update.deltas
+            if delta.kind is DeltaKind.MISSED
+        ]
         for key, update in history.updates.items()
-    }
+    }  # fmt: skip
     return {key: own for key, own in found.items() if own}
 
 
@@ -187,14 +192,82 @@ def test_drives_in_order_are_compared_once_and_in_reverse_again() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_chains_have_no_gaps_and_one_open_version(seed: int) -> None:
-    """Versions follow each other without gap or overlap, numbered from one, and only the last one is open."""
+def test_chains_have_no_gaps_and_one_open_row(seed: int) -> None:
+    """Rows follow each other without gap or overlap, and only the last one is open; versions are numbered from one."""
     for chain in replay_drives(random_case(seed, 4)).chains.values():
-        assert [version.feature.version for version in chain] == list(range(1, len(chain) + 1))
+        versions = [row.feature.version for row in chain if not row.is_missed]
+        assert versions == list(range(1, len(versions) + 1))
+        for before, row in pairwise(chain):
+            assert not row.is_missed or row.feature.version == before.feature.version
+        starts = {row.feature.version: row.valid_from_ns for row in chain if not row.is_missed}
+        assert all(row.version_from_ns == starts[row.feature.version] for row in chain)
         assert all(a.valid_to_ns == b.valid_from_ns for a, b in pairwise(chain))
         assert all(a.valid_from_ns // 1000 < b.valid_from_ns // 1000 for a, b in pairwise(chain))
         assert chain[-1].valid_to_ns is None
         assert all(version.present for version in chain[:-1])
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_evidence_of_a_row_is_that_of_all_drives_until_then(seed: int) -> None:
+    drives = sorted(random_case(seed, 4), key=lambda drive: drive.key)
+    history = replay_drives(drives)
+    number = {drive.changeset_id: n for n, drive in enumerate(drives)}
+    judged = [(number[key], delta) for key, update in history.updates.items() for delta in update.deltas]
+    for feature_id, chain in history.chains.items():
+        own = sorted((n, delta) for n, delta in judged if delta.feature_id == feature_id)
+        for row in chain:
+            until = [delta for n, delta in own if n <= number[row.changeset_id]]
+            absent = [delta.kind in (DeltaKind.MISSED, DeltaKind.REMOVED) for delta in until]
+            seen = [not delta.kind.ends and not missed for delta, missed in zip(until, absent, strict=True)]
+            assert (row.feature.seen_count, row.feature.missed_count) == (sum(seen), sum(absent))
+            evidence = [delta.evidence for delta in until if delta.evidence is not None]
+            assert row.feature.existence_probability == evidence[-1].existence_probability
+            since = [
+                delta.changed_at_ns
+                for delta in until
+                if delta.kind is DeltaKind.MISSED and delta.state_after.version == row.feature.version
+            ]
+            assert row.feature.first_missed_ns == min(since, default=None)
+
+
+def past_a_cone(day: int, *, seen: bool) -> DriveEvidence:
+    """A drive that observes the cone, or misses it with evidence that is enough together with that of two others."""
+    at_ns = START_NS + day * DAY_NS
+    here = [track(**standing_at(ORIGIN_M), seen_ns=at_ns)] if seen else []
+
+    def check_visibility(*_: object) -> NotObserved:
+        return NotObserved(9, at_ns, -0.9)
+
+    return evidence_of(str(day), at_ns, here, np.array([ORIGIN_M[:2]]), check_visibility=check_visibility)
+
+
+def rows_of(history: MapHistory) -> list[tuple[int, int | None, int, int, int, bool]]:
+    """Of the only feature: days from and until which, version, drives that observed and that missed it, present."""
+    [chain] = history.chains.values()
+    return [
+        (
+            (row.valid_from_ns - START_NS) // DAY_NS,
+            None if row.valid_to_ns is None else (row.valid_to_ns - START_NS) // DAY_NS,
+            row.feature.version, row.feature.seen_count, row.feature.missed_count, row.present,
+        )
+        for row in chain
+    ]  # fmt: skip
+
+
+def test_a_miss_begins_a_row_of_the_same_version_and_a_removal_replaces_the_misses() -> None:
+    drives = [past_a_cone(0, seen=True), *(past_a_cone(day, seen=False) for day in (1, 2, 3))]
+    missed = [(0, 1, 1, 1, 0, True), (1, 2, 1, 1, 1, True)]
+    assert rows_of(replay_drives(drives[:3])) == [*missed, (2, None, 1, 1, 2, True)]
+    back = replay_drives([*drives[:3], past_a_cone(4, seen=True)])
+    assert rows_of(back) == [*missed, (2, 4, 1, 1, 2, True), (4, None, 2, 2, 2, True)]
+    gone = replay_drives(drives)
+    assert rows_of(gone) == [(0, 1, 1, 1, 0, True), (1, None, 2, 1, 3, False)]
+    [chain] = gone.chains.values()
+    removing = gone.updates[drives[3].changeset_id].deltas[0].evidence
+    assert removing is not None
+    assert chain[-1].feature.existence_probability == removing.existence_probability < 0.5
+    assert chain[-1].feature.first_missed_ns is None
 
 
 @settings(max_examples=20, deadline=None)

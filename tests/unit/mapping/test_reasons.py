@@ -30,7 +30,7 @@ SEEN_TEXT = "drive x observed it in 12 frame pairs at 6–30 m"
          "it stays on the map."),
         ("missed", 0.71, {}, "Not observed: drive x passed, the position was visible, no cone was observed; existence 0.710, "
          "it stays on the map."),
-        ("height_changed", 0.9, {**SEEN, "cone_height_m": 0.51, "sigma_m": None},
+        ("height_changed", 0.9, {**SEEN, "object_height_m": 0.51, "sigma_m": None},
          f"Height changed: {SEEN_TEXT}, as a cone 0.51 m high; existence 0.900."),
         ("split", 0.9, {**SEEN, "sigma_m": None, "other_feature_id": OTHER},
          f"Split: {SEEN_TEXT}, as a second cone beside 0123abcd; existence 0.900."),

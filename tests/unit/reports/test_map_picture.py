@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from conetl.exports.kind_marks import STANDING as STANDING_MARK
-from conetl.mapping.map_diff import diff
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LINE_CLASSES, letter_of
-from conetl.model.map_records import DeltaKind
+from conetl.model.map_records import DeltaKind, FeatureChange
 from conetl.reports.figures import NOT_EVALUATED, PlanMark, changes_of, marks_of, save_figure
 from conetl.reports.map_picture import PlanContent, draw_plan
 
@@ -23,6 +22,12 @@ NO_POINTS = (np.empty((0, 2)), np.empty(0, np.uint8))
 
 def cone(samples, name, east_m, north_m, version=1):
     return samples.feature(name, version=version, xyz_m=(458_000.0 + east_m, 5_428_000.0 + north_m, 114.5))
+
+
+def change(kind, old, new, shift_m=None):
+    one = new or old
+    where = {"changed_at": None, "changeset_no": 1, "drive_id": "a"}
+    return FeatureChange(kind=kind, feature_id=one.feature_id, old=old, new=new, shift_m=shift_m, **where)
 
 
 def content(standing, changes=None, lines=(), points=NO_POINTS):
@@ -50,9 +55,14 @@ def draw(path, made, bbox=None):
 
 def test_changes_are_where_they_belong_in_the_colours_of_the_view(samples, tmp_path):
     same = [cone(samples, "a", 0, 0), cone(samples, "e", 5, 12)]
-    before = [*same, cone(samples, "b", 10, 5), cone(samples, "c", 20, 10)]
-    after = [*same, cone(samples, "b", 10, 8, version=2), cone(samples, "d", 30, 0)]
-    made = content(after, diff(before, after), lines=[np.array([[458_000.0, 5_428_014.0], [458_030.0, 5_428_014.0]])])
+    moved, added = cone(samples, "b", 10, 8, version=2), cone(samples, "d", 30, 0)
+    changes = [
+        change("moved", cone(samples, "b", 10, 5), moved, 3.0),
+        change("removed", cone(samples, "c", 20, 10), None),
+        change("added", None, added),
+    ]
+    lane_m = np.array([[458_000.0, 5_428_014.0], [458_030.0, 5_428_014.0]])
+    made = content([*same, moved, added], changes, lines=[lane_m])
     path = draw(tmp_path / "new folder" / "map.png", made)
     places = {name: pixels(path, colour).mean(axis=0) for name, colour in (("d", ADDED), ("a", STANDING))}
     assert places["d"][0] - places["a"][0] > 300  # 30 m east against the middle of a and e
@@ -79,8 +89,8 @@ def test_each_class_has_its_letter_and_its_line_in_the_legend(samples, tmp_path)
         return cone(samples, name, east_m, 0).model_copy(update={"category": category})
 
     before = [one("a", "traffic_cone", 0), one("b", "drum", 10)]
-    after = [*before, one("c", "traffic_sign", 20), one("d", "bollard", 30), one("e", "traffic_sign", 5_000)]
-    made = content(after, diff(before, after))
+    new = [one("c", "traffic_sign", 20), one("d", "bollard", 30), one("e", "traffic_sign", 5_000)]
+    made = content([*before, *new], [change("added", None, feature) for feature in new])
     bbox = (457_990.0, 5_427_990.0, 458_040.0, 5_428_020.0)
     path = draw(tmp_path / "map.png", made, bbox)
     for colour, letters in ((STANDING, [False, True]), (ADDED, [True, True])):

@@ -101,7 +101,7 @@ def test_a_cone_is_located_at_its_position() -> None:
     (position,) = positions
     np.testing.assert_allclose(position.xyz_m, foot, atol=1e-6)
     np.testing.assert_allclose(position.centre_xyz_m, foot + up(0.35), atol=1e-6)
-    assert position.cone_height_m == pytest.approx(0.7, abs=1e-6)
+    assert position.object_height_m == pytest.approx(0.7, abs=1e-6)
     left = rigs.map_SE3_left(PAIR.pose, RIG)
     np.testing.assert_allclose(se3.apply(left, np.array(position.camera_xyz_m)), foot, atol=1e-6)
     assert position.range_m == pytest.approx(math.hypot(*(foot - left[:3, 3])[:2]), abs=1e-6)
@@ -148,7 +148,7 @@ def test_without_a_trajectory_ground_distance_and_height_are_given() -> None:
     assert not rejections
     np.testing.assert_allclose(position.xyz_m, foot, atol=1e-9)
     assert position.ground_distance_m == pytest.approx(math.hypot(1.0, 8.0))
-    assert position.cone_height_m == pytest.approx(0.7)
+    assert position.object_height_m == pytest.approx(0.7)
     assert position.foot_height_m == pytest.approx(-1.6)
     assert position.centre_height_m == pytest.approx(-1.25)
     # Z^2 sigma_disparity / (f B), nearly along the viewing direction.
@@ -196,7 +196,7 @@ def test_heights_of_a_tilted_rig_are_along_the_body_axis() -> None:
     )
     points = project_cone(rig, np.array([9.0, 1.0, -0.9]), up(1.0))
     (position,), _ = locate_in_camera([match_of(points)], rig, PARAMS)
-    assert position.cone_height_m == pytest.approx(0.7)
+    assert position.object_height_m == pytest.approx(0.7)
     assert position.foot_height_m == pytest.approx(-1.6)
     assert position.ground_distance_m == pytest.approx(math.hypot(8.0, 0.8))
 
@@ -219,7 +219,7 @@ def test_a_raw_rig_without_a_body_measures_in_the_frame_of_its_own_left_camera()
     np.testing.assert_allclose(position.xyz_m, foot, atol=1e-6)
     np.testing.assert_allclose(position.centre_xyz_m, foot - np.array([0, 0.35, 0]), atol=1e-6)
     assert position.ground_distance_m == pytest.approx(math.hypot(1.0, 8.0))
-    assert position.cone_height_m == pytest.approx(0.7)
+    assert position.object_height_m == pytest.approx(0.7)
     assert position.foot_height_m == pytest.approx(-1.6)
     along = np.array([1.0, 0.0, 8.0]) / math.hypot(1.0, 8.0)
     sigma = math.sqrt(along @ cov_matrix(position.cov_m2) @ along)

@@ -41,6 +41,7 @@ def stand(number: int, x: float, y: float = -3.0, *, days: tuple[int, int | None
         changeset_id=uuid5(NAMES, f"day {days[0]}"),
         present=True,
         suppressed=False,
+        version_from_ns=days[0] * DAY_NS + number,
         valid_from_ns=days[0] * DAY_NS + number,
         valid_to_ns=None if days[1] is None else days[1] * DAY_NS + number,
     )

@@ -8,19 +8,18 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-from uuid import UUID
 
 import typer
 from pyproj import Transformer
 
 from conetl.cli import console as ui
 from conetl.cli.database import open_map
-from conetl.db.connection import Connection, or_infinity
-from conetl.db.map.map_store import Bbox, list_changesets, read_features_as_of
-from conetl.db.serve_store import read_rows
+from conetl.db.connection import Connection
+from conetl.db.map.map_store import Bbox, list_changesets, read_changes, read_features_as_of
+from conetl.db.map.results import MapInstant
 from conetl.exports.kind_marks import STANDING, kind_label
 from conetl.exports.text_files import export_diff_geojson
-from conetl.mapping import map_diff
+from conetl.model.base import TICK, utc_from_ns
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
@@ -33,8 +32,14 @@ _AXES = ("east", "north", "up", "horizontal", "3D")
 
 
 def diff(
-    before: Annotated[str, typer.Argument(help="Number of a changeset (the state after it), or a time.")],
-    after: Annotated[str, typer.Argument(help="The later state, in the same form.")],
+    before: Annotated[
+        str,
+        typer.Argument(
+            help="Number of a changeset (the road right after its drive), or a time; a date: its beginning."
+        ),
+    ],
+    after: Annotated[str, typer.Argument(help="The later state, in the same form; a date: its end.")],
+    known_at: ui.KnownOption = None,
     output: Annotated[Path | None, typer.Option("--out", help="GeoJSON file to write.")] = None,
     picture: Annotated[
         Path | None, typer.Option("--image", "--picture", help="PNG to write: both states, changes in colour.")
@@ -46,31 +51,31 @@ def diff(
     if output is not None and output.suffix.lower() not in {".geojson", ".json"}:
         raise InputError(f"{output}: --out writes GeoJSON (.geojson, .json); --image writes an image")
     with open_map(map_name) as (conn, info):
-        old, new = state_of(conn, info.map_name, before), state_of(conn, info.map_name, after)
-        changes = map_diff.diff(old, new)
-        points = [change for change in changes if not change.is_line]
-        origins = None if output is None else _origins(conn, points, instants_of(conn, info.map_name, after))
+        begin, end = instants_of(conn, info.map_name, (before, after), known_at)
+        changes = read_changes(conn, begin, end, map_name=info.map_name)
+        new = [] if picture is None else _standing(conn, end, info.map_name)
+    points = [change for change in changes if not change.is_line]
     if output is not None:
-        export_diff_geojson(points, output, srid=info.srid, origins=origins)
+        export_diff_geojson(points, output, srid=info.srid)
     if picture is not None:
         from conetl.reports.figures import save_figure  # matplotlib takes half a second to load
         from conetl.reports.map_picture import draw_plan
 
-        if not old and not new:
+        if not changes and not new:
             raise InputError(f"nothing to draw: the map has no cones at {before} or at {after}")
         title = f"Map {info.map_name}: {_shown(before)} to {_shown(after)}"
-        footer = _footer(None, None, (before, after), info.last_committed_at)
+        footer = _footer(end, (before, after), known_at, info.last_committed_at)
         save_figure(draw_plan(_content(info.srid, new, changes), title=title, footer=footer), picture)
     if as_json:
         ui.print_json(changes)
         return
     lines = [change for change in changes if change.is_line]
-    ui.say(_counts(points) or ("No differences." if not lines else "No cones differ."))
+    known = f"{_shown(before)} to {_shown(after)}, {ui.known_text(known_at)}"
+    ui.say(f"From {known}: {_counts(points) or ('no cones differ' if lines else 'no differences')}.")
     if lines:
-        ui.say(f"Stretches of lane markings: {_counts(lines)}")
-    columns = ui.class_if_mixed(_COLUMNS, {change.state_after.category for change in changes})
+        ui.say(f"Stretches of lane markings: {_counts(lines)}.")
     ordered = sorted(changes, key=lambda change: change.kind is DeltaKind.CONFIRMED)
-    ui.print_records("", columns, ordered, numbers_from=2)
+    ui.print_features("changes", [_row_of(change) for change in ordered], numbers_from=2)
     if output is not None:
         ui.say(f"{len(points)} changes -> {output}")
         if lines:
@@ -79,13 +84,10 @@ def diff(
         ui.say(f"image -> {picture}")
 
 
-def _origins(
-    conn: Connection, changes: Sequence[FeatureChange], until: tuple[datetime | None, datetime | None]
-) -> dict[UUID, dict[str, Any]]:
-    """What made the later state of each feature: rows of `history.origins`. until: time on the road and of the database."""
-    ids, (valid_at, known_at) = [change.feature_id for change in changes], map(or_infinity, until)
-    rows = read_rows(conn, "history.origins", feature_ids=ids, valid_at=valid_at, known_at=known_at)
-    return {row["feature_id"]: row for row in rows}
+def _row_of(change: FeatureChange) -> dict[str, Any]:
+    old, new = (None if state is None else state.version for state in (change.old, change.new))
+    own = {"change": change.kind, "shift_m": change.shift_m, "old_version": old, "new_version": new}
+    return ui.row_of(change.state_after, **own)
 
 
 def _counts(changes: Sequence[FeatureChange]) -> str:
@@ -94,23 +96,8 @@ def _counts(changes: Sequence[FeatureChange]) -> str:
     return ", ".join(f"{count} {kind_label(kind)}" for kind, count in sorted(counts.items()))
 
 
-_COLUMNS: ui.Columns = {
-    "change": lambda change: kind_label(change.kind),
-    "feature": "feature_id",
-    "class": "state_after.category",
-    "easting m": lambda change: change.state_after.xyz_m[0],
-    "northing m": lambda change: change.state_after.xyz_m[1],
-    "height m": lambda change: change.state_after.xyz_m[2],
-    "shift m": "shift_m",
-    "old": lambda change: change.old and change.old.version,
-    "new": lambda change: change.new and change.new.version,
-}
-
-
-def state_of(conn: Connection, map_name: str, name: str) -> list[MapFeature]:
-    """All features after a changeset, as known then, or at a time on the road, as known now."""
-    valid_at, known_at = instants_of(conn, map_name, name)
-    versions = read_features_as_of(conn, valid_at, known_at=known_at, map_name=map_name, lines=True)
+def _standing(conn: Connection, at: MapInstant, map_name: str) -> list[MapFeature]:
+    versions = read_features_as_of(conn, at.valid_at, known_at=at.known_at, map_name=map_name, lines=True)
     return [version.feature for version in versions]
 
 
@@ -123,14 +110,30 @@ def _is_number(state: str) -> bool:
     return state.isdigit() and len(state) < 8
 
 
-def instants_of(conn: Connection, map_name: str, name: str) -> tuple[datetime | None, datetime | None]:
-    """Time on the road and time of the database for a changeset number or a time; None: the latest."""
-    if _is_number(name):
-        changesets = [c for c in list_changesets(conn, map_name=map_name) if c.changeset_no == int(name)]
-        if not changesets:
-            raise InputError(f"the map {map_name} has no changeset {name}: see `conetl map log`")
-        return None, changesets[0].committed_at
-    return ui.parse_instant(name), None
+def instants_of(
+    conn: Connection, map_name: str, states: tuple[str, str], known_at: str | None
+) -> tuple[MapInstant, MapInstant]:
+    """Two states of a map, from the earlier to the later one. Raises InputError for unknown ones, and in reversed order.
+
+    states: numbers of changesets (the road right after the drive), or times (a date at the begin or end belongs to the span).
+    known_at: None: now; `then`: each as known right after its changeset, or at its time; or a time.
+    """
+    changesets = {c.changeset_no: c for c in list_changesets(conn, map_name=map_name)}
+    if unknown := [one for one in states if _is_number(one) and int(one) not in changesets]:
+        raise InputError(f"the map {map_name} has no changeset {unknown[0]}: see `conetl map log`")
+    chosen = [changesets[int(one)] if _is_number(one) else None for one in states]
+    first, last = (None if changeset else state for changeset, state in zip(chosen, states, strict=True))
+    times = ui.parse_span(first, last, ("the earlier state", "the later state"))
+    found = []
+    for changeset, time in zip(chosen, times, strict=True):
+        valid_at = time if changeset is None else utc_from_ns(changeset.captured_to_ns) + TICK
+        known = time if changeset is None else changeset.effective_at
+        found.append(MapInstant(valid_at, known if known_at == ui.THEN else ui.parse_instant(known_at)))
+    begin, end = found
+    for earlier, later in ((begin.valid_at, end.valid_at), (begin.known_at, end.known_at)):
+        if earlier is not None and later is not None and earlier > later:
+            raise InputError(f"{_shown(states[0])} is later than {_shown(states[1])}: exchange them")
+    return begin, end
 
 
 def check_points(
@@ -152,6 +155,7 @@ def check_points(
         float, typer.Option(min=0.01, help="Match a cone to a point if it is at most this far away, in metres.")
     ] = 0.75,
     as_of: Annotated[str | None, typer.Option(help="State of the road at this time.")] = None,
+    known_at: ui.KnownOption = None,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
@@ -163,7 +167,9 @@ def check_points(
     from conetl.readers.surveyed_points import read_surveyed_points
 
     with open_map(map_name) as (conn, info):
-        versions = list(read_features_as_of(conn, ui.parse_instant(as_of), map_name=info.map_name))
+        valid_at = ui.parse_instant(as_of)
+        known = ui.parse_known(known_at, valid_at)
+        versions = list(read_features_as_of(conn, valid_at, known_at=known, map_name=info.map_name))
     points = read_surveyed_points(file, info.srid, crs=crs, heights=heights, sigma_m=sigma_m)
     checked = check_map(points, [version.feature for version in versions], within_m=within_m)
     if as_json:
@@ -225,10 +231,10 @@ def picture(
         str | None,
         typer.Option("--as-of", "--at", help="State of the road at this time, e.g. 2026-03-02; default: latest."),
     ] = None,
-    known_at: Annotated[str | None, typer.Option(help="Database state at this time; default: now.")] = None,
+    known_at: ui.KnownOption = None,
     changes: Annotated[
         tuple[str, str] | None,
-        typer.Option(metavar="A B", help="Show the changes between two changeset numbers or two times."),
+        typer.Option(metavar="A B", help="Show the changes between two changeset numbers or two times, as `map diff`."),
     ] = None,
     bbox: Annotated[
         str | None,
@@ -245,26 +251,27 @@ def picture(
 
     if output.suffix.lower() not in SUFFIXES:
         raise InputError(f"{output}: the file name must end in one of {', '.join(SUFFIXES)}")
-    if changes is not None and (at is not None or known_at is not None):
-        raise InputError("--changes already gives both states: omit --as-of and --known-at")
-    valid_at, known = ui.parse_instant(at), ui.parse_instant(known_at)
+    if changes is not None and at is not None:
+        raise InputError("--changes already gives both states: omit --as-of")
     size_mm = ui.parse_size("--size", size, "millimetres", 60, 1200, "240x160")
     with open_map(map_name) as (conn, info):
         name = info.map_name
-        if changes is not None:
-            valid_at, known = instants_of(conn, name, changes[1])
-        versions = read_features_as_of(conn, valid_at, known_at=known, map_name=name, lines=True)
-        standing = [version.feature for version in versions]
-        differing = None if changes is None else map_diff.diff(state_of(conn, name, changes[0]), standing)
+        if changes is None:
+            valid_at = ui.parse_instant(at)
+            state, differing = MapInstant(valid_at, ui.parse_known(known_at, valid_at)), None
+        else:
+            begin, state = instants_of(conn, name, changes, known_at)
+            differing = read_changes(conn, begin, state, map_name=name)
+        standing = _standing(conn, state, name)
         content = _content(info.srid, standing, differing)
         extent = content.extent() if bbox is None else _bbox(bbox, info.srid)
-        content = with_surroundings(conn, name, content, extent, valid_at, known)
+        content = with_surroundings(conn, name, content, extent, state.valid_at, state.known_at)
     classes = Counter(feature.category for feature in standing)
     if title is None:
         drawn = [*standing, *(change.old for change in differing or () if change.old is not None)]
         title = f"Traffic cones, map {name}" if {one.category for one in drawn} <= {CONE} else f"Map {name}"
         title += f": changes from {_shown(changes[0])} to {_shown(changes[1])}" if changes else ""
-    footer = _footer(valid_at, known, changes, info.last_committed_at)
+    footer = _footer(state, changes, known_at, info.last_committed_at)
     done = save_figure(draw_plan(content, bbox=extent, size_mm=size_mm, title=title, footer=footer), output)
     lines, points = len(content.boundaries_m), len(content.points_m)
     facts = {
@@ -293,17 +300,18 @@ def _content(srid: int, standing: Sequence[MapFeature], changes: Sequence[Featur
     return PlanContent(srid, marks_of(*shown), changes_of(*shown), others=others)
 
 
-def _footer(
-    valid_at: datetime | None, known: datetime | None, changes: tuple[str, str] | None, last: datetime | None
-) -> str:
+def _footer(state: MapInstant, changes: tuple[str, str] | None, known_at: str | None, last: datetime | None) -> str:
     """Which state of the map is drawn."""
     if changes:
         parts = [f"{_shown(changes[0])} compared with {_shown(changes[1])}"]
     else:
-        parts = [f"on the road at {valid_at:%Y-%m-%d %H:%M} UTC" if valid_at else "latest state"]
-    if known:
-        parts.append(f"database state at {known:%Y-%m-%d %H:%M} UTC")
-    elif last:
+        parts = [f"on the road at {state.valid_at:%Y-%m-%d %H:%M} UTC" if state.valid_at else "latest state"]
+    parts.append(
+        f"as known at {state.known_at:%Y-%m-%d %H:%M} UTC"
+        if state.known_at and known_at != ui.THEN
+        else ui.known_text(known_at)
+    )
+    if last and known_at is None:
         parts.append(f"last change of the database {last:%Y-%m-%d %H:%M} UTC")
     return " · ".join([*parts, "grid north · conetl"])
 

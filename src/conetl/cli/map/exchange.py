@@ -10,7 +10,18 @@ from typing import Annotated
 import typer
 from pydantic import ValidationError
 
-from conetl.cli.console import JsonOption, MapOption, answer, counted, counted_by_class, note, parse_instant, parse_time
+from conetl.cli.console import (
+    JsonOption,
+    KnownOption,
+    MapOption,
+    answer,
+    counted,
+    counted_by_class,
+    note,
+    parse_instant,
+    parse_known,
+    parse_span,
+)
 from conetl.cli.database import open_map
 from conetl.cli.map import work_zones
 from conetl.db.map.import_store import read_licence, set_licence
@@ -45,11 +56,13 @@ def export(
     as_of: Annotated[
         str | None, typer.Option(help="State of the road at this time, e.g. 2026-03-02T10:00+01:00; default: latest.")
     ] = None,
-    believed_at: Annotated[
-        str | None, typer.Option("--known-at", "--believed-at", help="Database state at this time; default: now.")
-    ] = None,
+    known_at: KnownOption = None,
     since: Annotated[
-        str | None, typer.Option("--from", help="Only changes at or after this time; default: since the first drive.")
+        str | None,
+        typer.Option(
+            "--from",
+            help="Only changes from this time on (a date includes that day); default: since the first drive.",
+        ),
     ] = None,
     until: Annotated[
         str | None, typer.Option("--to", help="Only changes up to this time (a date includes that day); default: now.")
@@ -78,7 +91,7 @@ def export(
     file_format = _format_by_name(output) if file_format is None else file_format
     category = None if category == "all" else category
     if file_format in (WZDX, WZDX_DEVICES):
-        if what is not ExportContent.FEATURES or believed_at or since or until or crs or category:
+        if what is not ExportContent.FEATURES or known_at or since or until or crs or category:
             raise InputError(
                 f"--what, --known-at, --from, --to, --crs and --category cannot be used with --format {file_format}"
             )
@@ -97,9 +110,10 @@ def export(
         )
     if file_format not in FORMATS:
         raise InputError(f"unknown format {file_format}: use one of {', '.join(ALL_FORMATS)}")
+    valid_at, (begin, end) = parse_instant(as_of), parse_span(since, until, ("--from", "--to"))
     request = ExportRequest(
-        read_settings(map_name).map_name, what, as_of=parse_instant(as_of), believed_at=parse_instant(believed_at),
-        since=parse_time(since), until=parse_instant(until), crs=None if crs is None else map_crs(crs), category=category,
+        read_settings(map_name).map_name, what, as_of=valid_at, known_at=parse_known(known_at, end or valid_at),
+        since=begin, until=end, crs=None if crs is None else map_crs(crs), category=category,
     )  # fmt: skip
     with open_map(map_name) as (conn, _):
         manifest = export_map(conn, output, file_format, request)
@@ -135,7 +149,9 @@ def import_(
         str | None, typer.Option(help="Time of the survey; default: the latest last_seen_at.")
     ] = None,
     sigma_m: Annotated[float, typer.Option(help="Sigma of each coordinate if the file has none.")] = 0.5,
-    cone_height_m: Annotated[float, typer.Option(help="Cone height if the file has none.")] = 0.5,
+    object_height_m: Annotated[
+        float, typer.Option("--object-height-m", "--cone-height-m", help="Height of the objects if the file has none.")
+    ] = 0.5,
     existence: Annotated[float, typer.Option(help="Existence probability if the file has none.")] = 0.9,
     ground_height_m: Annotated[
         float | None, typer.Option(help="Ellipsoidal height of the ground if the file has none.")
@@ -157,7 +173,7 @@ def import_(
     settings = read_settings(map_name)
     try:
         params = ImportParams(
-            sigma_m=sigma_m, cone_height_m=cone_height_m, existence_probability=existence, ground_height_m=ground_height_m,
+            sigma_m=sigma_m, cone_height_m=object_height_m, existence_probability=existence, ground_height_m=ground_height_m,
             new_ids=new_ids,
         )  # fmt: skip
     except ValidationError as error:
@@ -169,7 +185,9 @@ def import_(
                 f"--map-srid {map_srid}: the map {settings.map_name} already exists and is in EPSG:{info.srid}; omit the option"
             )
         srid = info.srid if info else map_srid
-        imported = read_map_file(file, params, crs=crs, map_srid=srid, stated_at=parse_time(surveyed_at), layer=layer)
+        imported = read_map_file(
+            file, params, crs=crs, map_srid=srid, stated_at=parse_instant(surveyed_at), layer=layer
+        )
         total = len(imported.statements)
         noun = "cone" if all(one.feature.category == CONE for one in imported.statements) else "object"
         done = import_map(conn, imported, params, map_name=settings.map_name, accept=accept)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from itertools import pairwise
-from math import dist, sqrt
+from datetime import datetime
+from math import dist
 from operator import attrgetter
 from typing import Annotated, Any
 
@@ -17,43 +17,11 @@ from conetl.db.map.decision_store import hold_events, read_decisions
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
 from conetl.exports.kind_marks import kind_label
-from conetl.geometry.packing import horizontal_sigma_m
-from conetl.mapping.reasons import probability_text
-from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import noun_of, require_classes
 from conetl.model.health import HoldEvent
 from conetl.model.map_records import Classification
-from conetl.model.markings import Marking
 from conetl.pipeline.settings import read_settings
-
-_FEATURES: ui.Columns = {
-    "feature": lambda v: v.feature.feature_id,
-    "class": lambda v: v.feature.category,
-    "version": lambda v: v.feature.version,
-    "easting m": lambda v: v.feature.xyz_m[0],
-    "northing m": lambda v: v.feature.xyz_m[1],
-    "height m": lambda v: v.feature.xyz_m[2],
-    "object m": lambda v: f"{v.feature.cone_height_m:.2f}",
-    "sigma horiz. m": lambda v: horizontal_sigma_m(v.feature.cov_m2),
-    "sigma height m": lambda v: sqrt(v.feature.cov_m2[5]),
-    "probability": lambda v: probability_text(v.feature.existence_probability),
-    "observations": lambda v: v.feature.observation_count,
-    "drives": "seen_count",
-    "not observed": lambda v: v.missed_count or "",
-    "first seen (UTC)": lambda v: f"{utc_from_ns(v.feature.first_seen_ns):%Y-%m-%d %H:%M}",
-}
-_LINES: ui.Columns = {
-    **{heading: read for heading, read in _FEATURES.items() if heading not in ("class", "object m", "not observed")},
-    "length m": lambda v: f"{_length_m(v.feature.marking):.1f}",
-    "width m": lambda v: f"{v.feature.marking.width_m:.2f}",
-    "paint": lambda v: f"{v.feature.marking.colour}, {v.feature.marking.pattern}",
-    "not observed": _FEATURES["not observed"],
-}
-
-
-def _length_m(marking: Marking) -> float:
-    return float(sum(dist(a[:2], b[:2]) for a, b in pairwise(marking.vertices_m)))
 
 
 def show(
@@ -61,6 +29,7 @@ def show(
         str | None,
         typer.Option(help="State of the road at this time, e.g. 2026-03-02 or 2026-03-02T10:00+01:00."),
     ] = None,
+    known_at: ui.KnownOption = None,
     provisional: Annotated[
         bool, typer.Option("--provisional", help="Show the provisional cones of drives being recorded instead.")
     ] = False,
@@ -72,37 +41,39 @@ def show(
 ) -> None:
     """List the cones and other objects on the map."""
     if provisional:
-        if as_of:
-            raise InputError("--provisional and --as-of cannot be used together: provisional cones have no history")
+        if as_of or known_at:
+            raise InputError("--provisional has no history: omit --as-of and --known-at")
         from conetl.cli.watch import show_provisional
 
         show_provisional(read_settings(map_name), as_json=as_json)
         return
     with open_map(map_name) as (conn, info):
         summary = map_summary(conn, info.map_name)
-        versions = list(read_features_as_of(conn, ui.parse_instant(as_of), map_name=info.map_name, lines=True))
+        valid_at = ui.parse_instant(as_of)
+        known = ui.parse_known(known_at, valid_at)
+        versions = list(read_features_as_of(conn, valid_at, known_at=known, map_name=info.map_name, lines=True))
     if category:
         require_classes(category, {*(version.feature.category for version in versions), "all"})
         versions = [version for version in versions if "all" in category or version.feature.category in category]
     if as_json:
-        features = [
-            v.feature.model_dump(mode="json") | {"seen_count": v.seen_count, "missed_count": v.missed_count}
-            for v in versions
-        ]
-        ui.print_json({"map": summary, "features": features})
+        ui.print_json({"map": summary, "features": [v.feature.model_dump(mode="json") for v in versions]})
     elif summary is not None:
         when = f" as of {as_of}" if as_of else ""
+        when += f", {ui.known_text(known_at)}" if as_of or known_at else ""
         changesets = ui.counted(summary["changeset_count"], "changeset")
         classes = Counter(version.feature.category for version in versions)
         ui.say(f"Map {info.map_name}, EPSG:{info.srid}: {ui.counted_by_class(classes)}{when}, {changesets}.")
-        points, lines = ([v for v in versions if (v.feature.marking is not None) is one] for one in (False, True))
-        ui.print_records("", ui.class_if_mixed(_FEATURES, {v.feature.category for v in points}), points)
-        ui.print_records("", _LINES, lines)
+        for table, is_line in (("features", False), ("lane markings", True)):
+            shown = [v.feature for v in versions if (v.feature.marking is not None) is is_line]
+            ui.print_features(table, [ui.row_of(feature) for feature in shown])
 
 
 def log(
     feature: Annotated[
         str | None, typer.Argument(help="Id of a feature, or its first characters; default: the changesets of the map.")
+    ] = None,
+    known_at: Annotated[
+        str | None, typer.Option(help="As known at this time; default: now, with what was superseded.")
     ] = None,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
@@ -110,18 +81,19 @@ def log(
     """Show the history of the map, or of one feature."""
     from conetl.reports.drive_passes import reasons_of  # OpenCV takes a while to load
 
+    known = ui.parse_instant(known_at)
     with open_map(map_name) as (conn, info):
         name = info.map_name
         if feature is None:
-            changesets = list_changesets(conn, map_name=name)
-            events = hold_events(conn, map_name=name)
+            changesets = [c for c in list_changesets(conn, map_name=name) if known is None or c.committed_at <= known]
+            events = [e for e in hold_events(conn, map_name=name) if known is None or e.at <= known]
         else:
             found = find_features(conn, feature, map_name=name)
             if not found:
                 raise InputError(f"the map {name} has no feature {feature}: see `conetl map show`")
             if len(found) > 1:
                 raise InputError(f"{feature!r} matches several features: give more characters of the id")
-            entries = feature_log(conn, found[0])
+            entries = [entry for entry in feature_log(conn, found[0]) if _is_known(entry, known)]
             classified = read_decisions(conn, map_name=name).classified
             reasons = reasons_of(conn, name, found[0], entries)
     if as_json and feature is None:
@@ -140,16 +112,19 @@ def log(
         }
         ui.print_records("", columns, rows[::-1], numbers_from=3)
     else:
-        ui.print_records(
-            "", ui.class_if_mixed(_HISTORY, {entry["category"] for entry in entries}), entries, numbers_from=3
-        )
+        others = {"log_odds": _log_odds, "frame_pairs": _frames, "with": _with, "superseded_(UTC)": "known_to"}
+        ui.print_features("history", [entry | {"change": entry["kind"]} for entry in entries], numbers_from=3, **others)
         for entry, reason in zip(entries, reasons, strict=True):
-            if entry["believed_until"] is None:
+            if entry["known_to"] is None:
                 ui.say(reason)
         for one in classified:
-            if any(entry["believed_until"] is None and _is_about(one, entry) for entry in entries):
+            if any(entry["known_to"] is None and _is_about(one, entry) for entry in entries):
                 classes = f"{noun_of(one.category)} instead of {noun_of(one.found_as)}"
                 ui.say(f"Class corrected by a decision: {classes} (see `conetl map decisions`).")
+
+
+def _is_known(entry: Mapping[str, Any], at: datetime | None) -> bool:
+    return at is None or (entry["known_from"] <= at and (entry["known_to"] is None or at < entry["known_to"]))
 
 
 def _is_about(decision: Classification, entry: Mapping[str, Any]) -> bool:
@@ -201,19 +176,12 @@ _LOG: ui.Columns = {
     **{heading: _of_changeset(read) for heading, read in _COUNTS.items()},
     "": lambda row: row.sentence if isinstance(row, HoldEvent) else _state_of(row),
 }
-_HISTORY: ui.Columns = {
-    "change": lambda e: kind_label(e["kind"]),
-    "class": "category",
-    "drive": "drive_id",
-    "on the road since (UTC)": "changed_at",
-    "log odds": lambda e: None if e["log_likelihood_ratio"] is None else f"{e['log_likelihood_ratio']:+.1f}",
-    "frame pairs": _frames,
-    "easting m": "easting_m",
-    "northing m": "northing_m",
-    "height m": "height_m",
-    "probability": lambda e: probability_text(e["existence_probability"]),
-    "observations": "observation_count",
-    "shift m": "shift_m",
-    "with": lambda e: "suppressed" if e["suppressed"] else ui.cell(e["other_feature_id"]),
-    "superseded (UTC)": "believed_until",
-}
+
+
+def _log_odds(entry: Mapping[str, Any]) -> str | None:
+    ratio = entry["log_likelihood_ratio"]
+    return None if ratio is None else f"{ratio:+.1f}"
+
+
+def _with(entry: Mapping[str, Any]) -> str:
+    return "suppressed" if entry["suppressed"] else ui.cell(entry["other_feature_id"])

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 USED_SCORE = DetectionParams().score_threshold
 _SUFFIXES = {".jpg", ".jpeg", ".png"}
 _FIELDS = (
-    "ground_distance_m", "cone_height_m", "ground_distance_sigma_m", "xyz_m", "centre_xyz_m", "centre_height_m",
+    "ground_distance_m", "object_height_m", "ground_distance_sigma_m", "xyz_m", "centre_xyz_m", "centre_height_m",
     "residual_rms_px", "score",
 )  # fmt: skip
 _COLUMNS: ui.Columns = {
@@ -37,7 +37,7 @@ _COLUMNS: ui.Columns = {
     "category": lambda item: item[1].category,
     "ground distance m": lambda item: item[1].ground_distance_m,
     "sigma m": lambda item: item[1].ground_distance_sigma_m,
-    "height m": lambda item: item[1].cone_height_m,
+    "height m": lambda item: item[1].object_height_m,
     "right m": lambda item: item[1].xyz_m[0],
     "down m": lambda item: item[1].xyz_m[1],
     "ahead m": lambda item: item[1].xyz_m[2],
@@ -177,7 +177,7 @@ def locate(
         raise InputError(str(error)) from error
     if as_json:
         misfits = [
-            {"category": c.category, "ground_distance_m": c.ground_distance_m, "height_m": c.cone_height_m}
+            {"category": c.category, "ground_distance_m": c.ground_distance_m, "object_height_m": c.object_height_m}
             for c in found.misfits
         ]
         ui.print_json(
@@ -200,11 +200,11 @@ def locate(
             ui.say("Possible causes: swapped images, images already rectified, or the calibration of another rig.")
     ui.print_records("", _COLUMNS, enumerate(located, 1))
     for misfit in found.misfits:
-        size = f"{misfit.cone_height_m:.2f} m high at {misfit.ground_distance_m:.1f} m"
+        size = f"{misfit.object_height_m:.2f} m high at {misfit.ground_distance_m:.1f} m"
         ui.say(f"not used: {misfit.category.replace('_', ' ')} {size}: implausible height")
     for rejection in found.rejections:
         ui.say(f"not used: {rejection.record.partition(' of ')[0].rstrip(' 0123456789')}: {rejection.detail}")
 
 
 def _row(one: CameraPosition) -> dict[str, Any]:
-    return {name.removeprefix("cone_"): getattr(one, name) for name in _FIELDS}
+    return {name: getattr(one, name) for name in _FIELDS}

@@ -15,10 +15,10 @@ import numpy as np
 from conetl.db import connection as db
 from conetl.db.connection import Connection
 from conetl.db.copy_rows import clean_text
-from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, MapInfo
+from conetl.db.map.results import CommittedChangeset, FeatureAtInstant, MapInfo, MapInstant
 from conetl.db.map.rows import feature_of, version_of
 from conetl.model.errors import InputError, MapMismatchError
-from conetl.model.map_records import DeltaKind, FeatureVersion, MapFeature
+from conetl.model.map_records import DeltaKind, FeatureChange, FeatureVersion, MapFeature
 from conetl.model.work_zone_records import DrivePath
 
 _log = logging.getLogger(__name__)
@@ -110,9 +110,25 @@ def read_features_as_of(
         "lines": lines,
         "valid_at": db.or_infinity(valid_at), "known_at": db.or_infinity(known_at),
     }  # fmt: skip
-    own = ("valid_from", "valid_to", "changeset_id", "seen_count", "missed_count")
+    own = ("valid_from", "valid_to", "changeset_id")
     for row in db.stream(conn, f"The features of map {map_name} cannot be read", "map.features_as_of", **parameters):
         yield FeatureAtInstant(feature_of(row), **{name: row[name] for name in own})
+
+
+def read_changes(
+    conn: Connection, begin: MapInstant, end: MapInstant, *, map_name: str = "default"
+) -> list[FeatureChange]:
+    """Features that differ between two states of a map, by feature id; [] without a map."""
+    parameters = {
+        "map_name": map_name, "from_at": db.or_infinity(begin.valid_at), "known_from": db.or_infinity(begin.known_at),
+        "to_at": db.or_infinity(end.valid_at), "known_at": db.or_infinity(end.known_at),
+    }  # fmt: skip
+    found: dict[UUID, dict[str, Any]] = {}
+    for row in db.stream(conn, f"The changes of map {map_name} cannot be read", "map.changes", **parameters):
+        own = ("feature_id", "kind", "changed_at", "shift_m", "changeset_no", "drive_id")
+        change = found.setdefault(row["feature_id"], {name: row[name] for name in own})
+        change["old" if row["is_old"] else "new"] = feature_of(row)
+    return [FeatureChange(**change) for change in found.values()]
 
 
 def find_changeset(conn: Connection, idempotency_key: str, *, map_name: str = "default") -> CommittedChangeset | None:
@@ -186,10 +202,17 @@ def system_time(conn: Connection, info: MapInfo) -> datetime:
 
 
 def read_versions(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[FeatureVersion]:
-    """Every current version that began until then (None: all), by feature; [] if the map does not exist."""
+    """Every current version that began until then (None: all), by feature, with the evidence of then; [] if the map does not
+    exist."""
     parameters = {"map_name": map_name, "feature_id": None, "valid_until": db.or_infinity(until)}
     rows = db.stream(conn, f"The history of map {map_name} cannot be read", "map.current_versions", **parameters)
-    return [version_of(row) for row in rows]
+    found: list[FeatureVersion] = []
+    for row in map(version_of, rows):
+        if row.is_missed:  # the same version, with other evidence
+            found[-1] = found[-1].model_copy(update={"feature": row.feature, "valid_to_ns": row.valid_to_ns})
+        else:
+            found.append(row)
+    return found
 
 
 def read_paths(conn: Connection, *, map_name: str, until: datetime | None = None) -> list[DrivePath]:

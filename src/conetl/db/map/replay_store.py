@@ -26,7 +26,7 @@ from conetl.db.map.results import CommittedChangeset, DriveRef, MapInfo, Replay,
 from conetl.db.map.rows import Row, version_of
 from conetl.model.drive import Drive
 from conetl.model.errors import MapMismatchError
-from conetl.model.map_records import DriveOrder, FeatureVersion, Location, MissSummary
+from conetl.model.map_records import DriveOrder, FeatureVersion, Location, Miss
 
 #: A town is a few regions, a drive of 100 km about a hundred.
 REGION_M = 2048.0
@@ -37,11 +37,20 @@ MAX_REGIONS = 200
 _UNREAD = "The neighbourhood of the drives cannot be read"
 
 
-def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, tuple[FeatureVersion, int]]:
-    """Open versions, with their row ids, of the features (suppressed ones included) around a drive's path, by feature id."""
+def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, dict[FeatureVersion, int]]:
+    """The standing versions of the features (suppressed ones included) around a drive's path, by feature id: their rows, the
+    open one last, with the row ids."""
     what = "The features around the drive cannot be read"
-    rows = db.stream(conn, what, "replay.standing_around", drive_uuid=drive_uuid)
-    return {row["feature_id"]: (version_of(row), row["version_row_id"]) for row in rows}
+    found: dict[UUID, dict[FeatureVersion, int]] = {}
+    missed: list[UUID] = []
+    for row in db.stream(conn, what, "replay.standing_around", drive_uuid=drive_uuid):
+        if row["first_missed_ns"] is None:
+            found[row["feature_id"]] = {version_of(row): row["version_row_id"]}
+        else:
+            missed.append(row["feature_id"])
+    for row in db.read(conn, what, "replay.rows_of_missed", feature_ids=missed) if missed else ():
+        found.setdefault(row["feature_id"], {})[version_of(row)] = row["version_row_id"]
+    return found
 
 
 def affected_drives(conn: Connection, drive_uuids: Sequence[UUID]) -> list[DriveRef]:
@@ -82,31 +91,25 @@ def drives_at(conn: Connection, map_name: str, location: Location) -> list[UUID]
 def read_versions(
     conn: Connection, drive_uuids: Sequence[UUID], *, without: Collection[UUID] = ()
 ) -> tuple[dict[FeatureVersion, int], list[tuple[DriveOrder, FeatureVersion]]]:
-    """All current versions of features that ever stood around the drives, with row ids; with drive keys if not in `without`."""
+    """All current rows of features that ever stood around the drives, with row ids; and those of versions by drives that are not
+    in `without`, with drive keys."""
     rows = db.stream(conn, _UNREAD, "replay.versions_around", drive_uuids=list(drive_uuids))
     stored: dict[FeatureVersion, int] = {}
     others: list[tuple[DriveOrder, FeatureVersion]] = []
     for row in rows:
         version = version_of(row)
         stored[version] = row["version_row_id"]
-        if row["drive_uuid"] not in without:
+        if row["drive_uuid"] not in without and not version.is_missed:  # misses: read_misses
             others.append((_key(row), version))
     return stored, others
 
 
-def read_doubts_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, MissSummary]:
-    """State after all misses of the features around a drive's path, by feature id."""
-    what = "The doubts about the features around the drive cannot be read"
-    rows = db.stream(conn, what, "replay.doubts_around", drive_uuid=drive_uuid)
-    return {row["feature_id"]: map_rows.record_of(MissSummary, row) for row in rows}
-
-
 def read_misses(
     conn: Connection, drive_uuids: Sequence[UUID], *, without: Collection[UUID]
-) -> list[tuple[DriveOrder, MissSummary]]:
-    """Every single current miss of features that ever stood around the drives, by drives that are not in `without`."""
+) -> list[tuple[DriveOrder, Miss]]:
+    """Every current miss of features that ever stood around the drives, by drives that are not in `without`."""
     rows = db.stream(conn, _UNREAD, "replay.misses_around", drive_uuids=list(drive_uuids))
-    return [(_key(row), map_rows.record_of(MissSummary, row)) for row in rows if row["drive_uuid"] not in without]
+    return [(_key(row), map_rows.record_of(Miss, row)) for row in rows if row["drive_uuid"] not in without]
 
 
 def _key(row: Row) -> DriveOrder:

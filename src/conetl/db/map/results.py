@@ -91,6 +91,14 @@ class CommittedChangeset(ChangesetFacts):
 
 
 @dataclass(frozen=True)
+class MapInstant:
+    """A state of a map: what was on the road at `valid_at`, as known at `known_at`; None: latest."""
+
+    valid_at: datetime | None = None
+    known_at: datetime | None = None
+
+
+@dataclass(frozen=True)
 class FeatureAtInstant:
     """A feature as it stood at an instant, with the valid period of that version."""
 
@@ -99,10 +107,6 @@ class FeatureAtInstant:
     valid_to: datetime | None
     """None while open."""
     changeset_id: UUID
-    seen_count: int
-    """Drives that observed it, until that instant."""
-    missed_count: int
-    """Drives to which it was visible and that did not observe it."""
 
 
 @dataclass(frozen=True)

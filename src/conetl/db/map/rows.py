@@ -15,6 +15,7 @@ from conetl.db import copy_rows as copy
 from conetl.db.copy_rows import Columns
 from conetl.geometry.packing import stack_rows
 from conetl.model.base import Cov3, Record, SharedErrorJacobian
+from conetl.model.columns import stored_names
 from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.map_records import Delta, FeatureVersion, MapFeature
 from conetl.model.markings import Marking, MarkingTrack
@@ -28,8 +29,8 @@ _HEAD_OF_ONE, _HEAD_OF_THREE, _LENGTH_AT = 20, 36, 12
 _REALS = np.dtype([("length", ">i4"), ("value", ">f4")])
 #: Bytes before the vertices in `ST_AsBinary`.
 _WKB_HEAD = 9
-#: Columns of a lane marking that are named as the attributes.
-_PAINT = ("width_m", "width_sigma_m", "colour", "pattern", "dash_m", "gap_m")
+#: Columns of lane markings alone.
+_PAINT = stored_names("lines")
 #: Columns of a delta's row in the order of `replay.current_deltas`. new_version: the old one if a confirmation changed nothing.
 _CHANGE = (
     "feature_id", "kind", "old_version", "new_version", "track_index", "changed_at_ns", "shift_m", "other_feature_id",
@@ -139,8 +140,7 @@ def version_columns(srid: int, versions: Sequence[FeatureVersion]) -> Columns:
     return {
         **cone_columns(srid, [v.feature for v in versions]),
         **marking_columns(srid, [v.feature.marking for v in versions]),
-        "feature_id": [v.feature.feature_id for v in versions],
-        "version": [v.feature.version for v in versions],
+        **_attributes([v.feature for v in versions], "feature_id version seen_count missed_count first_missed_ns"),
         "present": [v.present and not v.suppressed for v in versions],
         **_attributes(versions, "changeset_id suppressed valid_from_ns"),
         "valid_from": copy.timestamps_from_ns([v.valid_from_ns for v in versions]),
@@ -179,7 +179,7 @@ def rejection_columns(changeset_id: UUID, rejections: Sequence[Rejection]) -> Co
 
 def cone_columns(srid: int, cones: Sequence[Track] | Sequence[MapFeature]) -> Columns:
     """Columns that tracks, feature versions and statements of imported maps share."""
-    names = "cone_height_sigma_m existence_probability observation_count first_seen_ns last_seen_ns"
+    names = "object_height_sigma_m existence_probability observation_count first_seen_ns last_seen_ns"
     return {
         **_location_columns(srid, cones),
         **_attributes(cones, names),
@@ -200,7 +200,7 @@ def _to_columns(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Columns:
 def _location_columns(srid: int, records: Sequence[Position] | Sequence[Track] | Sequence[MapFeature]) -> Columns:
     """Columns of class, foot, centre and height."""
     return {
-        **_attributes(records, "category cone_height_m"),
+        **_attributes(records, "category object_height_m"),
         "geom": copy.points([one.xyz_m for one in records], srid),
         **_covariance("cov", [one.cov_m2 for one in records]),
         "centre_geom": copy.points([one.centre_xyz_m for one in records], srid),

@@ -153,7 +153,7 @@ def _own_rows(conn: Connection, info: MapInfo, statements: Sequence[ImportedFeat
         return (
             (same_evidence or statement.stated_version == version.version)
             and feature.category == version.category
-            and abs(feature.cone_height_m - version.cone_height_m) < _SAME_PLACE_M
+            and abs(feature.object_height_m - version.object_height_m) < _SAME_PLACE_M
             and bool(np.abs(np.subtract(feature.xyz_m, version.xyz_m)).max() < _SAME_PLACE_M)
         )
 

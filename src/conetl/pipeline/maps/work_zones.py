@@ -62,7 +62,13 @@ def export_wzdx(
     last_ns = max((cone.last_seen_ns for cone in found.standing), default=None)
     surveyed_at = None if last_ns is None else utc_from_ns(last_ns)
     context = FeedContext(
-        info, map_name, found.srid, at=as_of or now, made_at=now, params=params, surveyed_at=surveyed_at
+        info,
+        require_map(conn, map_name).id_name,
+        found.srid,
+        at=as_of or now,
+        made_at=now,
+        params=params,
+        surveyed_at=surveyed_at,
     )
     if devices:
         return export_device_feed(found.standing, found.zones, output, context)

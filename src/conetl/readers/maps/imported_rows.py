@@ -76,8 +76,8 @@ class _Row(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     category: Annotated[str, BeforeValidator(str), AfterValidator(_checked_category)] = CONE
-    height_m: float = Field(gt=0, le=10)
-    height_sigma_m: Sigma
+    object_height_m: float = Field(gt=0, le=10)
+    object_height_sigma_m: Sigma
     existence_probability: float = Field(ge=0, le=1)
     observation_count: int = Field(default=1, ge=1, lt=2**31)
     sigma_e_m: Sigma
@@ -161,7 +161,7 @@ class _Rows:
         self.table = table
         self.new_ids = params.new_ids or "feature_id" not in table.columns
         self.defaults = {
-            "height_m": params.cone_height_m, "height_sigma_m": params.cone_height_sigma_m,
+            "object_height_m": params.cone_height_m, "object_height_sigma_m": params.cone_height_sigma_m,
             "existence_probability": params.existence_probability,
             **dict.fromkeys(("sigma_e_m", "sigma_n_m", "sigma_u_m"), params.sigma_m),
         }  # fmt: skip
@@ -170,11 +170,10 @@ class _Rows:
         return InputError(f"{self.table.path}, row {index + 1}: {what}; nothing was written")
 
     def values(self, index: int) -> dict[str, Any]:
-        """Values by column, without empty cells; `height_m` is also accepted under its newer name."""
+        """Values by column, without empty cells; those of the object's height also by their names before 0.3."""
         values = {name: column[index] for name, column in self.table.columns.items() if column[index] is not None}
-        if "object_height_m" in values:
-            values.setdefault("height_m", values["object_height_m"])
-        return values
+        before = {f"object_{name}": values[name] for name in ("height_m", "height_sigma_m") if name in values}
+        return before | values
 
     def ids(self, sha256: str) -> list[UUID]:
         """One per row: those of the file, or new ones made of the file's hash and the row number."""
@@ -218,7 +217,8 @@ class _Rows:
         x, y, z = (float(value) for value in xyz_m)
         feature = MapFeature(
             feature_id=feature_id, version=1, category=row.category, xyz_m=(x, y, z), cov_m2=covariance,
-            centre_xyz_m=(x, y, z + row.height_m / 2), cone_height_m=row.height_m, cone_height_sigma_m=row.height_sigma_m,
+            centre_xyz_m=(x, y, z + row.object_height_m / 2),
+            object_height_m=row.object_height_m, object_height_sigma_m=row.object_height_sigma_m,
             existence_probability=row.existence_probability, observation_count=row.observation_count,
             first_seen_ns=first_ns, last_seen_ns=last_ns,
         )  # fmt: skip

@@ -27,7 +27,7 @@ from tipg.resources.response import GeoJSONResponse, ORJSONResponse
 
 from conetl.db.ogc_store import Degrees, MapDirectory
 from conetl.db.reader_pool import STATEMENT_TIMEOUT, AsyncReaderPool
-from conetl.exports.fields import FIELDS
+from conetl.model.columns import BY_NAME
 from conetl.model.errors import DatabaseError
 from conetl.web.models import Problem
 from conetl.web.ogc import parameters as p
@@ -139,7 +139,7 @@ def _definition(app: FastAPI) -> dict[str, Any]:
         operation["parameters"] = parameters + [
             {
                 "name": name, "in": "query", "required": False, "schema": schema,
-                "description": f"Only items with this value: {FIELDS[name].meaning}",
+                "description": f"Only items with this value: {BY_NAME[name].meaning}",
             }
             for name, schema in FILTERS.items() if path in _FILTERED and name not in names
         ]  # fmt: skip

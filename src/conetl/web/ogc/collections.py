@@ -2,36 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
-from typing import Any, get_args
+from datetime import UTC, datetime
+from typing import Any
 from uuid import UUID
 
 import asyncpg
 import orjson
 from cql2 import Expr
 from morecantile import Tile, TileMatrixSet
-from tipg.collections import Column, Parameter, PgCollection
+from tipg.collections import Column, PgCollection
 from tipg.errors import NotFound
 from tipg.model import Extent, Spatial, Temporal
 
 from conetl.db import ogc_store as store
-from conetl.db.connection import load_sql
-from conetl.db.ogc_store import Degrees, ServedMap
-from conetl.exports.fields import FIELDS
-from conetl.model.markings import MarkingColour, MarkingPattern
-from conetl.model.params import ReconcileParams
+from conetl.db.ogc_store import Degrees, ItemRows, ServedMap
+from conetl.model.base import TICK
+from conetl.model.columns import BY_NAME, Face, names
 from conetl.web.parameters import BadParameterError, Interval, check_value
 
-SCHEMA = "conetl_ogc"
 MAX_ZOOM = 24
-#: PostgreSQL's timestamps count microseconds.
-_TICK = timedelta(microseconds=1)
-_EDGES = ("west", "south", "east", "north")
-_NEAR = ("min_x_m", "min_y_m", "max_x_m", "max_y_m")
-_INNER = ("inner_min_x_m", "inner_min_y_m", "inner_max_x_m", "inner_max_y_m")
-_BOX = (*_EDGES, *_NEAR, *_INNER)
 #: From about this number of versions in a box, one scan of the table finds both a page and the number of all items.
 MANY_VERSIONS = 20_000
 #: From this share of all versions of the database, a scan of the whole table is faster than the spatial index.
@@ -64,75 +55,42 @@ class Page:
         return items
 
 
-#: Columns of features that are computed from the deltas, with their SQL.
-EVIDENCE_COLUMNS = {
-    "existence_probability": "coalesce(e.existence_after, p.existence_probability)",
-    "seen_count": "coalesce(n.seen_count, 0)",
-    "missed_count": "coalesce(n.missed_count, 0)",
-}
-#: Properties of the collections; `exports/fields.py` has their meanings and units.
-FEATURE_COLUMNS = (
-    "feature_id", "version", "category", "existence_probability", "easting_m", "northing_m", "ellipsoidal_height_m", "sigma_e_m",
-    "sigma_n_m", "sigma_u_m", "cov_en_m2", "object_height_m", "height_sigma_m", "observation_count", "seen_count", "missed_count",
-    "first_seen_at", "last_seen_at", "valid_from", "valid_to",
-)  # fmt: skip
-CHANGE_COLUMNS = (
-    "feature_id", "change", "changed_at", "shift_m", "category", "easting_m", "northing_m", "ellipsoidal_height_m",
-    "old_easting_m", "old_northing_m", "old_ellipsoidal_height_m", "existence_probability", "observation_count",
-    "object_height_m", "version",
-)  # fmt: skip
-MARKING_COLUMNS = (
-    "feature_id", "version", "category", "existence_probability", "width_m", "width_sigma_m", "colour", "pattern", "dash_m",
-    "gap_m", "length_m", "sigma_lateral_m", "observation_count", "seen_count", "missed_count", "first_seen_at", "last_seen_at",
-    "valid_from", "valid_to",
-)  # fmt: skip
-#: Types of PostgreSQL, of ids and counts by name, of words and times by unit; all others are numbers.
-_TYPES = {"feature_id": "uuid", "version": "integer"} | dict.fromkeys(
-    ("observation_count", "seen_count", "missed_count"), "integer"
-)
-_TYPES_BY_UNIT = {"": "text", "UTC": "timestamptz"}
 _SCHEMAS: dict[str, dict[str, Any]] = {
     "text": {"type": "string"}, "integer": {"type": "integer"}, "float8": {"type": "number"},
     "uuid": {"type": "string", "format": "uuid"}, "timestamptz": {"type": "string", "format": "date-time"},
 }  # fmt: skip
-#: Properties with few values. Classes of objects are not among them: imported maps have classes of their own.
-_WORDS = {
-    "change": ("added", "moved", "removed", "confirmed"),
-    "colour": get_args(MarkingColour),
-    "pattern": get_args(MarkingPattern),
-}
-_FEATURE_PARAMETERS = {"map_name": "text", "from_at": "timestamptz", "to_at": "timestamptz", "known_at": "timestamptz"}
-_CHANGE_PARAMETERS = {
-    "map_name": "text", "from_at": "timestamptz", "known_from": "timestamptz", "to_at": "timestamptz", "known_to": "timestamptz",
-    "moved_from_m": "float8",
-}  # fmt: skip
+_FEATURES, _LINES, _CHANGED = (
+    names(Face.OGC, "points"),
+    names(Face.OGC, "lines"),
+    names(Face.OGC | Face.CHANGE, "points"),
+)
 
 
-#: Name of a collection of each map -> title, description, properties, parameters of its SQL function, type of geometry.
+#: Name of a collection of each map -> title, description, properties, type of geometry.
 COLLECTIONS = {
     "features": (
         "Cones",
-        "Traffic cones at the instant `at` on the road, in the state of the database at `known_at`; by default the latest.",
-        FEATURE_COLUMNS, _FEATURE_PARAMETERS, "Point",
+        "Traffic cones at the instant `at` on the road, as known at `known_at`; by default the latest.",
+        _FEATURES, "Point",
     ),
     "lane_markings": (
         "Lane markings",
-        "Stretches of lane markings at the instant `at` on the road, in the state of the database at `known_at`; by default the "
-        "latest.",
-        MARKING_COLUMNS, _FEATURE_PARAMETERS, "LineString",
+        "Stretches of lane markings at the instant `at` on the road, as known at `known_at`; by default the latest.",
+        _LINES, "LineString",
     ),
     "changes": (
         "Changes",
-        "Traffic cones that were added, moved, removed or confirmed between the instants `from` and `to` on the road; "
+        "Traffic cones that were added, moved, removed, confirmed or not observed between the instants `from` and `to` on the "
+        "road; "
         "without `from`, all cones that exist at `to` count as added. Positions and versions are those after the change; "
         "those of removed cones are from before it.",
-        CHANGE_COLUMNS, _CHANGE_PARAMETERS, "Point",
+        _CHANGED, "Point",
     ),
 }  # fmt: skip
 
 
 class AsOfCollection(PgCollection):
-    """One SQL function with its arguments for one map; boxes and times of a request become arguments of the function."""
+    """States or changes of one map; boxes and times of a request become conditions of the rows."""
 
     served: ServedMap
     instants: Instants
@@ -150,7 +108,7 @@ class AsOfCollection(PgCollection):
         kinds = {column.name: column.type for column in self.properties}
         for name, text in others.get("properties") or ():
             check_value(name, kinds[name], text)
-            if text not in (words := _WORDS.get(name, (text,))):
+            if text not in (words := BY_NAME[name].words or (text,)):
                 raise BadParameterError(f"{name}={text!r} should be one of {', '.join(words)}.")
         where = super().cql_where(**others)
         if not ids:
@@ -180,49 +138,34 @@ class AsOfCollection(PgCollection):
         """One page of items as GeoJSON made by PostgreSQL; `links` is the JSON around the id in the links of each item."""
         where = self.cql_where(ids=ids, properties=values)
         order = self._sort_expressions(sortby)
-        columns = {name: f"p.{name}" for name in self.columns(properties)}
-        arguments = self._arguments(box, interval)
-        source, evidence, by_place = self.table, "", None
-        if self.table != "changes":
-            columns = {name: EVIDENCE_COLUMNS.get(name, column) for name, column in columns.items()}
-            evidence = load_sql("columns.evidence")
-        used = {name for name, _ in [*order, *(values or ())]}
-        if self.table == "features" and used.isdisjoint(EVIDENCE_COLUMNS):
-            source = "standing"  # evidence is read after the limit
-            by_place = None if ids else self._by_place_of_many(box)
+        columns = self.columns(properties)
+        needed = {*columns, "feature_id", "geom", *(name for name, _ in [*order, *(values or ())])}
         text = {
-            "where": self._where_clause(where), "order": ", ".join(sql for _, sql in order), "evidence": evidence,
-            "properties": ", ".join(f"{column} as {name}" for name, column in columns.items()),
+            "where": self._where_clause(where), "order": ", ".join(sql for _, sql in order), "columns": ", ".join(sorted(needed)),
+            "properties": ", ".join(f"p.{name}" for name in columns),
         }  # fmt: skip
-        if by_place is not None:
-            return await self._page_of_many(conn, text, by_place, arguments, limit, offset, links)
-        page_text = {**text, "call": _call(source, arguments, 5)}
-        items, returned = await _items(conn, page_text, limit, offset, *links, *arguments.values())
+        rows = self._rows(box, interval)
+        if rows.box is not None and not ids and self.table != "changes" and self._is_large(box):
+            return await self._page_of_many(conn, text, rows, limit, offset, links)
+        items, returned = await _items(conn, text, rows, limit, offset, links)
         if returned < limit and (returned or not offset):  # the last page gives the number of all
             return Page(items, returned, offset + returned)
-        return Page(items, returned, await _count(conn, text, source, arguments))
+        return Page(items, returned, await _count(conn, text, rows))
 
-    def _by_place_of_many(self, box: Degrees | None) -> str | None:
-        """For a large part of a large map: whether to use the spatial index, in SQL. None for smaller parts."""
-        part = store.part_of_map(box, self.served)
-        if part * self.served.version_count < MANY_VERSIONS:
-            return None
-        return "false" if part * self.served.share >= MOST_VERSIONS else "true"
+    def _is_large(self, box: Degrees | None) -> bool:
+        return store.part_of_map(box, self.served) * self.served.version_count >= MANY_VERSIONS
 
     async def _page_of_many(
-        self, conn: asyncpg.Connection, text: Mapping[str, str], by_place: str, arguments: Mapping[str, str | float],
-        limit: int, offset: int, links: tuple[str, str],
+        self, conn: asyncpg.Connection, text: Mapping[str, str], rows: ItemRows, limit: int, offset: int, links: tuple[str, str]
     ) -> Page:  # fmt: skip
-        """A page of a large part of a large map: first the versions that are on it, then their items."""
-        found_text = {**text, "call": _call("standing", arguments, 3, by_place)}
-        found = await store.fetch(conn, "features_found", found_text, limit, offset, *arguments.values())
+        """A page of a large part of a large map: first the rows that are on it, with their number, then their items."""
+        by_index = store.part_of_map(rows.box, self.served) * self.served.share < MOST_VERSIONS
+        sql, arguments = replace(rows, by_index=by_index).source(3)
+        found = await store.fetch(conn, "items_found", {**text, "source": sql}, limit, offset, *arguments)
         if not found:
-            return Page(b"", 0, await _count(conn, text, "standing", arguments) if offset else 0)
-        versions = [row["version_row_id"] for row in found]
-        own = {name: value for name, value in arguments.items() if name not in _BOX}
-        where = f"where version_row_id = any(${5 + len(own)}::bigint[])"
-        page_text = {**text, "call": _call("standing", own, 5), "where": where}
-        items, returned = await _items(conn, page_text, limit, 0, *links, *own.values(), versions)
+            return Page(b"", 0, await _count(conn, text, rows) if offset else 0)
+        chosen = replace(rows, box=None, row_ids=[row["version_row_id"] for row in found])
+        items, returned = await _items(conn, {**text, "where": "where true"}, chosen, limit, 0, links)
         return Page(items, returned, found[0]["matched"])
 
     async def get_tile(self, conn: asyncpg.Connection, *, tms: TileMatrixSet, tile: Tile, **asked: Any) -> bytes:
@@ -231,72 +174,63 @@ class AsOfCollection(PgCollection):
             raise NotFound(f"There is no tile {tile.z}/{tile.x}/{tile.y}: the zoom levels are 0 to {MAX_ZOOM}.")
         box = asked.pop("bbox_filter", None)
         edges = tms.bounds(tile)
-        arguments = self._arguments(box, asked.pop("datetime_filter", None))
-        near = store.rows_near((edges.left, edges.bottom, edges.right, edges.top), self.served)
-        if box is None and near != store.ALL_ROWS:
-            arguments |= dict(zip((*_EDGES, *_NEAR), (*store.EVERYWHERE, *near), strict=True))
-        asked["function_parameters"] = {
-            name: value if isinstance(value, str) else repr(float(value)) for name, value in arguments.items()
-        }
+        rows = self._rows(box, asked.pop("datetime_filter", None))
+        if box is None:  # tipg itself tests the edges of the tile
+            near = store.rows_near((edges.left, edges.bottom, edges.right, edges.top), self.served)
+            rows = replace(rows, near=None if near == store.ALL_ROWS else near)
+        asked["function_parameters"] = rows
         tile_bytes: bytes = await super().get_tile(conn, tms=tms, tile=tile, **asked)
         return tile_bytes
 
-    def _arguments(self, box: Degrees | None, interval: Interval | None) -> dict[str, str | float]:
-        """Arguments of the function in the order of its parameters; names and instants as text.
+    def _from(self, function_parameters: Any, params: list[Any]) -> str:
+        """The rows of a tile, in place of tipg's table."""
+        sql, arguments = function_parameters.source(len(params) + 1)
+        params += arguments
+        return f"FROM {sql}"
 
-        Without a box if the whole map is requested: that is a separate statement with its own plan.
-        """
+    def _rows(self, box: Degrees | None, interval: Interval | None) -> ItemRows:
+        """Which rows a request means. Without a box if the whole map is requested: that is a separate statement with its plan."""
         near = store.ALL_ROWS if box is None else store.rows_near(box, self.served)
-        arguments = {"map_name": self.served.map_name} | self._times(interval)
+        rows = ItemRows(self.table, self.served.map_name, self._times(interval))
         if box is None or near == store.ALL_ROWS:
-            return arguments
-        edges = dict(zip((*_EDGES, *_NEAR), (*box, *near), strict=True))
-        inner = dict(zip(_INNER, store.rows_within(box, self.served), strict=True)) if self.table == "features" else {}
-        return arguments | edges | inner
+            return rows
+        return replace(rows, box=box, near=near, inner=store.rows_within(box, self.served))
 
-    def _times(self, interval: Interval | None) -> dict[str, str | float]:
+    def _times(self, interval: Interval | None) -> dict[str, datetime | None]:
+        """Instants by the parameter of the SQL function; None: the latest, or of a beginning the earliest."""
         asked = self.instants
         if self.table != "changes":
-            start, end = interval or (asked.at or "infinity", asked.at)
-            known_at = _text(asked.known_at or "infinity")
-            return {"from_at": _text(start or "-infinity"), "to_at": _text(end or "infinity"), "known_at": known_at}
+            start, end = interval or (None, asked.at)
+            since = {} if interval is None or (start == end and start) else {"since": start}
+            return {"valid_at": end, "known_at": asked.known_at, **since}
         if interval is not None:  # changes at its two ends are within it
-            asked = replace(asked, start=None if interval[0] is None else interval[0] - _TICK, end=interval[1])
+            asked = replace(asked, start=None if interval[0] is None else interval[0] - TICK, end=interval[1])
         return {
-            "from_at": _text(asked.start or "-infinity"),
-            "known_from": _text(asked.known_start or asked.known_end or "infinity"),
-            "to_at": _text(asked.end or "infinity"),
-            "known_to": _text(asked.known_end or "infinity"),
-            "moved_from_m": ReconcileParams().min_gate_m,
-        }
+            "from_at": asked.start, "to_at": asked.end, "known_at": asked.known_end,
+            "known_from": asked.known_start or asked.known_end,
+        }  # fmt: skip
 
 
 def collection_of(name: str, served: ServedMap, instants: Instants) -> AsOfCollection:
     """A collection of a map; name: of `COLLECTIONS`."""
-    title, description, columns, parameters, geometry = COLLECTIONS[name]
+    title, description, columns, geometry = COLLECTIONS[name]
     place = Column(name="geom", type="geometry", geometry_type=geometry, srid=4326, bounds=list(served.extent))
     listed = [_column(column) for column in columns]
-    types = dict(parameters) | dict.fromkeys(_BOX, "float8")  # tipg leaves out those without a value
     return AsOfCollection(
-        type="Function", id=f"{served.map_name}.{name}", table=name, schema=SCHEMA, title=f"{title} of the map {served.map_name}",
+        type="Table", id=f"{served.map_name}.{name}", table=name, schema="conetl", title=f"{title} of the map {served.map_name}",
         description=description, table_columns=[*listed, place], properties=[*listed, place], id_column=listed[0],
-        geometry_column=place, parameters=[Parameter(name=key, type=kind, default="") for key, kind in types.items()],
-        served=served, instants=instants,
+        geometry_column=place, parameters=[], served=served, instants=instants,
     )  # fmt: skip
 
 
 def _column(name: str) -> Column:
-    return Column(name=name, type=_type(name), description=FIELDS[name].meaning)
-
-
-def _type(name: str) -> str:
-    return _TYPES.get(name) or _TYPES_BY_UNIT.get(FIELDS[name].unit, "float8")
+    return Column(name=name, type=BY_NAME[name].kind, description=BY_NAME[name].meaning)
 
 
 #: JSON Schema of the values of each property by which items are filtered.
 FILTERS = {
-    name: _SCHEMAS[_type(name)] | ({"enum": list(_WORDS[name])} if name in _WORDS else {})
-    for name in (*CHANGE_COLUMNS, *MARKING_COLUMNS, *FEATURE_COLUMNS)
+    name: _SCHEMAS[BY_NAME[name].kind] | ({"enum": list(BY_NAME[name].words)} if BY_NAME[name].words else {})
+    for name in (*_CHANGED, *_LINES, *_FEATURES)
 }
 
 
@@ -307,26 +241,19 @@ def as_ewkt(geometry: dict[str, Any]) -> str:
     return f"SRID=4326;{kind}({vertices})"
 
 
-async def _items(conn: asyncpg.Connection, text: Mapping[str, str], *arguments: object) -> tuple[bytes, int]:
+async def _items(
+    conn: asyncpg.Connection, text: Mapping[str, str], rows: ItemRows, limit: int, offset: int, links: tuple[str, str]
+) -> tuple[bytes, int]:
     """Items of one page as comma-separated JSON, and their number."""
-    [row] = await store.fetch(conn, "page", text, *arguments)
+    sql, arguments = rows.source(5)
+    [row] = await store.fetch(conn, "page", {**text, "source": sql}, limit, offset, *links, *arguments)
     return (row["items"] or "").encode(), row["returned"]
 
 
-async def _count(
-    conn: asyncpg.Connection, text: Mapping[str, str], source: str, arguments: Mapping[str, str | float]
-) -> int:
-    [row] = await store.fetch(conn, "count", {**text, "call": _call(source, arguments, 1)}, *arguments.values())
+async def _count(conn: asyncpg.Connection, text: Mapping[str, str], rows: ItemRows) -> int:
+    sql, arguments = rows.source(1)
+    [row] = await store.fetch(conn, "count", {**text, "source": sql}, *arguments)
     return int(row[0])
-
-
-def _call(function: str, arguments: Iterable[str], first: int, by_place: str | None = None) -> str:
-    """A call of a function with named arguments; `first` is the number of the first one. Instants are sent as text."""
-    types = _FEATURE_PARAMETERS | _CHANGE_PARAMETERS
-    casts = {name: "::text::timestamptz" for name, kind in types.items() if kind == "timestamptz"}
-    given = [f"{name} => ${k}{casts.get(name, '')}" for k, name in enumerate(arguments, first)]
-    given += [] if by_place is None else [f"by_place => {by_place}"]
-    return f"{SCHEMA}.{function}({', '.join(given)})"
 
 
 def _checked_id(text: str) -> str:
@@ -335,7 +262,3 @@ def _checked_id(text: str) -> str:
     except ValueError as error:
         raise NotFound(f"There is no item {text!r}: ids of cones are UUIDs.") from error
     return text
-
-
-def _text(time: datetime | str) -> str:
-    return time if isinstance(time, str) else time.isoformat()
