@@ -13,7 +13,9 @@ from conetl.cli.app import app
 from conetl.db.connection import sql_directory
 from conetl.model.columns import as_markdown
 
-_COMMENT = re.compile(r"^comment on (table|view|function|column|type) conetl\.([\w.]+) is\s+((?:'(?:[^']|'')*'\s*)+);", re.MULTILINE)
+_COMMENT = re.compile(
+    r"^comment on (table|view|function|column|type) conetl\.([\w.]+) is\s+((?:'(?:[^']|'')*'\s*)+);", re.MULTILINE
+)
 _GONE = re.compile(r"^drop (?:table|view|function) ((?:conetl\.\w+(?:\(\))?(?:, )?)+);", re.MULTILINE)
 _KINDS = {"function": "Functions", "view": "Views", "table": "Tables", "type": "Types"}
 

@@ -28,10 +28,10 @@ x.other_feature_id, x.log_likelihood_ratio, x.existence_after, x.frames_seen, x.
 sqrt((x.cov_xx + x.cov_yy) / 2 + sqrt(((x.cov_xx - x.cov_yy) / 2) ^ 2 + x.cov_xy ^ 2))
 
 -- name: marking
-case when x.line is not null then json_build_object(
-    'line_m', (ST_AsGeoJSON(x.line, 4)::json) -> 'coordinates', 'width_m', x.width_m, 'width_sigma_m', x.width_sigma_m,
-    'colour', x.colour, 'pattern', x.pattern, 'dash_m', x.dash_m, 'gap_m', x.gap_m, 'sigma_lateral_m', x.sigma_lateral_m
-) end
+case when x.line is not null then
+    jsonb_build_object('line_m', (ST_AsGeoJSON(x.line, 4)::jsonb) -> 'coordinates', 'sigma_lateral_m', x.sigma_lateral_m)
+    || (select to_jsonb(p) from (select {{paint columns of x}}) p)
+end
 
 -- name: receipt
 x.attempt_id, x.map_name, x.drive_path, x.drive_id, x.header_sha256, x.analysis_sha256, x.content_sha256, x.state, x.reason,

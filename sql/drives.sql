@@ -118,7 +118,7 @@ order by t.track_index;
 select
     t.marking_index, t.category, t.relative_cov, t.existence_probability, t.observation_count, t.first_seen_ns, t.last_seen_ns,
     t.contrast, t.blur_px, array_send(t.calibrations) || array_send(t.shared_jacobian_m) as shared_jacobian,
-    ST_AsBinary(t.line, 'NDR') as line, t.line_cov, t.width_m, t.width_sigma_m, t.colour, t.pattern, t.dash_m, t.gap_m
+    ST_AsBinary(t.line, 'NDR') as line, t.line_cov, {{paint columns of t}}
 from conetl.marking_track t
 where t.drive_uuid = %(drive_uuid)s
 order by t.marking_index;

@@ -49,9 +49,8 @@ select {{columns}}
 from conetl.feature_state s
 where s.map_name = %(map_name)s and (%(known_at)s::timestamptz is null or s.system_period @> %(known_at)s::timestamptz)
 and (s.line is not null) = %(lines)s and (%(category)s::text is null or s.category = %(category)s)
-and (
-    %(west_m)s::float8 is null
-    or s.geom && ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
+and conetl.is_in_box(
+    s.geom, s.line, ST_MakeEnvelope(%(west_m)s::float8, %(south_m)s::float8, %(east_m)s::float8, %(north_m)s::float8, %(srid)s)
 )
 order by
     case when %(spatial_order)s then s.geom end, case when %(time_order)s then s.valid_from end,
@@ -59,8 +58,8 @@ order by
 
 -- name: changes
 -- Features that differ between two instants on the road, both as known at one instant. Parameters: from_valid_at, to_valid_at; and
--- map_name, known_at, lines, category, spatial_order, time_order: as states. {{columns}}: of conetl.feature_state, of the later state (of removed features of the earlier one, with valid_to when
--- they were removed), and of conetl.feature_changes.
+-- map_name, known_at, lines, category, spatial_order, time_order: as states. {{columns}}: of conetl.feature_state, of the later state (of removed features the one that says so), and of
+-- conetl.feature_changes.
 select {{columns}}
 from conetl.feature_changes(
     %(map_name)s, %(from_valid_at)s::timestamptz, %(to_valid_at)s::timestamptz, %(known_at)s::timestamptz

@@ -44,6 +44,14 @@ comment on view conetl.feature_state is
     'database. A drive that did not observe a visible feature begins a new row of the same version. present: false where it was '
     'removed.';
 
+create or replace function conetl.is_in_box(geom geometry, line geometry, box geometry) returns boolean
+language sql immutable
+as $$
+    -- A line is found by its middle vertex, and is at most about 10 m long.
+    select box is null or (geom && ST_Expand(box, 10) and coalesce(line, geom) && box)
+$$;
+comment on function conetl.is_in_box is 'Whether the box around a point object, or around a line with its middle vertex geom, meets a box; null: any.';
+
 create or replace function conetl.feature_states(
     map_name text, valid_at timestamptz default 'infinity', known_at timestamptz default 'infinity', box geometry default null,
     since timestamptz default null
@@ -63,8 +71,7 @@ as $$
             and lower(later.valid_period) > lower(s.valid_period)
         )
     )
-    -- A line is found by its middle vertex, and is at most about 10 m long.
-    and ($4 is null or (s.geom && ST_Expand($4, 10) and coalesce(s.line, s.geom) && $4))
+    and conetl.is_in_box(s.geom, s.line, $4)
 $$;
 comment on function conetl.feature_states is
     'What stood on a map at valid_at on the road, as known at known_at (infinity: latest). box: only features whose box meets it (map '
@@ -109,11 +116,7 @@ as $$
     select
         p.feature_id, k.change,
         case k.change
-            when 'removed' then (
-                select max(upper(v.valid_period)) from conetl.feature_version v
-                where v.cell = o.cell and v.feature_id = o.feature_id and v.present
-                and lower(v.valid_period) <= $3 and v.system_period @> $4
-            )
+            when 'removed' then case when not g.suppressed then lower(g.valid_period) end
             when 'confirmed' then lower(n.valid_period)
             when 'missed' then lower(n.valid_period)
             else (
@@ -128,7 +131,7 @@ as $$
             )
         end,
         k.shift_m, o.version, n.version, ST_X(o.geom), ST_Y(o.geom), ST_Z(o.geom), coalesce(n.line, o.line) is not null,
-        coalesce(p.new_row_id, p.old_row_id), p.new_row_id, p.old_row_id
+        coalesce(p.new_row_id, g.version_row_id, p.old_row_id), p.new_row_id, p.old_row_id
     from (
         select
             coalesce(a.feature_id, b.feature_id) as feature_id, a.version_row_id as new_row_id, b.version_row_id as old_row_id
@@ -138,11 +141,13 @@ as $$
     ) p
     left join conetl.feature_version n on n.version_row_id = p.new_row_id
     left join conetl.feature_version o on o.version_row_id = p.old_row_id
-    cross join (select * from conetl.comparison($1, $4) offset 0) g
+    left join conetl.feature_version g on p.new_row_id is null and g.cell = o.cell and g.feature_id = o.feature_id and not g.present
+        and g.valid_period @> $3 and g.system_period @> $4
+    cross join (select * from conetl.comparison($1, $4) offset 0) limits
     cross join lateral (
         select
-            ST_Distance(coalesce(o.line, o.geom), n.geom) as shift_m, g.height_m,
-            case when o.line is null then g.moved_m else g.line_moved_m end as moved_m
+            ST_Distance(coalesce(o.line, o.geom), n.geom) as shift_m, limits.height_m,
+            case when o.line is null then limits.moved_m else limits.line_moved_m end as moved_m
     ) l
     cross join lateral (
         select
@@ -157,7 +162,7 @@ as $$
                 else 'confirmed'
             end as change
     ) k
-    where ($6 is null or coalesce(n.geom, o.geom) && $6 or o.geom && $6)
+    where (conetl.is_in_box(n.geom, n.line, $6) or conetl.is_in_box(o.geom, o.line, $6))
     and (
         n.version_row_id is null or o.version_row_id is null
         or (n.version, n.category, n.existence_probability, n.observation_count, n.seen_count, n.missed_count, n.last_seen_ns)
@@ -169,7 +174,7 @@ $$;
 comment on function conetl.feature_changes is
     'How a map differs between two instants on the road, both as known at known_at (known_from: the earlier one as known then). change: '
     'added, removed, moved, height_changed, confirmed (the same place, newer values) or missed (a drive did not observe it, it still '
-    'stands). version_row_id: of the later state, of a removed feature of the earlier one; join conetl.feature_state by it.';
+    'stands). version_row_id: of the later state (of a removed feature: the one that says that it is gone); join conetl.feature_state by it.';
 
 create or replace view conetl.feature_delta as
 select

@@ -93,14 +93,18 @@ class MapByTables:
             found[key] = (*_kind(old, new), old, new)
         return found
 
-    def _state(self, key: str, at: Instant) -> Told | None:
-        rows = [row for row in self.versions[key] if _holds(row, at.known) and row["present"]]
+    def gone(self, key: str, at: Instant) -> Told | None:
+        """The last state of a feature that does not stand there, with the evidence after it; None: nothing is known of it."""
+        return self._state(key, at, present=False)
+
+    def _state(self, key: str, at: Instant, *, present: bool = True) -> Told | None:
+        rows = [row for row in self.versions[key] if _holds(row, at.known) and row["present"] is present]
         known = sorted(
             (delta for delta in self.deltas[key] if _holds(delta, at.known)),
             key=lambda d: (d["captured_from_ns"], d["content_sha256"], d["idempotency_key"]),
         )
         judged = [one for one in _rows_of(known) if at.valid is None or one["from"] <= at.valid]
-        if not judged or judged[-1]["gone"]:
+        if not judged or (present and judged[-1]["gone"]):
             return None
         last = judged[-1]
         mine = [row for row in rows if row["version"] == last["version"]]

@@ -109,7 +109,10 @@ def test_a_removed_cone_was_there_until_it_was_gone(conn, samples, tmp_path):
     export_map(conn, tmp_path / "c.csv", "csv", ExportRequest(what=ExportContent.CHANGES, since=since, until=until))
     with (tmp_path / "c.csv").open(newline="") as file:
         [row] = csv.DictReader(file)
-    assert (row["change"], row["version"], row["valid_to"]) == ("removed", "1", iso_utc(utc_from_ns(gone_ns)))
+    gone_at = iso_utc(utc_from_ns(gone_ns))
+    assert (row["change"], row["version"], row["old_version"]) == ("removed", "3", "1")
+    assert (row["valid_from"], row["changed_at"], row["valid_to"]) == (gone_at, gone_at, "")
+    assert float(row["existence_probability"]) == samples.ABSENT.existence_probability
 
 
 #: QGIS comes for the system's Python only.

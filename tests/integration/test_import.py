@@ -759,7 +759,7 @@ def test_rows_that_nobody_saw_at_the_survey_are_refused(tmp_path):
     path = geojson(tmp_path / "map.geojson", [(OTHER, SEEN)])
     seen = datetime.fromisoformat(SEEN["last_seen_at"])
     assert read(path, stated_at=seen + timedelta(hours=20)).stated_at_ns == ns_from_utc(seen + timedelta(hours=20))
-    complaint(path, "--surveyed-at.*latest last_seen_at", stated_at=seen + timedelta(hours=25))
+    complaint(path, "--surveyed-at.*latest last_seen_at", stated_at=seen + timedelta(hours=49))
 
 
 @pytest.mark.parametrize("name", ["map.geojson", "map.csv"])

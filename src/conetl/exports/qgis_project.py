@@ -32,10 +32,8 @@ _KINDS = {
     DeltaKind.MISSED: ("circle", 3.0),
     DeltaKind.ADDED: ("cross_fill", 3.6),
     DeltaKind.MOVED: ("diamond", 3.6),
-    DeltaKind.REMOVED: ("cross2", 3.0),
     DeltaKind.HEIGHT_CHANGED: ("square", 3.0),
     DeltaKind.SPLIT: ("star", 3.6),
-    DeltaKind.MERGED: ("cross2", 2.2),
 }
 #: Radius of the 95 % circle of a position, in sigmas (chi-square of 2 degrees of freedom).
 _CIRCLE = 2.4477
@@ -141,10 +139,9 @@ def _marker(kind: DeltaKind) -> dict[str, str]:
     """Options of QGIS's simple marker."""
     shape, size = _KINDS[kind]
     colour = ",".join(map(str, bytes.fromhex(KIND_MARKS[kind].colour[1:]))) + ",255"
-    outline = (colour, "0.6") if shape == "cross2" else ("255,255,255,255", "0.2")
     return {
-        "color": colour, "name": shape, "size": str(size), "size_unit": "MM", "outline_color": outline[0],
-        "outline_width": outline[1],
+        "color": colour, "name": shape, "size": str(size), "size_unit": "MM", "outline_color": "255,255,255,255",
+        "outline_width": "0.2",
     }  # fmt: skip
 
 

@@ -33,10 +33,7 @@ POSITION_NAMES = ("easting_m", "northing_m", "ellipsoidal_height_m")
 #: The line itself, as well-known binary in hexadecimal digits.
 LINE_NAME = "line"
 #: Columns of changes that differ from those of the state, or are not among them.
-_OF_CHANGES = {
-    "valid_to": "case when c.change = 'removed' then c.changed_at else s.valid_to end",
-    **{name: f"c.{name}" for name in names(Face.CHANGE)},
-}
+_OF_CHANGES = {name: f"c.{name}" for name in names(Face.CHANGE)}
 _LINE_WKB = f"encode(ST_AsBinary(s.line), 'hex') as {LINE_NAME}"
 
 

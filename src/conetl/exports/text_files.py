@@ -22,6 +22,7 @@ from conetl.db.connection import Connection
 from conetl.exports.source import POSITION_NAMES, ExportContent, ExportRequest, ExportSource, open_source
 from conetl.files.atomic import atomic_files, write_json
 from conetl.geometry.geodesy import ELLIPSOIDAL, to_geodetic
+from conetl.model.columns import BY_NAME
 from conetl.model.map_records import DeltaKind, FeatureChange
 from conetl.model.work_zone_records import Finding
 
@@ -33,6 +34,8 @@ LON_LAT_DECIMALS = 9  # 0.1 mm
 HEIGHT_DECIMALS = 4
 _DECIMALS = (LON_LAT_DECIMALS, LON_LAT_DECIMALS, HEIGHT_DECIMALS)
 _SIGMAS = {"sigma_e_m": 0, "sigma_n_m": 3, "sigma_u_m": 5}
+#: By unit. Sigmas and covariances are exact enough to form a covariance matrix again.
+_DECIMALS_OF = {"0 to 1": 6, "m^2": 10}
 Object = dict[str, Any]
 
 
@@ -55,7 +58,7 @@ class ExportRow:
 
 
 def rows_of(source: ExportSource) -> Iterator[ExportRow]:
-    """The rows of a source: metres to 0.1 mm, probabilities to 6 decimals."""
+    """The rows of a source: metres to 0.1 mm, sigmas to 1 micrometre, probabilities to 6 decimals."""
     names = source.property_names
     for batch in source.batches:
         degrees = [values.tolist() for values in source.lon_lat_deg(batch)]
@@ -144,7 +147,7 @@ def _plain(name: str, column: pa.Array) -> list[Any]:
         return list(pc.strftime(column, "%Y-%m-%dT%H:%M:%SZ").to_pylist())
     values = column.to_pylist()
     if pa.types.is_floating(column.type):
-        decimals = 6 if name == "existence_probability" else 4
+        decimals = _DECIMALS_OF.get(BY_NAME[name].unit, 6 if "sigma" in name else HEIGHT_DECIMALS)
         return [None if value is None else round(value, decimals) for value in values]
     return list(values)
 

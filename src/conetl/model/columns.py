@@ -261,6 +261,7 @@ def stored_names(of: Geometry | None = None) -> tuple[str, ...]:
 #: Lists of columns that statements take by name.
 GROUPS = {
     "stored": stored_names(),
+    "paint": stored_names("lines"),
     "listed": names(Face.PAGE),
     "ogc_points": names(Face.OGC, "points"),
     "ogc_lines": names(Face.OGC, "lines"),

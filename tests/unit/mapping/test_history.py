@@ -208,9 +208,12 @@ def test_chains_have_no_gaps_and_one_open_row(seed: int) -> None:
 
 
 @settings(max_examples=20, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1))
-def test_the_evidence_of_a_row_is_that_of_all_drives_until_then(seed: int) -> None:
-    drives = sorted(random_case(seed, 4), key=lambda drive: drive.key)
+@given(seed=st.integers(0, 2**32 - 1), painted=st.booleans())
+def test_the_evidence_of_a_row_is_that_of_all_drives_until_then(seed: int, painted: bool) -> None:
+    drives = random_case(seed, 4)
+    if painted:
+        drives = random_painted_drives(np.random.default_rng(seed), drives)
+    drives = sorted(drives, key=lambda drive: drive.key)
     history = replay_drives(drives)
     number = {drive.changeset_id: n for n, drive in enumerate(drives)}
     judged = [(number[key], delta) for key, update in history.updates.items() for delta in update.deltas]
@@ -234,7 +237,7 @@ def test_the_evidence_of_a_row_is_that_of_all_drives_until_then(seed: int) -> No
 def past_a_cone(day: int, *, seen: bool) -> DriveEvidence:
     """A drive that observes the cone, or misses it with evidence that is enough together with that of two others."""
     at_ns = START_NS + day * DAY_NS
-    here = [track(**standing_at(ORIGIN_M), seen_ns=at_ns)] if seen else []
+    here = [track(**standing_at(ORIGIN_M.tolist()), seen_ns=at_ns)] if seen else []
 
     def check_visibility(*_: object) -> NotObserved:
         return NotObserved(9, at_ns, -0.9)

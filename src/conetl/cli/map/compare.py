@@ -116,7 +116,7 @@ def instants_of(
     """Two states of a map, from the earlier to the later one. Raises InputError for unknown ones, and in reversed order.
 
     states: numbers of changesets (the road right after the drive), or times (a date at the begin or end belongs to the span).
-    known_at: None: now; `then`: each as known right after its changeset, or at its time; or a time.
+    known_at: None: now; `then`: the whole map as known right after its changeset, or at its time; or a time.
     """
     changesets = {c.changeset_no: c for c in list_changesets(conn, map_name=map_name)}
     if unknown := [one for one in states if _is_number(one) and int(one) not in changesets]:
@@ -126,9 +126,12 @@ def instants_of(
     times = ui.parse_span(first, last, ("the earlier state", "the later state"))
     found = []
     for changeset, time in zip(chosen, times, strict=True):
-        valid_at = time if changeset is None else utc_from_ns(changeset.captured_to_ns) + TICK
-        known = time if changeset is None else changeset.effective_at
-        found.append(MapInstant(valid_at, known if known_at == ui.THEN else ui.parse_instant(known_at)))
+        if changeset is None:
+            found.append(MapInstant(time, ui.parse_known(known_at, time)))
+        elif known_at == ui.THEN:
+            found.append(MapInstant(None, changeset.effective_at))
+        else:
+            found.append(MapInstant(utc_from_ns(changeset.captured_to_ns) + TICK, ui.parse_instant(known_at)))
     begin, end = found
     for earlier, later in ((begin.valid_at, end.valid_at), (begin.known_at, end.known_at)):
         if earlier is not None and later is not None and earlier > later:

@@ -138,9 +138,9 @@ def read_map_file(
         raise InputError(f"{path} does not state times: give the time of the survey (--surveyed-at)")
     if problem := clock_problem(stated_ns, _EARLIEST_NS):
         raise InputError(f"{path}: the time of the survey (--surveyed-at), {stated_at}, {problem}; nothing was written")
-    if latest_ns is not None and stated_ns - latest_ns > DAY_NS:
+    if latest_ns is not None and stated_ns - latest_ns > 2 * DAY_NS:
         raise InputError(
-            f"{path}: the time of the survey (--surveyed-at), {stated_at}, is more than a day after the latest last_seen_at, "
+            f"{path}: the time of the survey (--surveyed-at), {stated_at}, is more than two days after the latest last_seen_at, "
             f"{utc_from_ns(latest_ns)}: leave it out, or remove this column; nothing was written"
         )
     ids = rows.ids(sha256)
