@@ -162,7 +162,7 @@ with no data;
 insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
 select s.feature_id, %(map_id)s, %(srid)s, s.changeset_id, conetl.cell_at(s.geom)
 from version_stage s
-where s.version = 1
+where s.version = 1 and s.first_missed_ns is null
 on conflict (feature_id) where map_id > 0 do nothing;
 
 -- name: close_versions

@@ -19,7 +19,7 @@ select
     timestamptz 'epoch' + v.last_seen_ns / 1000 * interval '1 microsecond' as last_seen_at,
     lower(v.valid_period) as valid_from, upper(v.valid_period) as valid_to,
     lower(v.system_period) as system_from, upper(v.system_period) as system_to,
-    v.changeset_id, c.changeset_no, d.drive_id, x.kind as change, x.shift_m, v.present, v.suppressed,
+    v.changeset_id, c.changeset_no::integer as changeset_no, d.drive_id, x.kind as change, x.shift_m, v.present, v.suppressed,
     ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, ST_Z(v.geom) as ellipsoidal_height_m,
     v.geom, v.line, v.valid_period, v.system_period, v.version_row_id, v.cell, v.map_id
 from conetl.feature_version v
@@ -117,7 +117,6 @@ as $$
         p.feature_id, k.change,
         case k.change
             when 'removed' then case when not g.suppressed then lower(g.valid_period) end
-            when 'confirmed' then lower(n.valid_period)
             when 'missed' then lower(n.valid_period)
             else (
                 select min(lower(v.valid_period)) from conetl.feature_version v
@@ -125,6 +124,7 @@ as $$
                 and (v.valid_period @> $2 or lower(v.valid_period) between $2 and $3) and v.system_period @> $4
                 and case k.change
                     when 'moved' then ST_Distance(coalesce(o.line, o.geom), v.geom) > k.moved_m
+                    when 'confirmed' then v.version = n.version
                     when 'height_changed' then abs(v.object_height_m - o.object_height_m) > k.height_m
                     else true
                 end

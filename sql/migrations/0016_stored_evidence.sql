@@ -54,7 +54,7 @@ join conetl.drive d using (drive_uuid);
 create index on judgement (feature_id);
 analyze judgement;
 
--- For each version and each span of system time in which nothing was learnt about it: the drives until then that judged the feature,
+-- For each version and each span of system time in which nothing was learnt about its feature: the drives until then that judged the feature,
 -- and the misses of this version, each with the span of time on the road in which it is the last one.
 create temporary table stated on commit drop as
 with span as (
@@ -68,7 +68,7 @@ with span as (
         select e.at
         from judgement j
         cross join lateral (values (lower(j.system_period)), (upper(j.system_period))) e (at)
-        where j.feature_id = v.feature_id and j.old_version = v.version and j.kind = 'missed'
+        where j.feature_id = v.feature_id
         and e.at > lower(v.system_period) and e.at < coalesce(upper(v.system_period), 'infinity')
     ) t
 ),
@@ -113,7 +113,7 @@ every as (
     where not exists (
         select from missed l
         where l.version_row_id = m.version_row_id and l.system_period = m.system_period and l.number > m.number
-        and l.valid_from_ns <= m.valid_from_ns
+        and l.valid_from_ns / 1000 <= m.valid_from_ns / 1000
     )
 ),
 timed as (

@@ -136,8 +136,14 @@ def test_compare_and_any_time(page, address, samples):
     page.wait_for_url("**from=0**")
     settle(page)
     assert page.locator(".legend label").all_inner_texts() == ["added\n3"]  # against the empty map: what stands now
+    page.select_option(".form-line select >> nth=0", "latest")
+    page.wait_for_url("**from=2**")
+    settle(page)
+    assert page.locator(".legend label").all_inner_texts() == ["unchanged\n3"]
     page.click("text=Any time")
     page.wait_for_selector(".legend >> text=standing")
+    known = page.locator(".instant-view label:has-text('As known')")
+    assert known.inner_text().split("\n")[0] == "As known now"
     time_input = page.locator(".instant-view input[type=text]")
     time_input.fill(f"{utc_from_ns(samples.START_NS):%Y-%m-%d} 07:00:00")
     time_input.press("Enter")

@@ -1,6 +1,6 @@
 """Every face of the map gives one answer: states and changes at random instants, now and then, after random histories.
 
-`CONETL_HISTORIES=500 pytest tests/integration/test_one_answer.py` plays more of them.
+`HISTORIES=500 pytest tests/integration/test_one_answer.py` plays more of them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from tests.synthetic.painted_road import Paint, markings_of
 from tests.synthetic.road import random_world
 from tests.synthetic.world import ORIGIN_M, START_NS, Cone
 
-HISTORIES = int(os.environ.get("CONETL_HISTORIES", "4"))
+HISTORIES = int(os.environ.get("HISTORIES", "4"))
 WORLDS, WORLD_M, DAYS, DRIVES = 10, 45.0, 6, 4
 HOUR_NS = 3_600_000_000_000
 SECOND = timedelta(seconds=1)

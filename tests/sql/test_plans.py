@@ -23,8 +23,7 @@ from conetl.db.map.results import CommittedChangeset
 from conetl.db.retention import archive_drive, prunable_drives, restore_drives
 from conetl.db.schema import run_audits
 from conetl.exports.export import export_map
-from conetl.exports.source import ExportContent, ExportRequest
-from conetl.model.base import utc_from_ns
+from conetl.exports.source import ExportRequest
 from conetl.reports.drive_page import write_drive_page
 from conetl.reports.night_page import write_night_page
 from conetl.web import frames, maps
@@ -136,8 +135,6 @@ def serve(map_: Planted) -> None:
 
 def export(map_: Planted) -> None:
     export_map(map_.conn, map_.folder / "map.geojson", "geojson", ExportRequest("default"))
-    request = ExportRequest("default", ExportContent.CHANGES, since=utc_from_ns(START_NS + DAY_NS // 2))
-    export_map(map_.conn, map_.folder / "changes.csv", "csv", request)
     feature_log(map_.conn, map_.feature_id)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import math
+import re
 import signal
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -12,9 +13,6 @@ from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from datetime import UTC, date, datetime, timedelta
 from enum import StrEnum
-from functools import partial
-from itertools import pairwise
-from math import dist
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,15 +26,9 @@ from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from conetl.exports.kind_marks import kind_label
-from conetl.geometry.packing import horizontal_sigma_m
-from conetl.mapping.reasons import probability_text
-from conetl.model.base import utc_from_ns
-from conetl.model.columns import BY_NAME, TABLES, FeatureColumn, stored_names
 from conetl.model.errors import ConetlError, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
 from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, hold_remedy
-from conetl.model.map_records import MapFeature
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 ParamsOption = Annotated[
@@ -155,48 +147,6 @@ def print_records(title: str, columns: Columns, records: Iterable[object], *, nu
     """A table of records on standard output."""
     rows = [[_read(record, value) for value in columns.values()] for record in records]
     print_table(title, list(columns), rows, numbers_from=numbers_from)
-
-
-def print_features(table: str, rows: Sequence[Mapping[str, Any]], *, numbers_from: int = 1, **more: Any) -> None:
-    """A table of features, of a name in `TABLES`. rows: values by the name of the column. more: further columns, as for
-    `print_records`, by heading with _ for a space."""
-    mixed = {row.get("category", CONE) for row in rows} - {CONE}
-    chosen = [BY_NAME[name] for name in TABLES[table] if name != "category" or mixed]
-    columns: dict[str, Any] = {column.heading: partial(_shown, column) for column in chosen}
-    print_records(
-        "",
-        {**columns, **{name.replace("_", " "): read for name, read in more.items()}},
-        rows,
-        numbers_from=numbers_from,
-    )
-
-
-def _shown(column: FeatureColumn, row: Mapping[str, Any]) -> object:
-    value = row.get(column.name)
-    match column.name:
-        case _ if value is None:
-            return None
-        case "existence_probability":
-            return probability_text(value)
-        case "change":
-            return kind_label(value)
-        case "missed_count":
-            return value or ""
-    return f"{value:.{column.decimals}f}" if isinstance(value, float) else value
-
-
-def row_of(feature: MapFeature, **more: object) -> dict[str, Any]:
-    """Values of a feature by the name of the column, with others."""
-    shape = feature.marking
-    own = set(stored_names()).difference(stored_names("lines")) | {"feature_id", "version"}
-    values: dict[str, Any] = {name: getattr(feature, name) for name in own}
-    values |= dict(zip(("easting_m", "northing_m", "ellipsoidal_height_m"), feature.xyz_m, strict=True))
-    values |= {"sigma_m": horizontal_sigma_m(feature.cov_m2), "sigma_u_m": feature.cov_m2[5] ** 0.5}
-    values["first_seen_at"] = utc_from_ns(feature.first_seen_ns)
-    if shape is not None:
-        values |= {name: getattr(shape, name) for name in stored_names("lines")}
-        values["length_m"] = sum(dist(a, b) for a, b in pairwise(shape.vertices_m))
-    return values | more
 
 
 def _read(record: Any, value: str | Callable[[Any], object]) -> object:
@@ -399,6 +349,8 @@ def _parse_time(text: str | None, *, at_end: bool) -> datetime | None:
     if text is None:
         return None
     try:
+        if re.fullmatch(r"\d{4}-?W\d\d", text.strip()):
+            raise ValueError("a week is no date")
         time = datetime.fromisoformat(text.strip())
         day = timedelta(days=1, microseconds=-1) if at_end and _is_date(text.strip()) else timedelta()
         return (time if time.tzinfo else time.replace(tzinfo=UTC)) + day

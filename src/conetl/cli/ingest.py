@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 
 from conetl.cli import console as ui
+from conetl.cli.features import print_features
 from conetl.exports.kind_marks import kind_label
 from conetl.files.atomic import remove_leftovers
 from conetl.files.documents import input_errors, library_errors, read_yaml_model
@@ -216,7 +217,7 @@ def print_report(report: IngestReport) -> None:
             state = f", but not in effect: {report.not_counted}"
         ui.out.print(f"{drive}: nothing to do, {known}{state}.")
         return
-    ui.print_features("changes by a drive", [_row_of(line) for line in report.changes], numbers_from=2)
+    print_features("changes by a drive", [_row_of(line) for line in report.changes], numbers_from=2)
     failed = ", ".join(check.name for check in hold_checks(report.health))
     changed = counts if report.on_hold is None else f"on hold ({failed}), the map is unchanged"
     noun = "object" if {change.category for change in report.changes} - {CONE} else "cone"

@@ -138,7 +138,8 @@ def replay_drives(
 
 def extended(chain: Sequence[FeatureVersion], row: FeatureVersion) -> list[FeatureVersion]:
     """The rows of a feature after one more, without the misses that it precedes on the road: a removal begins with the first."""
-    kept = [one for one in chain if not one.is_missed or one.valid_from_ns < row.valid_from_ns]
+    begins_us = row.valid_from_ns // 1000  # as the database stores it
+    kept = [one for one in chain if not one.is_missed or one.valid_from_ns // 1000 < begins_us]
     if kept and kept[-1].valid_to_ns != row.valid_from_ns:
         kept[-1] = kept[-1].model_copy(update={"valid_to_ns": row.valid_from_ns})
     return [*kept, row if row.valid_to_ns is None else row.model_copy(update={"valid_to_ns": None})]

@@ -14,6 +14,7 @@ from pyproj import Transformer
 
 from conetl.cli import console as ui
 from conetl.cli.database import open_map
+from conetl.cli.features import print_features, row_of
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import Bbox, list_changesets, read_changes, read_features_as_of
 from conetl.db.map.results import MapInstant
@@ -75,7 +76,7 @@ def diff(
     if lines:
         ui.say(f"Stretches of lane markings: {_counts(lines)}.")
     ordered = sorted(changes, key=lambda change: change.kind is DeltaKind.CONFIRMED)
-    ui.print_features("changes", [_row_of(change) for change in ordered], numbers_from=2)
+    print_features("changes", [_row_of(change) for change in ordered], numbers_from=2)
     if output is not None:
         ui.say(f"{len(points)} changes -> {output}")
         if lines:
@@ -87,7 +88,7 @@ def diff(
 def _row_of(change: FeatureChange) -> dict[str, Any]:
     old, new = (None if state is None else state.version for state in (change.old, change.new))
     own = {"change": change.kind, "shift_m": change.shift_m, "old_version": old, "new_version": new}
-    return ui.row_of(change.state_after, **own)
+    return row_of(change.state_after, **own)
 
 
 def _counts(changes: Sequence[FeatureChange]) -> str:

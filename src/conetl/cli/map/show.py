@@ -13,6 +13,7 @@ import typer
 
 from conetl.cli import console as ui
 from conetl.cli.database import open_map
+from conetl.cli.features import print_features, row_of
 from conetl.db.map.decision_store import hold_events, read_decisions
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
@@ -65,7 +66,7 @@ def show(
         ui.say(f"Map {info.map_name}, EPSG:{info.srid}: {ui.counted_by_class(classes)}{when}, {changesets}.")
         for table, is_line in (("features", False), ("lane markings", True)):
             shown = [v.feature for v in versions if (v.feature.marking is not None) is is_line]
-            ui.print_features(table, [ui.row_of(feature) for feature in shown])
+            print_features(table, [row_of(feature) for feature in shown])
 
 
 def log(
@@ -113,7 +114,7 @@ def log(
         ui.print_records("", columns, rows[::-1], numbers_from=3)
     else:
         others = {"log_odds": _log_odds, "frame_pairs": _frames, "with": _with, "superseded_(UTC)": "known_to"}
-        ui.print_features("history", [entry | {"change": entry["kind"]} for entry in entries], numbers_from=3, **others)
+        print_features("history", [entry | {"change": entry["kind"]} for entry in entries], numbers_from=3, **others)
         for entry, reason in zip(entries, reasons, strict=True):
             if entry["known_to"] is None:
                 ui.say(reason)
