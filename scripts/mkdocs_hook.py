@@ -43,11 +43,17 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 def schema_comments() -> dict[tuple[str, str], str]:
     """Comments of the schema as the files in sql/ leave it: kind and name (of a column: table.column) -> text."""
-    files = sorted((sql_directory() / "migrations").glob("*.sql")) + sorted((sql_directory() / "functions").glob("*.sql"))
+    files = sorted((sql_directory() / "migrations").glob("*.sql")) + sorted(
+        (sql_directory() / "functions").glob("*.sql")
+    )
     found: dict[tuple[str, str], str] = {}
     for path in files:
         text = path.read_text(encoding="utf-8")
-        gone = {name.removeprefix("conetl.").removesuffix("()") for names in _GONE.findall(text) for name in names.split(", ")}
+        gone = {
+            name.removeprefix("conetl.").removesuffix("()")
+            for names in _GONE.findall(text)
+            for name in names.split(", ")
+        }
         found = {key: comment for key, comment in found.items() if key[1].partition(".")[0] not in gone}
         for kind, name, parts in _COMMENT.findall(text):
             found[kind, name] = "".join(re.findall(r"'((?:[^']|'')*)'", parts)).replace("''", "'")
@@ -60,7 +66,14 @@ def schema_as_markdown() -> str:
     lines: list[str] = []
     for kind, title in _KINDS.items():
         named = {name: text for (of, name), text in sorted(found.items()) if of == kind}
-        lines += ["", f"## {title}", "", "| name | |", "|---|---|", *(f"| `{name}` | {text} |" for name, text in named.items())]
+        lines += [
+            "",
+            f"## {title}",
+            "",
+            "| name | |",
+            "|---|---|",
+            *(f"| `{name}` | {text} |" for name, text in named.items()),
+        ]
     columns = {name: text for (of, name), text in sorted(found.items()) if of == "column"}
     lines += ["", "## Columns", "", "Those that need more than their name.", "", "| column | |", "|---|---|"]
     return "\n".join([*lines, *(f"| `{name}` | {text} |" for name, text in columns.items()), ""])

@@ -106,7 +106,8 @@ def test_the_slider_changes_the_drive(page, address):
     page.wait_for_selector('html[data-cones="3"]', state="attached")
     settle(page)
     first = screenshot(page)
-    assert "drive_1" in page.locator(".drive-text").inner_text()
+    said = page.locator(".drive-text").inner_text()
+    assert "drive_1" in said and "UTC, as known then" in said
     assert pixels_of(first, MOVED) == 0 < pixels_of(second, MOVED)
     assert pixels_of(first, ADDED) > 2 * pixels_of(second, ADDED)  # all three are new in the first drive
 
@@ -142,8 +143,10 @@ def test_compare_and_any_time(page, address, samples):
     assert page.locator(".legend label").all_inner_texts() == ["unchanged\n3"]
     page.click("text=Any time")
     page.wait_for_selector(".legend >> text=standing")
-    known = page.locator(".instant-view label:has-text('As known')")
-    assert known.inner_text().split("\n")[0] == "As known now"
+    known = page.locator(".instant-view label:has-text('As known') select")
+    committed = f"{utc_from_ns(samples.START_NS):%Y-%m-%d} 12:00:00 UTC"
+    assert known.locator("option").all_inner_texts()[:2] == ["now", f"at {committed} · after drive_1"]
+    assert known.input_value() == "now"
     time_input = page.locator(".instant-view input[type=text]")
     time_input.fill(f"{utc_from_ns(samples.START_NS):%Y-%m-%d} 07:00:00")
     time_input.press("Enter")
@@ -157,7 +160,7 @@ def test_a_click_shows_history_and_images(page, address, features):
     page.wait_for_selector("figure img >> nth=1")
     panel = page.locator(".panel").inner_text()
     assert features["wanders"][:8] in panel
-    assert "moved by 1.500 m" in panel
+    assert "moved by 1.500 m" in panel and "HISTORY, AS KNOWN NOW" in panel.upper()
     assert "458006.500 E" in panel
     assert "Image pair 4 of 6" in panel  # the nearest of the drive that is shown
     sizes = page.eval_on_selector_all("figure img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")

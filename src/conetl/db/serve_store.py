@@ -8,12 +8,9 @@ from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
-import psycopg2.extensions
-
-from conetl.db.connection import Connection, database_errors, load_sql, or_infinity, read
+from conetl.db.connection import Connection, Table, or_infinity, read, read_values
 
 Row = dict[str, Any]
-_ID_AS_TEXT = psycopg2.extensions.new_type((2950,), "ID_AS_TEXT", lambda text, _: text)
 
 
 def read_rows(conn: Connection, statement: str, **parameters: Any) -> list[Row]:
@@ -27,19 +24,9 @@ def read_some(conn: Connection, statement: str, most: int, **parameters: Any) ->
     return rows[:most], len(rows) > most
 
 
-class Table(NamedTuple):
-    """Names of columns, and rows as tuples, with ids as text: read in a quarter of the time that dictionaries take."""
-
-    names: list[str]
-    rows: list[tuple[Any, ...]]
-
-
 def read_table(conn: Connection, statement: str, **parameters: Any) -> Table:
     """As `read_rows`, for many rows."""
-    with database_errors("The map cannot be read"), conn.cursor() as cursor:
-        psycopg2.extensions.register_type(_ID_AS_TEXT, cursor)
-        cursor.execute(load_sql(statement), parameters)
-        return Table([column.name for column in cursor.description or ()], cursor.fetchall())
+    return read_values(conn, "The map cannot be read", statement, **parameters)
 
 
 class Head(NamedTuple):

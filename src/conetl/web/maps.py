@@ -9,7 +9,7 @@ from fastapi import APIRouter, HTTPException, Request, Response
 from pydantic import BaseModel
 
 from conetl.db import serve_store as store
-from conetl.db.connection import or_infinity
+from conetl.db.connection import Table, or_infinity
 from conetl.db.map.archive import list_maps
 from conetl.db.map.map_store import list_changesets, require_map
 from conetl.geometry.rig import map_SE3_left
@@ -134,7 +134,7 @@ def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader, origin: Origin
     )
 
 
-def _listing(table: store.Table, origin: Vec3, **models: type[BaseModel]) -> Response:
+def _listing(table: Table, origin: Vec3, **models: type[BaseModel]) -> Response:
     """Point objects and lane markings, by the names and models of their lists."""
     names, rows = table
     at = names.index("marking")

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 from pydantic import BaseModel
 
 from conetl.db.map.results import CommittedChangeset
@@ -28,7 +29,7 @@ def offset(xyz_m: Sequence[float], origin_m: Vec3) -> Vec3:
     return x, y, z
 
 
-def offsets(xyz_m: Sequence[Sequence[float]], origin_m: Vec3) -> list[list[float]]:
+def offsets(xyz_m: npt.ArrayLike, origin_m: Vec3) -> list[list[float]]:
     """`offset` of several positions (N, 3)."""
     rounded: list[list[float]] = np.round(np.subtract(xyz_m, origin_m), _DECIMALS).tolist()
     return rounded
