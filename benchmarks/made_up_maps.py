@@ -23,6 +23,7 @@ from conetl.mapping.visibility import NotObserved
 from conetl.model.base import Vec3
 from conetl.model.drive import Drive, FramePair, Pose, Position, Track
 from conetl.model.map_records import MapFeature
+from conetl.model.params import ReconcileParams
 from conetl.model.rig import Camera, Rig
 
 SRID = 32632
@@ -37,6 +38,8 @@ FOUNDED_NS = 1_772_352_000_000_000_000
 DAY_NS = 86_400_000_000_000
 COV = (0.01, 0.001, 0.0, 0.02, 0.0, 0.04)
 FRAME_STEP_M = 10.0
+#: What the database compares states by.
+RECONCILE = ReconcileParams().model_dump_json()
 
 _POSITION = f"""ST_SetSRID(ST_MakePoint(
     {WEST_M} + {SPACING_M} * (i %% {ROAD_CONES}),
@@ -69,7 +72,7 @@ def load_roads(conn: Connection, count: int, *, history: bool = True) -> None:
 
 def make_closures(conn: Connection, map_name: str, *, features: int, versions: int = 1) -> None:
     """Write the map of closures and commit."""
-    parameters = {"map": map_name, "features": features, "versions": versions}
+    parameters = {"map": map_name, "features": features, "versions": versions, "reconcile": RECONCILE}
     execute(conn, "set local session_replication_role = replica")  # no checks of foreign keys and overlaps
     for statement in _CLOSURES:
         execute_count(conn, statement, parameters)
@@ -88,6 +91,7 @@ def _load_block(conn: Connection, map_id: int, start: int, history: bool) -> Non
     at = position_of(np.array([start, start + BLOCK - 1]))
     box = f"{at[0, 0] - 100} {at[0, 1] - 60}, {WEST_M + ROAD_CONES * SPACING_M + 100} {at[1, 1] + 60}"
     values = {"map_id": map_id, "srid": SRID, "start": start, "stop": start + BLOCK - 1, "box": f"BOX({box})"}
+    values["reconcile"] = RECONCILE
     days = []
     for day in (0, 1):
         key = hashlib.sha256(f"{MAP_NAME} {start} {day}".encode()).hexdigest()
@@ -118,7 +122,7 @@ _CLOSURES = (
     select md5(%(map)s || 'drive' || d)::uuid, m.map_id, 32632, 'drive_' || d, 'synthetic', encode(sha256((%(map)s || d)::bytea), 'hex'),
         '{}', 1772352000000000000 + d * 86400000000000, 1772352060000000000 + d * 86400000000000,
         tstzrange(timestamptz '2026-03-01T08:00Z' + d * interval '1 day', timestamptz '2026-03-01T08:01Z' + d * interval '1 day'),
-        1, '{}', 60, ST_MakeEnvelope(450000, 5420000, 490000, 5460000, 32632)
+        1, %(reconcile)s, 60, ST_MakeEnvelope(450000, 5420000, 490000, 5460000, 32632)
     from conetl.map m, generate_series(0, %(versions)s - 1) d
     where m.map_name = %(map)s
     """,
@@ -175,7 +179,7 @@ _DRIVE = """
 insert into conetl.drive (drive_uuid, map_id, srid, drive_id, source_path, content_sha256, rig, captured_from_ns, captured_to_ns,
     captured_period, expected_frame_count, reconcile, influence_m, area)
 select %(drive)s, %(map_id)s, %(srid)s, %(key)s, '', %(key)s, '{}', %(from_ns)s, %(from_ns)s + 3600000000000,
-    tstzrange(to_timestamp(%(from_ns)s / 1e9), to_timestamp(%(from_ns)s / 1e9 + 3600), '[]'), 1, '{}', 60,
+    tstzrange(to_timestamp(%(from_ns)s / 1e9), to_timestamp(%(from_ns)s / 1e9 + 3600), '[]'), 1, %(reconcile)s, 60,
     ST_SetSRID(%(box)s::box2d::geometry, %(srid)s)"""
 _CHANGESET = """
 insert into conetl.changeset (changeset_id, map_id, changeset_no, drive_uuid, idempotency_key, params_sha256, model_sha256, code_version,

@@ -6,8 +6,8 @@
 -- map; of an empty map its creation).
 select
     m.map_name, m.srid, coalesce(c.changeset_no, 0) as changeset_no,
-    greatest(
-        m.created_at, c.committed_at, (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)
+    coalesce(
+        greatest(c.committed_at, (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)), m.created_at
     ) as last_committed_at
 from conetl.map m
 left join lateral (

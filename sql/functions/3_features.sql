@@ -118,13 +118,17 @@ as $$
         case k.change
             when 'removed' then case when not g.suppressed then lower(g.valid_period) end
             when 'missed' then lower(n.valid_period)
+            when 'confirmed' then case when n.first_missed_ns is null then lower(n.valid_period) else (
+                select min(lower(v.valid_period)) from conetl.feature_version v
+                where v.cell = n.cell and v.feature_id = n.feature_id and v.present and v.version = n.version
+                and (v.valid_period @> $2 or lower(v.valid_period) between $2 and $3) and v.system_period @> $4
+            ) end
             else (
                 select min(lower(v.valid_period)) from conetl.feature_version v
                 where v.cell = n.cell and v.feature_id = n.feature_id and v.present
                 and (v.valid_period @> $2 or lower(v.valid_period) between $2 and $3) and v.system_period @> $4
                 and case k.change
                     when 'moved' then ST_Distance(coalesce(o.line, o.geom), v.geom) > k.moved_m
-                    when 'confirmed' then v.version = n.version
                     when 'height_changed' then abs(v.object_height_m - o.object_height_m) > k.height_m
                     else true
                 end

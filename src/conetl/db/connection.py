@@ -224,9 +224,12 @@ def transaction(conn: Connection, what: str) -> Iterator[None]:
 
 def execute(conn: Connection, sql: str, parameters: Mapping[str, Any] | None = None) -> list[dict[str, Any]]:
     """Run one statement. Returns its rows as dictionaries, [] if it returns none."""
-    with conn.cursor(cursor_factory=psycopg2.extras.RealDictCursor) as cursor:
+    with conn.cursor() as cursor:
         cursor.execute(sql, parameters)
-        return [dict(row) for row in cursor.fetchall()] if cursor.description else []
+        if cursor.description is None:
+            return []
+        names = [column.name for column in cursor.description]
+        return [dict(zip(names, row, strict=True)) for row in cursor.fetchall()]
 
 
 def execute_count(conn: Connection, sql: str, parameters: Mapping[str, Any] | None = None) -> int:

@@ -90,7 +90,10 @@ class ItemRows:
         if self.box is not None:
             test = load_sql(f"ogc.{'line' if self.kind == 'lane_markings' else 'point'}_in_box")
             sides = dict(zip(("west", "south", "east", "north"), self.box, strict=True))
-            sides |= dict(zip(_NEAR, self.near or ALL_ROWS, strict=True)) | dict(zip(_INNER, self.inner, strict=True))
+            if self.kind != "lane_markings":
+                sides |= dict(zip(_NEAR, self.near or ALL_ROWS, strict=True)) | dict(
+                    zip(_INNER, self.inner, strict=True)
+                )
             where.append(f"({_filled(test, {name: number(value, 'float8') for name, value in sides.items()})})")
         if self.row_ids is not None:
             where.append(f"s.version_row_id = any({number(self.row_ids, 'bigint[]')})")

@@ -145,7 +145,7 @@ class AsOfCollection(PgCollection):
             "properties": ", ".join(f"p.{name}" for name in columns),
         }  # fmt: skip
         rows = self._rows(box, interval)
-        if rows.box is not None and not ids and self.table != "changes" and self._is_large(box):
+        if not ids and self.table != "changes" and self._is_large(box):
             return await self._page_of_many(conn, text, rows, limit, offset, links)
         items, returned = await _items(conn, text, rows, limit, offset, links)
         if returned < limit and (returned or not offset):  # the last page gives the number of all
