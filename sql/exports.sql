@@ -58,8 +58,8 @@ order by
 
 -- name: changes
 -- Features that differ between two instants on the road, both as known at one instant. Parameters: from_valid_at, to_valid_at; and
--- map_name, known_at, lines, category, spatial_order, time_order: as states. {{columns}}: of conetl.feature_state, of the later state (of removed features the one that says so), and of
--- conetl.feature_changes.
+-- map_name, known_at, lines, category, spatial_order, time_order: as states. {{columns}}: of conetl.feature_state, of the later state
+-- (of removed features the one that says so), and of conetl.feature_changes.
 select {{columns}}
 from conetl.feature_changes(
     %(map_name)s, %(from_valid_at)s::timestamptz, %(to_valid_at)s::timestamptz, %(known_at)s::timestamptz

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from datetime import datetime, timedelta
+from functools import partial
 
 import pytest
 
@@ -72,21 +73,17 @@ def numbers(module_conn):
     return {one.feature_id: name for name, one in (cones | lines | {"comes": new}).items()}
 
 
-def changes(conn, numbers, **given):
-    """Rows of `feature_changes` of the default map by the name of the feature."""
+def rows_of(function, conn, numbers, **given):
+    """Rows of a function of the default map by the name of the feature."""
     named = ", ".join(f"{name} => %({name})s" for name in given)
-    rows = execute(conn, f"select * from feature_changes('default'{named and ', ' + named})", given)
+    rows = execute(conn, f"select * from {function}('default'{named and ', ' + named})", given)
     found = {numbers[row["feature_id"]]: row for row in rows}
     assert len(found) == len(rows)
     return found
 
 
-def states(conn, numbers, **given):
-    named = ", ".join(f"{name} => %({name})s" for name in given)
-    rows = execute(conn, f"select * from feature_states('default'{named and ', ' + named})", given)
-    found = {numbers[row["feature_id"]]: row for row in rows}
-    assert len(found) == len(rows)
-    return found
+changes = partial(rows_of, "feature_changes")
+states = partial(rows_of, "feature_states")
 
 
 def kinds(found):

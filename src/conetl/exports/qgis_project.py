@@ -76,10 +76,11 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
                 "title": title,
                 **_DEFAULTS,
                 **flags,
-                "fields": _fields(conn, map_name, _statement(query, flags)),
+                "fields": _fields(conn, map_name, sql),
+                "source": _source(server, map_name, info.srid, sql, lines="lines" in flags),
             }
-            | {"source": _source(server, map_name, info.srid, _statement(query, flags), lines="lines" in flags)}
             for key, title, query, flags in _LAYERS
+            for sql in [_statement(query, flags)]
         ],
         aliases={column.name: f"{column.title} [{column.unit}]" if column.unit else column.title for column in COLUMNS},
         markers={str(kind): _marker(kind) for kind in _KINDS},
@@ -102,13 +103,11 @@ def write_qgis_project(conn: Connection, path: Path, *, map_name: str, user: str
 def _statement(query: str, flags: Mapping[str, bool]) -> str:
     """The statement of a layer on one line, without comments."""
     lines = "lines" in flags
-    columns = [
-        "s.feature_id::text as feature_id",
-        *(f"s.{name}" for name in names(Face.OGC, "lines" if lines else "points")),
-    ]
+    shown = names(Face.OGC, "lines" if lines else "points")
+    columns = ", ".join("s.feature_id::text as feature_id" if name == "feature_id" else f"s.{name}" for name in shown)
     text = load_sql(f"exports.{query}").replace("{{geometry}}", "line" if lines else "geom")
     sql = " ".join(line.strip() for line in text.splitlines() if not line.startswith("--")).rstrip("; ")
-    return sql.replace("{{columns}}", ", ".join(one for one in columns if one != "s.feature_id"))
+    return sql.replace("{{columns}}", columns)
 
 
 def _fields(conn: Connection, map_name: str, statement: str) -> list[str]:

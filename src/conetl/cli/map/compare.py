@@ -36,7 +36,7 @@ def diff(
     before: Annotated[
         str,
         typer.Argument(
-            help="Number of a changeset (the road right after its drive), or a time; a date: its beginning."
+            help="Number of a changeset (the road right after its drive, as known now), or a time; a date: its beginning."
         ),
     ],
     after: Annotated[str, typer.Argument(help="The later state, in the same form; a date: its end.")],
