@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import re
 from typing import Any
 
@@ -60,6 +61,11 @@ def schema_comments() -> dict[tuple[str, str], str]:
     return found
 
 
+def _plain(text: str) -> str:
+    """A comment is no Markdown: brackets, bars and underscores are shown as they are written."""
+    return re.sub(r"([\\`*_\[\]|])", r"\\\1", html.escape(text, quote=False))
+
+
 def schema_as_markdown() -> str:
     """A table per kind of object, and one of the columns."""
     found = schema_comments()
@@ -72,8 +78,8 @@ def schema_as_markdown() -> str:
             "",
             "| name | |",
             "|---|---|",
-            *(f"| `{name}` | {text} |" for name, text in named.items()),
+            *(f"| `{name}` | {_plain(text)} |" for name, text in named.items()),
         ]
     columns = {name: text for (of, name), text in sorted(found.items()) if of == "column"}
     lines += ["", "## Columns", "", "Those that need more than their name.", "", "| column | |", "|---|---|"]
-    return "\n".join([*lines, *(f"| `{name}` | {text} |" for name, text in columns.items()), ""])
+    return "\n".join([*lines, *(f"| `{name}` | {_plain(text)} |" for name, text in columns.items()), ""])
