@@ -4,7 +4,8 @@
 -- feature: what is read of a version as MapFeature (metres, m^2, UTC nanoseconds).
 -- change: what a delta and its stage hold besides versions and changeset.
 -- sigma: standard deviation (m) of a track along the major axis of its horizontal error ellipse.
--- marking: shape of a lane marking for the web view, of conetl.feature_state; null of point objects. line_m is in the map's CRS.
+-- marking: shape of a lane marking for the web view, of conetl.feature_state; null of point objects. line_m counts from the
+-- parameter origin_m.
 -- receipt: what is read as Receipt.
 -- frame_pair: what is read as FramePair and its Pose.
 
@@ -29,7 +30,9 @@ sqrt((x.cov_xx + x.cov_yy) / 2 + sqrt(((x.cov_xx - x.cov_yy) / 2) ^ 2 + x.cov_xy
 
 -- name: marking
 case when x.line is not null then
-    jsonb_build_object('line_m', (ST_AsGeoJSON(x.line, 4)::jsonb) -> 'coordinates', 'sigma_lateral_m', x.sigma_lateral_m)
+    jsonb_build_object('line_m', (ST_AsGeoJSON(ST_Translate(
+        x.line, -(%(origin_m)s::float8[])[1], -(%(origin_m)s::float8[])[2], -(%(origin_m)s::float8[])[3]
+    ), 4)::jsonb) -> 'coordinates', 'sigma_lateral_m', x.sigma_lateral_m)
     || (select to_jsonb(p) from (select {{paint columns of x}}) p)
 end
 

@@ -23,7 +23,7 @@ on conflict (drive_uuid) do nothing;
 select exists (select from conetl.drive d where d.drive_uuid = %(drive_uuid)s and d.map_id <> %(map_id)s) as elsewhere;
 
 -- name: insert_import
--- An imported map as an event of the fold, unless it exists.
+-- An imported map as a drive of kind import, unless it exists.
 -- Parameters: drive_uuid, map_id, srid, drive_id (name of the file), source_path, content_sha256, reconcile (JSON),
 -- influence_m: as the columns; stated_at_ns, stated_at: the instant that it describes (the latter cut to microseconds);
 -- cells_wkt: points (map CRS) so that every cone is within cell_m of one.

@@ -51,13 +51,15 @@ order by c.changeset_no desc;
 
 -- name: changes_of_changeset
 -- What one changeset did to each feature that it judged, as committed (or as released, if it was committed on hold). An
--- earlier drive that arrived later may have replaced it since: see feature_log. Parameters: map_name; changeset_no.
--- Columns: kind 'missed': visible but not observed, and still standing; track_index: null where not seen; old_*: null for
--- added; the others of conetl.feature_state after the change, of a removed feature the last position.
+-- earlier drive that arrived later may have replaced it since: see feature_log. Parameters: map_name; changeset_no; origin_m, from
+-- which xyz_m, old_xyz_m and lines count.
+-- Columns: kind 'missed': visible but not observed, and still standing; track_index: null where not seen; old_*: before
+-- the move, null for other kinds; the others of conetl.feature_state after the change, of a removed feature the last position.
 select
     x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id, c.changeset_no,
-    o.easting_m as old_easting_m, o.northing_m as old_northing_m, o.ellipsoidal_height_m as old_ellipsoidal_height_m,
-    n.feature_id, n.version, n.category, n.easting_m, n.northing_m, n.ellipsoidal_height_m, n.sigma_m, n.sigma_u_m,
+    conetl.offset_m(o.geom, %(origin_m)s::float8[]) as old_xyz_m, n.feature_id, n.version, n.category,
+    n.easting_m, n.northing_m, n.ellipsoidal_height_m, conetl.offset_m(n.geom, %(origin_m)s::float8[]) as xyz_m,
+    n.sigma_m, n.sigma_u_m,
     n.object_height_m, coalesce(x.existence_after, n.existence_probability) as existence_probability, n.observation_count,
     n.last_seen_at, {{marking columns of n}} as marking, {{marking columns of o}} as old_marking
 from conetl.changeset c
@@ -70,7 +72,9 @@ cross join lateral (
     and exists (select from conetl.hold h where h.changeset_id = c.changeset_id and lower(h.system_period) = c.committed_at)
 ) e
 join lateral conetl.state_after(x.cell, x.feature_id, x.new_version, x.changeset_id, e.at) n on true
-left join lateral conetl.state_after(x.cell, x.feature_id, x.old_version, x.changeset_id, e.at) o on true
+left join lateral conetl.state_after(
+    case when x.kind = 'moved' then x.cell end, x.feature_id, x.old_version, x.changeset_id, e.at
+) o on true
 where m.map_name = %(map_name)s and c.changeset_no = %(changeset_no)s and x.system_period @> e.at
 order by x.feature_id;
 

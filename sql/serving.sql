@@ -32,38 +32,39 @@ limit 1;
 
 -- name: features
 -- The features that stood on a map at one instant on the road, as known at another instant, with what a list of them shows.
--- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); max_rows.
+-- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); max_rows; origin_m, from which positions count.
 -- Columns: of conetl.feature_state; marking: shape of a lane marking, null of point objects.
-select {{listed columns of s}}, {{marking columns of s}} as marking
+select {{listed columns of s}}, conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m, {{marking columns of s}} as marking
 from conetl.feature_states(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) s
 order by s.feature_id
 limit %(max_rows)s;
 
 -- name: changes_between
 -- Difference between the map at two instants, each as known at its own instant.
--- Parameters: map_name; from_valid_at, from_known_at, to_valid_at, to_known_at (timestamptz; 'infinity' = latest); max_rows.
--- Columns: as history.changes_of_changeset, of conetl.feature_changes.
+-- Parameters: map_name; from_valid_at, from_known_at, to_valid_at, to_known_at (timestamptz; 'infinity' = latest); max_rows;
+-- origin_m, from which positions count. Columns: as history.changes_of_changeset, of conetl.feature_changes.
 select
-    c.change as kind, c.changed_at, c.shift_m, c.old_easting_m, c.old_northing_m, c.old_ellipsoidal_height_m,
-    {{listed columns of s}}, {{marking columns of s}} as marking, {{marking columns of o}} as old_marking
+    c.change as kind, c.changed_at, c.shift_m, conetl.offset_m(o.geom, %(origin_m)s::float8[]) as old_xyz_m,
+    {{listed columns of s}}, conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m,
+    {{marking columns of s}} as marking, {{marking columns of o}} as old_marking
 from conetl.feature_changes(
     %(map_name)s, %(from_valid_at)s::timestamptz, %(to_valid_at)s::timestamptz, %(to_known_at)s::timestamptz,
     %(from_known_at)s::timestamptz
 ) c
 join conetl.feature_state s using (version_row_id)
-left join conetl.feature_state o on o.version_row_id = c.old_row_id
+left join conetl.feature_state o on o.version_row_id = case when c.change = 'moved' then c.old_row_id end
 order by c.feature_id
 limit %(max_rows)s;
 
 -- name: feature_history
 -- What every drive did to one feature of a map, in the order of the drives on the road.
--- Parameters: map_name; feature_id; known_at (timestamptz; 'infinity' = latest): as known then.
+-- Parameters: map_name; feature_id; known_at (timestamptz; 'infinity' = latest): as known then; origin_m, from which xyz_m counts.
 -- Columns: of conetl.feature_delta, and those of conetl.feature_state after it (of a removed feature the last position);
 -- existence_probability, seen_count, missed_count: after this drive; sighting_count: frame pairs of this drive that it is based on.
 select
     x.changeset_no, x.drive_id, x.drive_uuid, x.drive_kind, x.captured_from_ns, x.kind, x.changed_at, x.committed_at,
     x.new_version as version, x.track_index, x.shift_m, x.other_feature_id, x.frames_seen, x.frames_empty, s.category,
-    s.easting_m, s.northing_m, s.ellipsoidal_height_m, v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz, s.sigma_m,
+    s.easting_m, s.northing_m, s.ellipsoidal_height_m, conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m, v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz, s.sigma_m,
     s.object_height_m, s.object_height_sigma_m, coalesce(x.existence_after, s.existence_probability) as existence_probability,
     s.observation_count, s.first_seen_at, s.last_seen_at, {{marking columns of s}} as marking,
     (

@@ -11,6 +11,16 @@ as $$
 $$;
 comment on function conetl.cell_at is 'The square of 256 m (map CRS) around a point, as one number; neighbours have near numbers.';
 
+create or replace function conetl.offset_m(place geometry, origin_m float8[]) returns float8[]
+language sql immutable parallel safe
+as $$
+    select case when place is not null then array[
+        round((ST_X(place) - origin_m[1]) * 1e4) / 1e4, round((ST_Y(place) - origin_m[2]) * 1e4) / 1e4,
+        round((ST_Z(place) - origin_m[3]) * 1e4) / 1e4
+    ] end
+$$;
+comment on function conetl.offset_m is 'Easting, northing and height of a point counted from an origin (metres, to 0.1 mm).';
+
 create or replace function conetl.cell_of(feature_id uuid) returns bigint
 language sql stable parallel safe
 as $$

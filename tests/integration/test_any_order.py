@@ -34,7 +34,7 @@ def jacobian_of(conn):
 
 @pytest.fixture(scope="module")
 def in_order(another_database):
-    """The map of the first three days, ingested in order: each drive extends the fold by one, nothing is replayed."""
+    """The map of the first three days, ingested in order: each drive is merged after the one before, nothing is replayed."""
     with another_database() as conn:
         merged = [world.merge(conn, of_day(day)) for day in range(3)]
         assert [m.replayed for m in merged] == [0, 0, 0]

@@ -78,7 +78,9 @@ def planted(module_database_url: str, tmp_path_factory: pytest.TempPathFactory) 
         merge(conn, drive)
     with closing(connect(module_database_url)) as conn:
         latest = list_changesets(conn)[0]
-        changes = query(conn, "history.changes_of_changeset", map_name="default", changeset_no=2)
+        changes = query(
+            conn, "history.changes_of_changeset", map_name="default", changeset_no=2, origin_m=[0.0, 0.0, 0.0]
+        )
         feature_id = next(row["feature_id"] for row in changes if row["kind"] == "confirmed")
         rows = {name: execute(conn, f"select count(*) as n from {name}")[0]["n"] for name in names}
         yield Planted(conn, drive, latest, feature_id, rows, tmp_path_factory.mktemp("plans"))
@@ -125,7 +127,13 @@ def serve(map_: Planted) -> None:
     store.review_page(conn, "default", "changes", change="moved", moved_from_m=0.0, **page)
     store.review_page(conn, "default", "doubtful", least=0.1, most=1.0, **page)
     standing = store.read_rows(
-        conn, "serving.features", map_name="default", valid_at="infinity", known_at="infinity", max_rows=1000
+        conn,
+        "serving.features",
+        map_name="default",
+        valid_at="infinity",
+        known_at="infinity",
+        max_rows=1000,
+        origin_m=[0.0, 0.0, 0.0],
     )
     store.last_changes(conn, "default", [row["feature_id"] for row in standing])
     store.track_ranges(conn, [(drive_uuid, track.track_index) for track in map_.drive.tracks[::2]])

@@ -15,7 +15,7 @@ from datetime import datetime
 from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 from urllib.parse import quote, urlencode
 from weakref import WeakKeyDictionary
 
@@ -55,7 +55,6 @@ SESSION_OPTIONS = (
 COPY_CHUNK_BYTES = 1 << 20
 CopyBlock: TypeAlias = tuple[str, BytesIO]
 """A COPY statement and the rows that are ready to be sent."""
-_ID_AS_TEXT = psycopg2.extensions.new_type((2950,), "ID_AS_TEXT", lambda text, _: text)
 _NAME = re.compile(r"^-- name: (\w+)\n", re.MULTILINE)
 #: A list of columns of `model/columns.py` or `sql/columns.sql`, and the alias of the table that has them.
 _COLUMNS = re.compile(r"\{\{(\w+) columns(?: of (\w+))?\}\}")
@@ -248,21 +247,6 @@ def read(conn: Connection, what: str, name: str, /, **parameters: Any) -> list[d
     """As `query`; an error of the database becomes a `DatabaseError` that says `what` failed."""
     with database_errors(what):
         return query(conn, name, **parameters)
-
-
-class Table(NamedTuple):
-    """Names of columns, and rows as tuples, with ids as text: read in a quarter of the time that dictionaries take."""
-
-    names: list[str]
-    rows: list[tuple[Any, ...]]
-
-
-def read_values(conn: Connection, what: str, name: str, /, **parameters: Any) -> Table:
-    """As `read`, for many rows."""
-    with database_errors(what), conn.cursor() as cursor:
-        psycopg2.extensions.register_type(_ID_AS_TEXT, cursor)
-        cursor.execute(load_sql(name), parameters)
-        return Table([column.name for column in cursor.description or ()], cursor.fetchall())
 
 
 def stream(conn: Connection, what: str, name: str, /, **parameters: Any) -> Iterator[dict[str, Any]]:

@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, Table, or_infinity, read, read_values
+from conetl.db.connection import Connection, database_errors, execute, load_sql, or_infinity, read
 
 Row = dict[str, Any]
 
@@ -24,9 +24,23 @@ def read_some(conn: Connection, statement: str, most: int, **parameters: Any) ->
     return rows[:most], len(rows) > most
 
 
-def read_table(conn: Connection, statement: str, **parameters: Any) -> Table:
-    """As `read_rows`, for many rows."""
-    return read_values(conn, "The map cannot be read", statement, **parameters)
+def read_listing(
+    conn: Connection, statement: str, most: int, fields: Sequence[Sequence[str]], **parameters: Any
+) -> tuple[str | None, str | None, bool]:
+    """Point objects and lane markings among the first `most` rows of a statement with a column `marking`, each with its fields as
+    JSON objects between commas (None: there are none), and whether there are more rows. Raises DatabaseError."""
+    points, lines = (
+        f"string_agg((select row_to_json(r) from (select {', '.join(names)}) r)::text, ',')" for names in fields
+    )
+    sql = f"""
+        select
+            {points} filter (where marking is null and row_no <= {most}) as points,
+            {lines} filter (where marking is not null and row_no <= {most}) as lines,
+            count(*) > {most} as truncated
+        from (select row_number() over () as row_no, s.* from ({load_sql(statement).rstrip(";")}) s) q"""
+    with database_errors("The map cannot be read"):
+        [row] = execute(conn, sql, parameters)
+    return row["points"], row["lines"], row["truncated"]
 
 
 class Head(NamedTuple):
@@ -54,15 +68,20 @@ def read_origin(conn: Connection, map_name: str) -> tuple[float, float, float] |
 
 
 def read_feature_history(
-    conn: Connection, map_name: str, feature_id: UUID, known_at: datetime | None = None
+    conn: Connection,
+    map_name: str,
+    feature_id: UUID,
+    known_at: datetime | None = None,
+    origin_m: Sequence[float] = (0.0, 0.0, 0.0),
 ) -> list[Row]:
     """Every delta of a feature with the state after it, as known at `known_at` (None: now), in the order of the drives.
 
-    [] if the map has no such feature.
+    xyz_m and the vertices of `marking` count from `origin_m`. [] if the map has no such feature.
     """
     return read_rows(
-        conn, "serving.feature_history", map_name=map_name, feature_id=feature_id, known_at=or_infinity(known_at)
-    )
+        conn, "serving.feature_history", map_name=map_name, feature_id=feature_id, known_at=or_infinity(known_at),
+        origin_m=list(origin_m),
+    )  # fmt: skip
 
 
 def read_base_tile(conn: Connection, map_name: str, sha256: str) -> bytes | None:

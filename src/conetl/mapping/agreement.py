@@ -1,7 +1,7 @@
 """Checks of a whole drive against the map: its cones are all lower, shifted or turned, or too many of the map's cones are gone;
 or the same of its lane markings, the only thing to compare in a drive without cones.
 
-A failed check is one finding for a person, not nine moved cones. The checks are part of the fold, so they are repeated when an
+A failed check is one finding for a person, not nine moved cones. The checks are part of the merge, so they are repeated when an
 earlier drive arrives; docs/explanation/health.md has their limits.
 """
 

@@ -37,7 +37,7 @@ _MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
 _MAX_PART_TURN, _MAX_LEVER_M = np.radians(0.5), 4.0
 #: No road connects two cones this near in plan with such a height difference; bridges are lower.
 _BESIDE_M, _CLIFF_M = 30.0, 20.0
-#: The fold compares everything on the map within this distance.
+#: A merge compares everything on the map within this distance.
 _NEAR_M = 50.0
 #: An imported map, or a drive, may be in another datum: ED50 is 80 m east and 200 m north of ETRS89.
 FARTHEST_M = 300.0
@@ -127,7 +127,7 @@ def check_far_positions(
 ) -> HealthCheck | None:
     """A hold if a drive's cones have a common displacement that is too large for `check_agreement`.
 
-    features: the map's point objects within `FARTHEST_M` of the tracks. The fold compares only what a drive may have in view, so
+    features: the map's point objects within `FARTHEST_M` of the tracks. A merge compares only what a drive may have in view, so
     this is checked once, when the drive is ingested.
     """
     sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]

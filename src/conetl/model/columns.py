@@ -212,13 +212,13 @@ COLUMNS = (
     _number(
         "ellipsoidal_height_m", "m", "Ellipsoidal height of the ground",
         "Of the foot of the object above the WGS 84 ellipsoid, whatever height_system is.",
-        shown=Face.PLACE | Face.OGC | Face.PAGE, heading="ground m",
+        shown=Face.PLACE | Face.OGC, heading="ground m",
     ),
     _number(
         "easting_m", "m", "Easting", "Of the foot of the object, in the map's CRS; in files in that of --crs, if given.",
-        shown=Face.PLACE | Face.OGC | Face.PAGE, heading="easting m",
+        shown=Face.PLACE | Face.OGC, heading="easting m",
     ),
-    _number("northing_m", "m", "Northing", "Likewise.", shown=Face.PLACE | Face.OGC | Face.PAGE, heading="northing m"),
+    _number("northing_m", "m", "Northing", "Likewise.", shown=Face.PLACE | Face.OGC, heading="northing m"),
 )  # fmt: skip
 BY_NAME = {column.name: column for column in COLUMNS}
 #: Columns of files that follow from others, by the column without which they do not exist; they depend on the CRS.

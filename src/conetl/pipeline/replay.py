@@ -1,4 +1,4 @@
-"""Merge one drive into the map, in the order of recording or later: between the fold (`mapping/history.py`) and the tables.
+"""Merge one drive into the map, in the order of recording or later: between `mapping/history.py` and the tables.
 
 All of it runs inside the caller's transaction: `drive_transaction`, or `map_transaction` if the whole map is changed.
 """
@@ -171,8 +171,8 @@ def _compare(
     decisions, later = read_decisions(conn, map_name=map_name), near.later
     if later or len(near.aside) > 1 or near.reaches_far:
         again = [*near.aside, *(ref.drive_uuid for ref in later)]
-        folded, replay = replay_of(conn, again, later, decisions, own=[own], new_drive=_new_drive(near, drive))
-        return folded.updates[own.changeset_id], replay
+        merged, replay = replay_of(conn, again, later, decisions, own=[own], new_drive=_new_drive(near, drive))
+        return merged.updates[own.changeset_id], replay
     standing = store.read_standing_around(conn, near.drive_uuid)
     update = apply_drive({one: next(reversed(rows)) for one, rows in standing.items()}, own, decisions)
     return update, replay_of_newest(standing, update, own.changeset_id)
@@ -233,13 +233,13 @@ def replay_of(
         if new_drive is not None:
             changesets[new_drive.drive_uuid] = own[0].changeset_id
         checks = {changesets[one]: doubt.check for one, doubt in doubts.items() if one in changesets}
-        folded, replay = _fold(
+        merged, replay = _replay(
             conn, aside, around, again,
             [replace(one, doubt=checks.get(one.changeset_id)) for one in compared], decisions,
         )  # fmt: skip
         # Whether the map confirms a drive is known only now; what continues it follows.
         confirmed = {
-            one.changeset_id: is_confirmed(folded.updates[one.changeset_id].deltas, one.key[0]) for one in compared
+            one.changeset_id: is_confirmed(merged.updates[one.changeset_id].deltas, one.key[0]) for one in compared
         }
         known = {
             one: changesets[one] in decisions.accepted or confirmed[changesets[one]]
@@ -253,10 +253,10 @@ def replay_of(
         _log.warning(
             "After %d rounds it is not settled which drives the map confirms: see `conetl drive held`.", _MOST_ROUNDS
         )
-    return folded, replay
+    return merged, replay
 
 
-def _fold(
+def _replay(
     conn: Connection,
     aside: Sequence[UUID],
     around: Sequence[UUID],
@@ -268,17 +268,17 @@ def _fold(
     versions, others = store.read_versions(conn, [*aside, *around], without=out)
     deltas = store.read_deltas(conn, aside)
     misses = store.read_misses(conn, [*aside, *around], without=out)
-    folded = replay_drives(evidence, decisions, given=[*others, *misses])
+    merged = replay_drives(evidence, decisions, given=[*others, *misses])
     replay = Replay(
         versions_before=versions,
         deltas_before=deltas,
-        versions=[version for chain in folded.chains.values() for version in chain],
+        versions=[version for chain in merged.chains.values() for version in chain],
         deltas=[
-            (changeset_id, delta) for changeset_id, extension in folded.updates.items() for delta in extension.deltas
+            (changeset_id, delta) for changeset_id, extension in merged.updates.items() for delta in extension.deltas
         ],
-        holds={ref.changeset_id: folded.updates[ref.changeset_id].hold for ref in again},
+        holds={ref.changeset_id: merged.updates[ref.changeset_id].hold for ref in again},
     )
-    return folded, replay
+    return merged, replay
 
 
 def influence_m(params: IngestParams) -> float:

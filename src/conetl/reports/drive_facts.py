@@ -49,7 +49,7 @@ class DriveFacts:
     frame_pairs: list[FramePair]
     tracks: list[Track]
     changes: tuple[Row, ...]
-    """Of point objects: the rows of `history.changes_of_changeset`, kind as DeltaKind, with xyz_m; number, in table and plan,
+    """Of point objects: the rows of `history.changes_of_changeset`, kind as DeltaKind; number, in table and plan,
     from 1; why, one sentence with numbers, empty of confirmations and of what is beyond `_MAX_REASONS`."""
     checks: tuple[HealthCheck, ...]
     """Of the recording as it was ingested, and of the drive against the map as it is now; () where none were stored."""
@@ -98,7 +98,8 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     header = read(conn, what, "reports.changeset", changeset_id=changeset.changeset_id)[0]
     if header["rig"] is None:
         raise InputError(f"changeset {changeset.changeset_no} is an imported map, not a drive: it has no report")
-    evaluated = read_rows(conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset.changeset_no)
+    number = {"map_name": map_name, "changeset_no": changeset.changeset_no}
+    evaluated = read_rows(conn, "history.changes_of_changeset", origin_m=[0.0, 0.0, 0.0], **number)
     rejections = read(conn, what, "reports.rejections", changeset_id=changeset.changeset_id)
     residuals = np.array(list(stream_values(conn, what, "reports.residuals", drive_uuid=changeset.drive_uuid)))
     events = [e for e in hold_events(conn, map_name=map_name) if e.changeset_id == changeset.changeset_id]
@@ -135,9 +136,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         frame_pairs=frame_pairs,
         tracks=read_tracks(conn, changeset.drive_uuid),
         changes=tuple(
-            row
-            | {"number": number, "kind": DeltaKind(row["kind"]), "why": reasons.get(row["feature_id"], "")}
-            | {"xyz_m": (row["easting_m"], row["northing_m"], row["ellipsoidal_height_m"])}
+            row | {"number": number, "kind": DeltaKind(row["kind"]), "why": reasons.get(row["feature_id"], "")}
             for number, row in enumerate(rows, start=1)
         ),
         checks=(*checks, *against_map),

@@ -73,7 +73,7 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
     for c in facts.changes:
         old_xy_m, label = None, str(c["number"])
         if c["kind"] is DeltaKind.MOVED:
-            old_xy_m, label = (c["old_easting_m"], c["old_northing_m"]), f"{label} ({c['shift_m']:.2f} m)"
+            old_xy_m, label = c["old_xyz_m"][:2], f"{label} ({c['shift_m']:.2f} m)"
         marks.append(figures.PlanMark(c["category"], c["kind"], c["xyz_m"][:2], old_xy_m, label))
     plan = figures.png(
         draw_plan(

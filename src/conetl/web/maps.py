@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
 from uuid import UUID
 
-import orjson
 from fastapi import APIRouter, HTTPException, Request, Response
 from pydantic import BaseModel
 
 from conetl.db import serve_store as store
-from conetl.db.connection import Table, or_infinity
+from conetl.db.connection import or_infinity
 from conetl.db.map.archive import list_maps
 from conetl.db.map.map_store import list_changesets, require_map
 from conetl.geometry.rig import map_SE3_left
@@ -24,6 +25,7 @@ router = APIRouter(tags=["maps"])
 _MAP = "/maps/{map_name}"
 _MAX_SIGHTINGS = 2_000
 _MAX_TRAJECTORY = 50_000
+_CHANGES: dict[str, type[m.Change]] = {"changes": m.Change, "markings": m.StretchChange}
 
 
 @router.get("/maps")
@@ -51,15 +53,15 @@ def features(
 ) -> Response:
     """Features on the road at `valid_at`, as known at `known_at`."""
     instants = {"valid_at": or_infinity(valid_at), "known_at": or_infinity(known_at)}
-    table = store.read_table(conn, "serving.features", map_name=map_name, max_rows=MAX_FEATURES + 1, **instants)
-    return _listing(table, origin, features=m.Feature, markings=m.Stretch)
+    lists: dict[str, type[m.Feature]] = {"features": m.Feature, "markings": m.Stretch}
+    return _listing(conn, "serving.features", lists, origin, map_name=map_name, max_rows=MAX_FEATURES + 1, **instants)
 
 
 @router.get(f"{_MAP}/changes/{{changeset_no}}", response_model=m.Changes)
 def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Reader, origin: Origin) -> Response:
     """The decision of one changeset about every feature that its drive could see."""
-    table = store.read_table(conn, "history.changes_of_changeset", map_name=map_name, changeset_no=changeset_no)
-    return _listing(table, origin, changes=m.Change, markings=m.StretchChange)
+    one = {"map_name": map_name, "changeset_no": changeset_no}
+    return _listing(conn, "history.changes_of_changeset", _CHANGES, origin, **one)
 
 
 @router.get(f"{_MAP}/changes", response_model=m.Changes)
@@ -73,12 +75,11 @@ def changes_between(
     to_known_at: Instant = None,
 ) -> Response:
     """Features that differ between two instants, each as known at its own."""
-    table = store.read_table(
-        conn, "serving.changes_between", map_name=map_name, max_rows=MAX_FEATURES + 1,
+    return _listing(
+        conn, "serving.changes_between", _CHANGES, origin, map_name=map_name, max_rows=MAX_FEATURES + 1,
         from_valid_at=or_infinity(from_valid_at), from_known_at=or_infinity(from_known_at),
         to_valid_at=or_infinity(to_valid_at), to_known_at=or_infinity(to_known_at),
     )  # fmt: skip
-    return _listing(table, origin, changes=m.Change, markings=m.StretchChange)
 
 
 @router.get(f"{_MAP}/features/{{feature_id}}")
@@ -86,7 +87,7 @@ def feature_history(
     map_name: MapName, feature_id: UUID, conn: Reader, origin: Origin, known_at: Instant = None
 ) -> m.FeatureHistory:
     """The history of one feature, in the state of the database at `known_at`."""
-    rows = store.read_feature_history(conn, map_name, feature_id, known_at)
+    rows = store.read_feature_history(conn, map_name, feature_id, known_at, origin)
     history = to.history(rows, reasons_of(conn, map_name, feature_id, rows), origin)
     if not history:
         raise HTTPException(
@@ -134,13 +135,13 @@ def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader, origin: Origin
     )
 
 
-def _listing(table: Table, origin: Vec3, **models: type[BaseModel]) -> Response:
-    """Point objects and lane markings, by the names and models of their lists."""
-    names, rows = table
-    at = names.index("marking")
-    parts = ([row for row in rows[:MAX_FEATURES] if (row[at] is not None) is lines] for lines in (False, True))
-    lists = {
-        name: to.items(model, names, part, origin) for (name, model), part in zip(models.items(), parts, strict=True)
-    }
-    body = {"origin_m": origin, "truncated": len(rows) > MAX_FEATURES, **lists}
-    return Response(orjson.dumps(body, option=orjson.OPT_UTC_Z), media_type="application/json")
+def _listing(
+    conn: Reader, statement: str, models: Mapping[str, type[BaseModel]], origin: Vec3, **parameters: Any
+) -> Response:
+    """Point objects and lane markings, by the names and models of their lists. PostgreSQL writes the JSON; for a drive of 60,000
+    features that takes half of the time."""
+    fields = [tuple(model.model_fields) for model in models.values()]
+    *lists, truncated = store.read_listing(conn, statement, MAX_FEATURES, fields, origin_m=list(origin), **parameters)
+    body = [f'"{name}":[{found or ""}]' for name, found in zip(models, lists, strict=True)]
+    head = f'{{"origin_m":{list(origin)},"truncated":{str(truncated).lower()}'
+    return Response(",".join([head, *body]) + "}", media_type="application/json")

@@ -31,7 +31,7 @@ _UNREAD = "The drives of the map cannot be read"
 Square = tuple[float, float, float]
 
 
-#: Views of drives are large; the fold needs them one after the other.
+#: Views of drives are large; a merge needs them one after the other.
 _VIEWS_IN_MEMORY = 2
 
 
@@ -171,7 +171,7 @@ def adjoining_drives(
     """Drives that ended at most within_ns before, or began at most within_ns after, one of drive_uuids; and these themselves if
     active.
 
-    Each comes with the one of drive_uuids that it adjoins; in the order of the fold.
+    Each comes with the one of drive_uuids that it adjoins; in the order of recording.
     """
     of = {"drive_uuids": list(drive_uuids), "within_ns": within_ns, "check": json_text([{"name": ADJOINING}])}
     rows = read(conn, _UNREAD, "drives.adjoining_drives", **of)

@@ -1,4 +1,4 @@
-"""Imported maps in the database: an event of the fold like a drive, with statements in place of tracks."""
+"""Imported maps in the database: merged like a drive, with statements in place of tracks."""
 
 from __future__ import annotations
 

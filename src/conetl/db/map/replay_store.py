@@ -54,7 +54,7 @@ def read_standing_around(conn: Connection, drive_uuid: UUID) -> dict[UUID, dict[
 
 
 def affected_drives(conn: Connection, drive_uuids: Sequence[UUID]) -> list[DriveRef]:
-    """The drives to compare again if `drive_uuids` are added, removed or judged differently, in the order of the fold.
+    """The drives to compare again if `drive_uuids` are added, removed or judged differently, in the order of recording.
 
     They are the active ones of `drive_uuids`, and all later ones whose areas they meet, directly or through others.
     """
@@ -183,7 +183,7 @@ class Neighbourhood(NamedTuple):
     aside: list[UUID]
     """The drive, and the analyses and deliveries of its recording that it replaces."""
     affected: list[DriveRef]
-    """Active drives of `aside`, and the later drives that must be compared again, in the order of the fold."""
+    """Active drives of `aside`, and the later drives that must be compared again, in the order of recording."""
     reaches_far: bool = False
     """Whether other drives may have to be compared again; the whole map is locked then."""
 

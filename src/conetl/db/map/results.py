@@ -111,7 +111,7 @@ class FeatureAtInstant:
 
 @dataclass(frozen=True)
 class DriveRef:
-    """An active drive; in the order of the fold."""
+    """An active drive; in the order of recording."""
 
     drive_uuid: UUID
     changeset_id: UUID

@@ -1,6 +1,6 @@
 """Checks of a drive's positions against the whole map and its other drives, once, when the drive is committed.
 
-The fold, which repeats its checks, compares only what a drive may have in view.
+A replay, which repeats its checks, compares only what a drive may have in view.
 """
 
 from __future__ import annotations

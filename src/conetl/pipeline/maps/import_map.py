@@ -123,8 +123,8 @@ def import_map(
         same_place = _standing_at(conn, map_name, imported.statements) if imported.founds_ids and len(seeds) == 1 else 0
         later = [ref for ref in affected_drives(conn, seeds) if ref.drive_uuid not in seeds]
         aside = [*seeds, *(ref.drive_uuid for ref in later)]
-        folded, replay = replay_of(conn, aside, later, read_decisions(conn, map_name=map_name), own=[evidence])
-        deltas = tuple(folded.updates[changeset.changeset_id].deltas)
+        merged, replay = replay_of(conn, aside, later, read_decisions(conn, map_name=map_name), own=[evidence])
+        deltas = tuple(merged.updates[changeset.changeset_id].deltas)
         changeset = changeset.model_copy(update={"deltas": deltas})
         run = RunInfo(
             run_id=uuid5(_NAMESPACE, f"run {info.id_name}/{key}"),
