@@ -26,7 +26,7 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
 from conetl.pipeline.commit import CommittedDrive
 from conetl.pipeline.database import MapDatabase
-from conetl.pipeline.executor import Progress
+from conetl.pipeline.executor import Progress, step
 from conetl.pipeline.publish import PublishedFiles, catch_up, notify, publish
 from conetl.pipeline.settings import Settings
 from conetl.reports.camera_images import draw_boxes, pairs_jpeg, pixelated
@@ -61,6 +61,7 @@ def progress_artifact(drive_id: str, progress: Progress | None = None) -> Progre
     return show
 
 
+@step("publish", "publish {committed.changeset.drive_id}")
 def publish_drive(committed: CommittedDrive, settings: Settings, database: MapDatabase, times: list[StepTime]) -> None:
     """Write the files of a drive that was committed now, show them as artifacts, and send its events."""
     files, report = publish(committed, settings, database, times), committed.report
@@ -81,6 +82,7 @@ def publish_drive(committed: CommittedDrive, settings: Settings, database: MapDa
     notify(report, database, send_events)
 
 
+@step("publish what is pending", "publish {report.drive_id}")
 def publish_pending(report: IngestReport, settings: Settings, database: MapDatabase) -> None:
     """Publish what an earlier run left pending of a drive that is on the map."""
     catch_up(report, settings, database, send_events)

@@ -7,7 +7,7 @@ from functools import partial, wraps
 from typing import Any
 from uuid import uuid4
 
-from prefect import Task, task
+from prefect import State, Task, task
 from prefect.cache_policies import NO_CACHE
 from prefect.context import FlowRunContext
 from prefect.futures import PrefectFuture
@@ -15,31 +15,8 @@ from prefect.task_runners import ProcessPoolTaskRunner, TaskRunner, ThreadPoolTa
 
 from conetl.db.receipt_store import StepTime
 from conetl.model.errors import InputError, is_storage_error
-from conetl.pipeline import analysis, commit, detect, ingest, markings, odometry
-from conetl.pipeline.executor import StepClock
+from conetl.pipeline.executor import StepClock, name_of
 from conetl.pipeline.settings import Settings
-from conetl.tracking import standing
-from flows import artifacts
-
-#: Name of each step's task, and of its runs; the arguments are sealed.
-_NAMES: dict[Callable[..., Any], tuple[str, str | None]] = {
-    ingest.read: ("read drive", "read {folder.value}"),
-    odometry.follow_spans: ("follow points", "follow points {piece.value.frame_pairs[0].frame_index}"),
-    odometry.self_calibrate: ("self-calibrate", None),
-    odometry.motions_across: ("follow points across lost pairs", None),
-    odometry.refine: ("refine", None),
-    detect.detect: ("detect", "detect {chunk.value.frame_pairs[0].frame_index} {part.value}"),
-    detect.match: ("match", "match {chunk.value.frame_pairs[0].frame_index}"),
-    analysis.locate: ("locate", None),
-    analysis.fuse: ("fuse", None),
-    analysis.estimate_variances: ("estimate variances", None),
-    analysis.inflate_outliers: ("inflate outliers", None),
-    standing.without_moving: ("reject moving objects", None),
-    markings.mark: ("mark", None),
-    commit.commit: ("merge", None),
-    artifacts.publish_drive: ("publish", None),
-    artifacts.publish_pending: ("publish what is pending", None),
-}
 
 #: How often Dask profiles itself. By default it samples every worker's stack 100 times a second, and a worker that only waits
 #: takes 3.4 % of a core; with these settings 0.7 %.
@@ -51,19 +28,37 @@ DASK_CONFIG = {
 
 
 class PrefectExecutor:
-    """Runs steps as tasks of the present flow run, with retries."""
+    """Runs steps as tasks of the present flow run, with retries.
+
+    Prefect draws an edge where a task is given another one's future, which sealed arguments hide: each task waits for those that
+    the workflow waited for before it.
+    """
 
     def __init__(self) -> None:
         context = FlowRunContext.get()
-        self.shares_memory = context is not None and isinstance(context.task_runner, ThreadPoolTaskRunner)
+        runner = context and context.task_runner
+        self.shares_memory = isinstance(runner, ThreadPoolTaskRunner)
+        # Prefect's process pool waits for futures only, not for states.
+        self._has_edges = not isinstance(runner, ProcessPoolTaskRunner)
         self._clock = StepClock()
         self._tasks: dict[Callable[..., Any], Task[..., Any]] = {}
+        self._before: list[State[Any]] = []
+        self._beside: list[PrefectFuture[Any]] = []
+        """Submitted since the last step in the caller's thread."""
 
     def run(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        return self._task(step)(*map(_sealed, arguments))
+        state: Any = self._task(step)(
+            *map(_sealed, arguments), wait_for=[*self._before, *self._beside], return_state=True
+        )
+        result = state.result()
+        # Without the result, which would be sent along with each task; Prefect misses one that is None.
+        self._before, self._beside = [state.model_copy(update={"data": "done"})], []
+        return result
 
     def submit(self, step: Callable[..., Any], *arguments: Any) -> PrefectFuture[Any]:
-        return self._task(step).submit(*map(_sealed, arguments))
+        before = self._before if self._has_edges else []
+        self._beside.append(self._task(step).submit(*map(_sealed, arguments), wait_for=before))
+        return self._beside[-1]
 
     def times(self) -> list[StepTime]:
         """Steps that ran in processes of their own are missing: their clock is a copy."""
@@ -71,20 +66,19 @@ class PrefectExecutor:
 
     def _task(self, step: Callable[..., Any]) -> Task[..., Any]:
         if step not in self._tasks:
-            name, run_name = _NAMES[step]
+            name = name_of(step)
             self._tasks[step] = task(
-                _unsealing(step), name=name, task_run_name=run_name, retries=2, retry_delay_seconds=[1, 5],
-                retry_condition_fn=_may_pass, on_completion=[partial(_note, self._clock)],
+                _unsealing(step), name=name.step, task_run_name=partial(_run_name, name.run), retries=2,
+                retry_delay_seconds=[1, 5], retry_condition_fn=_may_pass, on_completion=[partial(_note, self._clock)],
                 cache_policy=NO_CACHE,  # results are kept by content in Parquet files, see files/parquet_store.py
             )  # fmt: skip
         return self._tasks[step]
 
 
 class _Sealed:
-    """An argument that Prefect passes on as it is, because it does not look into objects that it does not know.
+    """An argument that Prefect does not search for futures and states: with the records of a drive that takes seconds per task.
 
-    It searches all other arguments for futures and states, twice for each task: every number of every record of a list. With a
-    chunk of 128 frame pairs that costs many times what the task's run itself costs, with the records of a drive seconds.
+    Prefect's own `quote` does the same for threads, but Dask's runner searches it all the same, and pickling wraps it twice.
     """
 
     def __init__(self, value: Any) -> None:
@@ -98,15 +92,22 @@ def _sealed(argument: Any) -> Any:
     return argument if isinstance(argument, PrefectFuture) else _Sealed(argument)
 
 
+def _opened(argument: Any) -> Any:
+    return argument.value if isinstance(argument, _Sealed) else argument
+
+
 def _unsealing(step: Callable[..., Any]) -> Callable[..., Any]:
     """The step for sealed arguments, and for results of other tasks, which are not."""
 
     @wraps(step)
     def unsealed(*arguments: Any, **named: Any) -> Any:
-        whole = {name: each.value if isinstance(each, _Sealed) else each for name, each in named.items()}
-        return step(*(each.value if isinstance(each, _Sealed) else each for each in arguments), **whole)
+        return step(*map(_opened, arguments), **{name: _opened(each) for name, each in named.items()})
 
     return unsealed
+
+
+def _run_name(template: str, parameters: dict[str, Any]) -> str:
+    return template.format(**{name: _opened(each) for name, each in parameters.items()})
 
 
 def _may_pass(_task: Any, _run: Any, state: Any) -> bool:

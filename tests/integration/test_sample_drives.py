@@ -136,6 +136,7 @@ def test_detections_are_known_by_all_that_says_what_is_searched(tmp_path: Path, 
         {"detection": DetectionParams(search_right="everywhere")},
     )
     chunk = Chunk(
+        drive_id="one",
         rig=results.drive.rig, frame_pairs=results.drive.frame_pairs[:1],
         results_folder=tmp_path, model_path=None, detections_sha256=read_model_card(None).detections_sha256, params=PARAMS,
     )  # fmt: skip

@@ -158,7 +158,7 @@ def test_self_calibration_follows_spans_of_all_of_a_drive_or_of_pieces(
             drive, IngestParams(chunk_pairs=8, trajectory=few), settings=sample_settings, executor=executor,
             progress=lambda done, total: heard.append((done, total)),
         )  # fmt: skip
-        assert {time.step: time.task_count for time in executor.times()}["follow spans"] == steps
+        assert {time.step: time.task_count for time in executor.times()}["follow points"] == steps
     assert found.calibration.span_count == spans
     assert len(found.trajectory.frame_pairs) == 39 and found.trajectory.outcome == "refined"
     assert heard[-1] == (116, 116)

@@ -105,7 +105,7 @@ def test_deployments_name_flows_that_exist_and_queues_that_workers_serve() -> No
         assert hasattr(importlib.import_module(module), function)
         queue = deployment["work_pool"]["work_queue_name"]
         assert f"--work-queue {queue} " in workers[queue]
-        assert deployment["concurrency_limit"]["limit"] >= 1
+        assert "concurrency_limit" not in deployment, "the run would crash when Prefect's server restarts"
     assert f"--work-queue {BACKFILL_QUEUE} " in workers["drives"]
 
 

@@ -6,7 +6,6 @@ import ast
 import re
 from collections import Counter
 
-from flows.tasks import _NAMES
 from tests.folders import ROOT
 
 MODULES = [path for folder in ("src/conetl", "flows") for path in sorted((ROOT / folder).rglob("*.py"))]
@@ -29,14 +28,6 @@ def test_architecture_names_every_package() -> None:
     drawn = ", ".join(re.findall('font-weight="bold">([^<]+)<', drawing.read_text())).split(", ")
     listed = re.findall("`([^`]+)`", "".join(re.findall(r"^\| (`[^|]+) \|", page.read_text(), re.MULTILINE)))
     assert sorted(drawn) == sorted(listed) == sorted([*packages, "flows/"])
-
-
-def test_every_step_of_an_analysis_has_the_name_of_a_task() -> None:
-    """The command runs all steps as tasks; one that few drives need has no test that does."""
-    text = "".join(path.read_text() for path in sorted((ROOT / "src/conetl/pipeline").glob("*.py")))
-    steps = set(re.findall(r"(?:executor|steps)\.(?:run|submit)[(,]\s*(?:\w+\.)?(\w+)", text))
-    named = {step.__name__ for step in _NAMES}
-    assert len(steps) > 10 and steps - {"publish_new", "publish_known"} <= named
 
 
 def test_every_python_gets_the_same_versions() -> None:

@@ -1,8 +1,8 @@
-"""From a drive that was read to its cones: all steps, in the order of the data flow."""
+"""The workflow of a drive, from its images to its tracks: `analyse` runs the steps in the order of the data flow."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
@@ -25,7 +25,7 @@ from conetl.perception.stereo_check import check_stereo
 from conetl.pipeline import odometry
 from conetl.pipeline.chunks import Chunk, chunks_of, load_matches, parts_of
 from conetl.pipeline.detect import Detected, ExtraSteps, detail_path, detect, match
-from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitted, ThreadExecutor, results
+from conetl.pipeline.executor import Executor, Progress, ProgressCount, Submitted, ThreadExecutor, results, step
 from conetl.pipeline.markings import mark
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.association import MotionError
@@ -84,77 +84,122 @@ def analyse(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> AnalysedDrive:
-    """Detect cones and refine the trajectory of a drive, then compute positions and tracks. Needs no database and no server.
-
-    If the trajectory was refined, positions and tracks are computed twice more, with sigmas estimated from the tracks: first for
-    all observations of a class, then for single ones.
+    """Calibrate -> detect -> match -> refine -> locate -> fuse -> validate a drive that was read. Needs no database, no server.
 
     drive, rejections: as returned by `read_drive`. settings: model, number of threads, folder for results of finished chunks;
     default: CONETL_* of the environment. executor: runs the steps; default: `settings.workers` threads. progress: called with the
     number of processed images and motions, and of all. Raises ConetlError.
     """
     params, settings = params or IngestParams(), settings or read_settings()
-    given = drive.rig
     with ExitStack() as stack:
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
-        card = read_model_card(settings.model_path)
-        searched = params.detection.categories
-        card.require_categories(set(searched) - set(LINE_CLASSES))
-        extras = ExtraSteps(odometry=params.trajectory.refine, markings=LANE_MARKING in searched)
-        pairs = len(drive.frame_pairs)
-        count = ProgressCount(executor, 2 * pairs + (pairs - 1 if extras.odometry else 0), progress)
-        chunks = chunks_of(drive, settings, params)
-        drive, health = check_stereo(drive)
-        if drive.rig != given:  # the calibration is known to be wrong: even small corrections are applied
-            small = {"self_calibration_significance": 1.0, "self_calibration_least_px": 0.01}
-            trajectory_params = params.trajectory.model_copy(update=small)
-            chunks = chunks_of(drive, settings, params.model_copy(update={"trajectory": trajectory_params}))
-        parts, matched, calibration, rig = _run_chunks(drive, chunks, extras, executor, count)
-        motions, _ = load_results([part.motions for part in parts if part.motions is not None], RelativeMotion)
-        detections, rejected_detections = load_results([part.detections for part in parts], Detection)
-        drive, detections = drop_unread_pairs(drive.model_copy(update={"rig": rig}), detections, rejected_detections)
-        if extras.odometry and len(drive.frame_pairs) < pairs:
-            motions += executor.run(odometry.motions_across, drive, motions, params.trajectory)
-        torn, rejected_pairs = odometry.torn_pairs(drive, motions)
-        drive, detections = drop_unread_pairs(drive, detections, rejected_pairs)
+        card, extras = read_model_card(settings.model_path), _extra_steps(params)
+        card.require_categories(set(params.detection.categories) - set(LINE_CLASSES))
+        count = ProgressCount(executor, _step_count(drive, extras), progress)
+
+        # Calibrate: the right camera, from points that are followed over pieces of the drive.
+        drive, chunks, health = _chunks(drive, params, settings)
+        calibration, rig = _calibrate(drive, chunks[0], executor)
+
+        # Detect and match, chunk by chunk in parallel; the same images give the motions and the points of lane markings.
+        parts, matched = _detect_and_match(chunks, rig, extras, executor, count)
+        drive = drive.model_copy(update={"rig": rig})
+        drive, detections, motions, torn, unread = _whole_pairs(drive, parts, extras, params, executor)
+
+        # Refine: one adjustment of all poses, by motions, matches and what was logged.
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, matched, params)
         drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
-        positions, rejected_positions = executor.run(locate, drive, matched, params)
+
+        # Locate: a position for every match, by forward intersection.
+        positions, unlocated = executor.run(locate, drive, matched, params)
         details, _ = load_results([detail_path(part.detections) for part in parts], ImageDetail)
         drive, without_detail = add_image_detail(drive, details)
-        health += [torn] if extras.odometry else []
-        health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
-        matches, rejected_matches = load_matches(matched, drive.frame_pairs)
-        rejections = [*rejections, *rejected_detections, *rejected_pairs, *without_detail, *rejected_matches]
+        matches, unmatched = load_matches(matched, drive.frame_pairs)
+
+        # Fuse: the positions of an object into a track, the points of a line into a lane marking.
         fused = partial(executor.run, fuse, drive, detections, params, card.evidence, trajectory)
+        tracks, unfused = fused(matches, positions)
         errors = pose_cov(trajectory, params.trajectory)
-        tracks, rejected_tracks = fused(matches, positions)
         if trajectory.covariance is not None:
-            # These tracks have the sigmas of single frame pairs. Their residuals correct the sigmas of each class for the next
-            # tracks, and the residuals of those the sigmas of single observations.
-            weighed, positions, _ = executor.run(estimate_variances, drive, matches, tracks, params, errors)
-            tracks, _ = fused(weighed, positions)
-            matches, positions, rejected_positions = executor.run(
-                inflate_outliers, drive, weighed, tracks, params, errors
+            matches, positions, tracks, unlocated, unfused = _weighed(
+                drive, matches, tracks, params, errors, fused, executor
             )
-            tracks, rejected_tracks = fused(matches, positions)
-            # Observations of an object that moves contradict each other: sigmas that cover it would hide that.
-            tracks, moving = executor.run(without_moving, drive, weighed, tracks, errors)
-            rejected_tracks = [*rejected_tracks, *moving]
         points = [part.marking_points for part in parts if part.marking_points is not None]
         markings = executor.run(mark, drive, points, params.marking, errors) if points else []
-    rejections = [*rejections, *rejected_positions, *rejected_tracks]
+
+    # Validate: does the recording contradict itself?
+    rejections = [*rejections, *unread, *without_detail, *unmatched, *unlocated, *unfused]
     records = DriveRecords(drive, detections, matches, positions, tracks, rejections, markings)
-    health += check_calibration(calibration)
-    health += [
-        *check_exposures(calibration.right_ahead, drive.rig, drive.frame_pairs),
-        *_check_cones(records, params),
-    ]
+    health += [torn] if extras.odometry else []
+    health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
+    health += _check_records(records, calibration, params)
     return AnalysedDrive(records, trajectory, calibration, params, tuple(health))
 
 
-def _check_cones(records: DriveRecords, params: IngestParams) -> Iterator[HealthCheck]:
-    """Checks whether the drive shows cones twice: in one image, or at two positions."""
+def _step_count(drive: Drive, extras: ExtraSteps) -> int:
+    """Number of images and motions."""
+    pairs = len(drive.frame_pairs)
+    return 2 * pairs + (pairs - 1 if extras.odometry else 0)
+
+
+def _extra_steps(params: IngestParams) -> ExtraSteps:
+    return ExtraSteps(odometry=params.trajectory.refine, markings=LANE_MARKING in params.detection.categories)
+
+
+def _chunks(drive: Drive, params: IngestParams, settings: Settings) -> tuple[Drive, list[Chunk], list[HealthCheck]]:
+    """The drive with the calibration that fits its images, its chunks, and the check of the calibration."""
+    given = drive.rig
+    chunks_of(drive, settings, params)  # raises for a drive that was read with headers_only
+    drive, health = check_stereo(drive)
+    if drive.rig != given:  # the calibration is known to be wrong: even small corrections are applied
+        small = {"self_calibration_significance": 1.0, "self_calibration_least_px": 0.01}
+        params = params.model_copy(update={"trajectory": params.trajectory.model_copy(update=small)})
+    return drive, chunks_of(drive, settings, params), health
+
+
+def _whole_pairs(
+    drive: Drive, parts: Sequence[Detected], extras: ExtraSteps, params: IngestParams, executor: Executor
+) -> tuple[Drive, list[Detection], list[RelativeMotion], HealthCheck, list[Rejection]]:
+    """Drive, detections and motions without the frame pairs that could not be decoded or are torn; a check of the torn ones, and
+    all rejections."""
+    read = len(drive.frame_pairs)
+    motions, _ = load_results([part.motions for part in parts if part.motions is not None], RelativeMotion)
+    detections, rejected = load_results([part.detections for part in parts], Detection)
+    drive, detections = drop_unread_pairs(drive, detections, rejected)
+    if extras.odometry and len(drive.frame_pairs) < read:
+        motions += executor.run(odometry.motions_across, drive, motions, params.trajectory)
+    torn, rejected_pairs = odometry.torn_pairs(drive, motions)
+    drive, detections = drop_unread_pairs(drive, detections, rejected_pairs)
+    return drive, detections, motions, torn, [*rejected, *rejected_pairs]
+
+
+def _weighed(
+    drive: Drive,
+    matches: list[StereoMatch],
+    tracks: list[Track],
+    params: IngestParams,
+    errors: PoseCov,
+    fused: Callable[[list[StereoMatch], list[Position]], tuple[list[Track], list[Rejection]]],
+    executor: Executor,
+) -> tuple[list[StereoMatch], list[Position], list[Track], list[Rejection], list[Rejection]]:
+    """Matches, positions and tracks with sigmas estimated from the tracks, and what was rejected of positions and of tracks.
+
+    These tracks have the sigmas of single frame pairs. Their residuals correct the sigmas of each class for the next tracks, and
+    the residuals of those the sigmas of single observations.
+    """
+    weighed, positions, _ = executor.run(estimate_variances, drive, matches, tracks, params, errors)
+    tracks, _ = fused(weighed, positions)
+    matches, positions, unlocated = executor.run(inflate_outliers, drive, weighed, tracks, params, errors)
+    tracks, unfused = fused(matches, positions)
+    # Observations of an object that moves contradict each other: sigmas that cover it would hide that.
+    tracks, moving = executor.run(reject_moving, drive, weighed, tracks, errors)
+    return matches, positions, tracks, unlocated, [*unfused, *moving]
+
+
+def _check_records(records: DriveRecords, calibration: SelfCalibration, params: IngestParams) -> Iterator[HealthCheck]:
+    """Checks of calibration and shutters, and whether the drive shows cones twice: in one image, or at two positions."""
+    yield from check_calibration(calibration)
+    yield from check_exposures(calibration.right_ahead, records.drive.rig, records.drive.frame_pairs)
     yield check_doubled(records.tracks, records.drive.frame_pairs)
     # Where heights jump, the cones of one pass are off the road of the other.
     off_road = (r.payload for r in records.rejections if r.reason is RejectionReason.NOT_ON_GROUND)
@@ -162,24 +207,20 @@ def _check_cones(records: DriveRecords, params: IngestParams) -> Iterator[Health
     yield from check_revisits(tracks, records.positions, records.drive.frame_pairs, params)
 
 
-def _run_chunks(
-    drive: Drive, chunks: Sequence[Chunk], extras: ExtraSteps, executor: Executor, count: ProgressCount
-) -> tuple[list[Detected], list[Path], SelfCalibration, Rig]:
-    """Run all steps that read images: their Parquet files in the order of the drive (matches by chunk), the self-calibration, and
-    the corrected rig. extras: what to compute from the images while they are searched.
+def _detect_and_match(
+    chunks: Sequence[Chunk], rig: Rig, extras: ExtraSteps, executor: Executor, count: ProgressCount
+) -> tuple[list[Detected], list[Path]]:
+    """Parquet files of the parts of all chunks, in the order of the drive, and of the matches of each chunk.
 
-    Matches and markings need the calibration, which needs points of some pieces of the drive: these come first. Once the rig is
-    known, the rest is computed together with the detections, from images that are decoded once.
+    extras: what to compute from the images while they are in memory.
     """
-    calibration = _calibrate(drive, chunks[0], executor)
-    rig = self_calibrated_rig(drive.rig, calibration, chunks[0].params.trajectory)
     detected = [_detect_parts(chunks[0], rig, extras, executor, count)]
     matched: list[Submitted] = []
     for chunk, following in zip_longest(chunks, chunks[1:]):
         if following is not None:  # in this order, so that matching waits for nothing
             detected.append(_detect_parts(following, rig, extras, executor, count))
         matched.append(executor.submit(match, chunk, rig, *detected[len(matched)]))
-    return results([step for steps in detected for step in steps]), results(matched), calibration, rig
+    return results([step for steps in detected for step in steps]), results(matched)
 
 
 def _detect_parts(
@@ -195,17 +236,17 @@ def _detect_parts(
     return steps
 
 
-def _calibrate(drive: Drive, chunk: Chunk, executor: Executor) -> SelfCalibration:
-    """Self-calibration of a drive. chunk: any of the drive's."""
-    params = chunk.params.trajectory
-    if not (params.refine and params.self_calibrate):
-        return SWITCHED_OFF
-    pieces = odometry.calibration_pieces(chunk, drive.frame_pairs)
-    followed = results([executor.submit(odometry.follow_spans, piece) for piece in pieces])
-    calibration: SelfCalibration = executor.run(odometry.self_calibrate, chunk, pieces, followed)
-    return calibration
+def _calibrate(drive: Drive, chunk: Chunk, executor: Executor) -> tuple[SelfCalibration, Rig]:
+    """Self-calibration of a drive, and the corrected rig. chunk: any of the drive's."""
+    params, calibration = chunk.params.trajectory, SWITCHED_OFF
+    if params.refine and params.self_calibrate:
+        pieces = odometry.calibration_pieces(chunk, drive.frame_pairs)
+        followed = results([executor.submit(odometry.follow_spans, piece) for piece in pieces])
+        calibration = executor.run(odometry.self_calibrate, chunk, pieces, followed)
+    return calibration, self_calibrated_rig(drive.rig, calibration, params)
 
 
+@step("locate", "locate {drive.drive_id}")
 def locate(drive: Drive, matches: Sequence[Path], params: IngestParams) -> tuple[list[Position], list[Rejection]]:
     """Positions of a drive by forward intersection. matches: the Parquet file of each chunk, located by itself."""
     located = [
@@ -215,6 +256,7 @@ def locate(drive: Drive, matches: Sequence[Path], params: IngestParams) -> tuple
     return [one for found, _ in located for one in found], [one for _, rejected in located for one in rejected]
 
 
+@step("fuse", "fuse {drive.drive_id}")
 def fuse(
     drive: Drive,
     detections: list[Detection],
@@ -234,6 +276,7 @@ def fuse(
     return fuse_tracks(positions, data)
 
 
+@step("estimate variances", "estimate variances {drive.drive_id}")
 def estimate_variances(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, errors: PoseCov
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
@@ -243,9 +286,18 @@ def estimate_variances(
     return weighed, *locate_positions(weighed, drive.frame_pairs, drive.rig, params.position)
 
 
+@step("inflate outliers", "inflate outliers {drive.drive_id}")
 def inflate_outliers(
     drive: Drive, matches: list[StereoMatch], tracks: list[Track], params: IngestParams, errors: PoseCov
 ) -> tuple[list[StereoMatch], list[Position], list[Rejection]]:
     """Matches of the whole drive with larger sigmas if they contradict their tracks, and positions; see `with_contradictions`."""
     compared = with_contradictions(drive, matches, tracks, errors)
     return compared, *locate_positions(compared, drive.frame_pairs, drive.rig, params.position)
+
+
+@step("reject moving objects", "reject moving objects {drive.drive_id}")
+def reject_moving(
+    drive: Drive, matches: list[StereoMatch], tracks: list[Track], errors: PoseCov
+) -> tuple[list[Track], list[Rejection]]:
+    """The tracks of stationary objects, and rejections of the others; see `without_moving`."""
+    return without_moving(drive, matches, tracks, errors)

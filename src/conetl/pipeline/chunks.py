@@ -22,6 +22,7 @@ RESULTS_VERSION = "33"
 class Chunk(Record):
     """Consecutive frame pairs of a drive, with the folder for their results."""
 
+    drive_id: str
     rig: Rig
     frame_pairs: tuple[FramePair, ...]
     results_folder: Path
@@ -31,6 +32,11 @@ class Chunk(Record):
     params: IngestParams
     next_pair: FramePair | None = None
     """The first one of the next chunk: the motion to it is this chunk's."""
+
+    @property
+    def frames(self) -> str:
+        """Drive and frame indices, in words."""
+        return f"{self.drive_id} {self.frame_pairs[0].frame_index} to {self.frame_pairs[-1].frame_index}"
 
 
 def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Chunk]:
@@ -47,6 +53,7 @@ def chunks_of(drive: Drive, settings: Settings, params: IngestParams) -> list[Ch
     params = params.model_copy(update={"detection": detection})
     return [
         Chunk(
+            drive_id=drive.drive_id,
             rig=drive.rig,
             frame_pairs=drive.frame_pairs[first : first + params.chunk_pairs],
             next_pair=next(iter(drive.frame_pairs[first + params.chunk_pairs :]), None),

@@ -35,6 +35,7 @@ from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.checks.positions import check_positions_on_map
 from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.executor import step
 from conetl.pipeline.replay import merge_drive
 from conetl.pipeline.settings import Settings, read_settings
 
@@ -88,6 +89,7 @@ def already_committed(
     return report_of(known, settings.map_name).model_copy(update=facts)
 
 
+@step("merge", "merge {analysed.drive.drive_id}")
 def commit(
     analysed: AnalysedDrive,
     settings: Settings | None = None,

@@ -28,7 +28,7 @@ from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, images_key, parts_of
-from conetl.pipeline.executor import Tick, no_tick
+from conetl.pipeline.executor import Tick, no_tick, step
 from conetl.pipeline.markings import find_marking_points, points_path
 from conetl.pipeline.odometry import motions_path, track_motions
 from conetl.pipeline.settings import read_settings
@@ -58,6 +58,7 @@ class ExtraSteps(NamedTuple):
 NO_EXTRAS = ExtraSteps()
 
 
+@step("detect", "detect {chunk.frames}, part {part}")
 def detect(chunk: Chunk, part: int, rig: Rig, extras: ExtraSteps = NO_EXTRAS, tick: Tick = no_tick) -> Detected:
     """Detections in both images of one part of a chunk, and its matches, stored for `match`.
 
@@ -205,6 +206,7 @@ def _detect(
     return image, *to_detections(boxes, frame_index=pair.frame_index, side=side, params=params, categories=names)
 
 
+@step("match", "match {chunk.frames}")
 def match(chunk: Chunk, rig: Rig, *detected: Detected) -> Path:
     """Stereo matches of a chunk from the detections of its parts; returns the Parquet file.
 

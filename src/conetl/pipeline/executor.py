@@ -6,15 +6,44 @@ import threading
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from conetl.db.receipt_store import StepTime
 
+F = TypeVar("F", bound=Callable[..., Any])
 #: Called with the number of images and motions that are done, and of all of them.
 Progress = Callable[[int, int], None]
 #: Called with the number of images and motions that were done since the last call.
 Tick = Callable[[int], None]
+
+
+@dataclass(frozen=True)
+class StepName:
+    """What a step is called in reports and in Prefect."""
+
+    step: str
+    run: str
+    """Of one run of it, with its arguments: "detect {chunk.frames}"."""
+
+
+def step(name: str, run_name: str | None = None) -> Callable[[F], F]:
+    """Mark a function as a step of the workflow. A step that Prefect runs is a task; flows/tasks.py has its retries and cache."""
+
+    def mark(function: F) -> F:
+        function.__dict__["step_name"] = StepName(name, run_name or name)
+        return function
+
+    return mark
+
+
+def name_of(function: Callable[..., Any]) -> StepName:
+    """The name of a step. Raises TypeError for a function that is not marked as one."""
+    name = function.__dict__.get("step_name")
+    if not isinstance(name, StepName):
+        raise TypeError(f"{function.__qualname__} is not marked as a step")
+    return name
 
 
 class Submitted(Protocol):
@@ -25,7 +54,7 @@ class Submitted(Protocol):
 
 
 class Executor(Protocol):
-    """Runs steps: plain functions of this package. Results of `submit` may be used as arguments."""
+    """Runs steps: functions that are marked by `step`. Results of `submit` may be used as arguments."""
 
     shares_memory: bool
     """Whether submitted steps run in this process, where they can call back."""
@@ -81,10 +110,10 @@ class ThreadExecutor(StepClock):
         self._pool.shutdown(cancel_futures=error is not None)
 
     def run(self, step: Callable[..., Any], *arguments: Any) -> Any:
-        given = [argument.result() if isinstance(argument, Future) else argument for argument in arguments]
+        name, given = name_of(step), [arg.result() if isinstance(arg, Future) else arg for arg in arguments]
         began = datetime.now(UTC)
         result = step(*given)
-        self.note(step.__name__.replace("_", " "), began, datetime.now(UTC))
+        self.note(name.step, began, datetime.now(UTC))
         return result
 
     def submit(self, step: Callable[..., Any], *arguments: Any) -> Future[Any]:

@@ -28,7 +28,7 @@ from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.checks.same_recording import refuse_other_delivery, refuse_same_images
 from conetl.pipeline.commit import CommittedDrive, already_committed, changeset_of, commit, lost_frame_pairs, run_info
 from conetl.pipeline.database import MapDatabase
-from conetl.pipeline.executor import Executor, Progress, ThreadExecutor
+from conetl.pipeline.executor import Executor, Progress, ThreadExecutor, step
 from conetl.pipeline.publish import publish
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives import read_drive
@@ -40,6 +40,7 @@ PublishNew = Callable[[CommittedDrive, Settings, MapDatabase, list[StepTime]], o
 PublishKnown = Callable[[IngestReport, Settings, MapDatabase], object]
 
 
+@step("read", "read {folder}")
 def read(folder: Path | str, map_srid: int | None, images_folder: Path) -> tuple[Drive, list[Rejection]]:
     """Read a drive folder."""
     return read_drive(folder, map_srid=map_srid, images_folder=images_folder)

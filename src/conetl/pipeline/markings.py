@@ -22,6 +22,7 @@ from conetl.perception.rectified_image import fetch_pairs
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
+from conetl.pipeline.executor import step
 from conetl.tracking.error_propagation import PoseCov
 from conetl.tracking.markings.tracks import fuse_markings
 
@@ -62,6 +63,7 @@ def _points_key(chunk: Chunk, part: int, rig: Rig) -> str:
     return result_key(RESULTS_VERSION, "marking-points", params, geometry_key(chunk, rig), str(part))
 
 
+@step("mark", "mark {drive.drive_id}")
 def mark(drive: Drive, paths: Sequence[Path], params: MarkingParams, errors: PoseCov) -> list[MarkingTrack]:
     """Lane markings of the whole drive, by its final poses and rig. paths: of all `points_path`."""
     points, _ = load_results(paths, MarkingPoints)

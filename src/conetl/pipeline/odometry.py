@@ -34,7 +34,7 @@ from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
 from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, load_matches, parts_of
-from conetl.pipeline.executor import Tick
+from conetl.pipeline.executor import Tick, step
 from conetl.tracking.checks.exposures import check_lost_frames, check_recording, right_camera_ahead
 from conetl.tracking.checks.poses import check_trajectory
 from conetl.tracking.control_points import refine_with_control
@@ -105,6 +105,7 @@ def calibration_pieces(chunk: Chunk, pairs: Sequence[FramePair]) -> list[Chunk]:
     return [chunk.model_copy(update={"frame_pairs": tuple(pairs[run[0].first : run[-1].last + 1])}) for run in runs]
 
 
+@step("follow points", "follow points {piece.frames}")
 def follow_spans(piece: Chunk) -> Path:
     """Follow points over the spans of one of the `calibration_pieces`; returns the Parquet file."""
     params, pairs, rig = piece.params.trajectory, piece.frame_pairs, piece.rig
@@ -116,6 +117,7 @@ def follow_spans(piece: Chunk) -> Path:
     return save_result(piece.results_folder, key, list(_followed(spans, pairs, rig, params)), [])
 
 
+@step("self-calibrate", "self-calibrate {chunk.drive_id}")
 def self_calibrate(chunk: Chunk, pieces: Sequence[Chunk], followed: Sequence[Path]) -> SelfCalibration:
     """Self-calibration from the points of all pieces. chunk: any of the drive's; followed: one file per piece."""
     params, folder, rig = chunk.params.trajectory, chunk.results_folder, chunk.rig
@@ -155,6 +157,7 @@ def _calibration(
     return found.model_copy(update={"right_ahead": right_camera_ahead(cameras_of(rig), points)})
 
 
+@step("refine", "refine {drive.drive_id}")
 def refine(
     drive: Drive, motions: Sequence[RelativeMotion], matches: list[Path], params: IngestParams
 ) -> RefinedTrajectory:
@@ -169,6 +172,7 @@ def refine(
     return result
 
 
+@step("follow points across lost pairs", "follow points across lost pairs {drive.drive_id}")
 def motions_across(drive: Drive, motions: Sequence[RelativeMotion], params: TrajectoryParams) -> list[RelativeMotion]:
     """Motions between neighbouring frame pairs that have none, because those between them could not be decoded."""
     pairs, rig, found = drive.frame_pairs, drive.rig, []

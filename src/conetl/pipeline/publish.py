@@ -25,6 +25,7 @@ from conetl.model.errors import ConetlError
 from conetl.model.ingest_report import IngestReport
 from conetl.pipeline.commit import CommittedDrive, report_of
 from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.executor import step
 from conetl.pipeline.maps.decisions import DecisionOutcome
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_page import write_drive_page
@@ -44,6 +45,7 @@ class PublishedFiles(NamedTuple):
     """The QA report."""
 
 
+@step("publish", "publish {committed.changeset.drive_id}")
 def publish(
     committed: CommittedDrive,
     settings: Settings | None = None,

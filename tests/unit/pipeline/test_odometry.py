@@ -74,6 +74,7 @@ def test_pieces_of_a_drive_hold_all_spans_or_as_many_as_are_compared(
     pairs = make_path(2 * spans + 1, 1.1)
     params = IngestParams(trajectory=TrajectoryParams(self_calibration_max_spans=most, self_calibration_span_m=2.0))
     chunk = Chunk(
+        drive_id="one",
         rig=make_rig(), frame_pairs=tuple(pairs[:4]), results_folder=tmp_path, model_path=None, detections_sha256="ab",
         params=params,
     )  # fmt: skip
