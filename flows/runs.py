@@ -22,12 +22,14 @@ from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
 
-FLOWS = ("ingest-drive", "backfill", "ingest-drop-folder", "publish-map", "audit")
+FLOWS = ("ingest-drive", "backfill", "ingest-drop-folder", "publish-map", "audit", "recover")
 #: Between the state "running" and its lock a run imports and connects.
 GRACE = timedelta(seconds=30)
 #: A run that a worker took and never started.
 PENDING_GRACE = timedelta(minutes=5)
 MAX_RUNS = 3
+#: A run that Prefect says crashed is started again for so long.
+_RESUMED_FOR = timedelta(hours=1)
 _REASON = "its process has ended: no session holds its lock in the database"
 
 MapName = Annotated[
@@ -63,23 +65,29 @@ def drive_tags(header: DriveHeader, map_name: str) -> list[str]:
     return [f"drive:{header.drive_id}", f"map:{map_name}", *day]
 
 
-def recover(database: MapDatabase) -> list[FlowRun]:
+def recover_runs(database: MapDatabase) -> list[FlowRun]:
     """Mark dead runs as crashed, and queue those again that no other run started and that were tried fewer than `MAX_RUNS` times.
 
-    Returns all dead runs.
+    Returns all dead runs, with those that Prefect itself has marked as crashed lately.
     """
-    states = [StateType.RUNNING, StateType.PENDING, StateType.CANCELLING]
+    alive_states = [StateType.RUNNING, StateType.PENDING, StateType.CANCELLING]
+    lately = filters.FlowRunFilterEndTime(after_=datetime.now(UTC) - _RESUMED_FOR)
     with client() as api, database.connection() as conn:
-        runs = api.read_flow_runs(
-            flow_filter=filters.FlowFilter(name=filters.FlowFilterName(any_=list(FLOWS))),
-            flow_run_filter=filters.FlowRunFilter(
-                state=filters.FlowRunFilterState(type=filters.FlowRunFilterStateType(any_=states))
-            ),
-        )
+        runs = [
+            run
+            for states, ended in ((alive_states, None), ([StateType.CRASHED], lately))
+            for run in api.read_flow_runs(
+                flow_filter=filters.FlowFilter(name=filters.FlowFilterName(any_=list(FLOWS))),
+                flow_run_filter=filters.FlowRunFilter(
+                    state=filters.FlowRunFilterState(type=filters.FlowRunFilterStateType(any_=states)), end_time=ended
+                ),
+            )
+        ]
         held = held_locks(conn, [run_lock(str(run.id)) for run in runs])
         dead = [run for run in runs if run_lock(str(run.id)) not in held and _is_overdue(run)]
         for run in dead:
-            api.set_flow_run_state(run.id, Crashed(message=_REASON), force=True)
+            if run.state and not run.state.is_crashed():
+                api.set_flow_run_state(run.id, Crashed(message=_REASON), force=True)
             again = run.deployment_id and not run.parent_task_run_id and run.run_count < MAX_RUNS
             if again and run.state and not run.state.is_cancelling():
                 api.set_flow_run_state(run.id, Scheduled(message="started again after a crash"), force=True)

@@ -16,18 +16,20 @@ from prefect.states import Completed, Failed
 from pydantic import Field
 
 from conetl.db.map.map_store import find_map
+from conetl.db.receipt_store import held_locks, holding
 from conetl.db.schema import run_audits
 from conetl.exports import FORMATS
 from conetl.files.names import as_markdown
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import plan_drives
+from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.nightly_publication import REPORT, write_publication
 from conetl.pipeline.publish import catch_up_all
-from conetl.pipeline.settings import read_settings
+from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives.header import MARKER, find_drives, quiet_since
 from flows.artifacts import send_events
 from flows.backfill import Parallel, run_batch
-from flows.runs import MapName, MapSrid, alive, recover
+from flows.runs import MapName, MapSrid, alive, recover_runs
 
 
 @flow(name="publish-map", flow_run_name="publish map")
@@ -73,10 +75,8 @@ def publish_map(
 @flow(name="audit", flow_run_name="audit")
 def audit() -> State[Any]:
     """Run all audits over all maps of the database; failed where one of them finds a row."""
-    with alive(read_settings()) as database:
-        recover(database)
-        with database.connection() as conn:
-            results = run_audits(conn)
+    with alive(read_settings()) as database, database.connection() as conn:
+        results = run_audits(conn)
     rows = [
         {"audit": r.name, "result": "passed" if r.passed else f"{r.row_count} rows", "what": r.purpose} for r in results
     ]
@@ -89,6 +89,14 @@ def audit() -> State[Any]:
         create_table_artifact(found, key="audit-rows", description="Inconsistent rows, the first 20 of each audit")
         return Failed(message=f"{', '.join(r.name for r in failed)}: inconsistent rows; see `conetl db audit`")
     return Completed(message=f"{len(results)} audits passed")
+
+
+@flow(name="recover", flow_run_name="recover")
+def recover() -> State[Any]:
+    """Start runs again whose process died, on whatever machine."""
+    with alive(read_settings()) as database:
+        dead = recover_runs(database)
+    return Completed(message=", ".join(run.name for run in dead) or "all runs are alive")
 
 
 @flow(name="ingest-drop-folder", flow_run_name="new drives")
@@ -109,24 +117,41 @@ def ingest_drop_folder(
     inbox = (folder or settings.inbox).absolute()
     settings.require_readable(inbox)
     quiet_s = 60.0 * (settings.drop_quiet_minutes if quiet_minutes is None else quiet_minutes)
+    # A session's lock instead of a limit of Prefect's, which a run that died would keep.
+    lock = f"conetl.drop_folder/{settings.map_name}/{inbox}"
     with alive(settings) as database:
-        recover(database)
-        catch_up_all(settings, database, send_events)
-        complete, arriving = split_by_completeness(inbox, quiet_s)
         with database.connection() as conn:
-            plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
-        if arriving:
-            rows = [
-                {"drive": as_markdown(path.name), "unchanged for s": round(quiet, 1), "needed s": quiet_s}
-                for path, quiet in arriving
-            ]
-            create_table_artifact(
-                rows, key="arriving", description=f"Still arriving: no file {MARKER}, and changed too recently"
-            )
-        if not plan.todo:
-            message = f"no new drives: {len(complete)} need no ingest, {len(arriving)} still arriving in {inbox}"
-            return Completed(name="NothingNew", message=message)
-        return run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where="auto")
+            if held_locks(conn, [lock]):
+                return Completed(name="StillAtWork", message=f"an earlier run still ingests the drives of {inbox}")
+        with holding(database.url, lock):
+            return _new_drives(database, settings, inbox, quiet_s, map_srid, max_parallel, params)
+
+
+def _new_drives(
+    database: MapDatabase,
+    settings: Settings,
+    inbox: Path,
+    quiet_s: float,
+    map_srid: int | None,
+    max_parallel: int | None,
+    params: IngestParams,
+) -> State[Any]:
+    catch_up_all(settings, database, send_events)
+    complete, arriving = split_by_completeness(inbox, quiet_s)
+    with database.connection() as conn:
+        plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
+    if arriving:
+        rows = [
+            {"drive": as_markdown(path.name), "unchanged for s": round(quiet, 1), "needed s": quiet_s}
+            for path, quiet in arriving
+        ]
+        create_table_artifact(
+            rows, key="arriving", description=f"Still arriving: no file {MARKER}, and changed too recently"
+        )
+    if not plan.todo:
+        message = f"no new drives: {len(complete)} need no ingest, {len(arriving)} still arriving in {inbox}"
+        return Completed(name="NothingNew", message=message)
+    return run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where="auto")
 
 
 def split_by_completeness(inbox: Path, quiet_s: float) -> tuple[list[Path], list[tuple[Path, float]]]:

@@ -53,6 +53,7 @@ POISONED = f"2026-04-03{SMALL}"
 #: Longer than any drive takes here.
 until = partial(command.until, patience_s=600, every_s=0.5)
 DROP_FOLDER = "ingest-drop-folder/ingest-drop-folder"
+RECOVER = "recover/recover"
 
 
 @dataclass(frozen=True)
@@ -95,10 +96,10 @@ class Desk:
         return str(self.post(f"/deployments/{found['id']}/create_flow_run", {"parameters": parameters})["id"])
 
     def drop_folder_ended(self) -> Any:
-        """A run of ours over the drop folder. Where one of its schedule, made before the pause, is at work, ours is cancelled."""
+        """A run of ours over the drop folder. Where one of its schedule, made before the pause, is at work, ours does nothing."""
         while True:
             run = self.ended(self.start(DROP_FOLDER, {}))
-            if run["state_type"] != "CANCELLED" or "concurrency limit" not in run["state"]["message"]:
+            if run["state_name"] != "StillAtWork":
                 return run
             time.sleep(2)
 
@@ -156,6 +157,7 @@ def desk(services_home: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
         assert found.up()["deployments_registered"]
         # The real schedule might fire in between, and take the drive or the only place from the test's own run.
         found.pause(DROP_FOLDER)
+        found.pause(RECOVER)
         yield found
     finally:
         api.close()
@@ -168,7 +170,7 @@ def desk(services_home: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
 
 def test_a_complete_drive_in_the_drop_folder_is_taken(desk: Desk) -> None:
     assert {d["name"] for d in desk.post("/deployments/filter", {})} == {
-        "ingest-drop-folder", "ingest-drive", "backfill", "publish-map", "audit",
+        "ingest-drop-folder", "ingest-drive", "backfill", "publish-map", "audit", "recover",
     }  # fmt: skip
     arrivals = Path(desk.environment["CONETL_DROP_FOLDER"])
     complete = cut_drive(SAMPLES[0], arrivals / "2026-03-20_dropped", "2026-03-20")
@@ -235,9 +237,26 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
     assert desk.rows("select count(*) as cones from conetl.feature_version")[0]["cones"] > 0
     tasks = desk.post("/task_runs/filter", {"task_runs": {"name": {"like_": "detect"}}})
     assert tasks and not any(task["tags"] for task in tasks), "each tag of a task costs a request before it begins"
-    assert all(re.fullmatch(r"detect \d+ \d+", task["name"]) for task in tasks), tasks[0]["name"]
+    assert all(re.search(r"^detect .+ \d+ to \d+, part \d$", task["name"]) for task in tasks), tasks[0]["name"]
     kept = [json.loads(p.read_text())["drive_id"] for p in (desk.home / "receipts" / "default").glob("2026-04-*.json")]
     assert sorted(kept) == [f"2026-04-{n:02d}{SMALL}" for n in (1, 2, 3)]
+
+
+def test_a_run_that_prefect_says_crashed_is_started_again(desk: Desk, tmp_path: Path) -> None:
+    """Prefect crashes a run whose lease it lost, and never starts it again."""
+    shutil.copytree(
+        Path(desk.environment["CONETL_DROP_FOLDER"]) / "2026-03-20_dropped", tmp_path / "2026-03-20_dropped"
+    )
+    backfill = desk.get("/deployments/name/backfill/backfill")
+    crashed = {"parameters": {"root": str(tmp_path)}, "state": {"type": "CRASHED", "message": "lease not found"}}
+    run_id = str(desk.post(f"/deployments/{backfill['id']}/create_flow_run", crashed)["id"])
+
+    def is_taken_up() -> bool:
+        assert desk.ended(desk.start(RECOVER, {}))["state_type"] == "COMPLETED"
+        return bool(desk.get(f"/flow_runs/{run_id}")["state_type"] != "CRASHED")
+
+    until(is_taken_up, "a second start of the crashed run")
+    assert desk.ended(run_id)["state_name"] == "NothingNew"
 
 
 def worker_at_work(desk: Desk) -> str | None:
@@ -331,7 +350,7 @@ def test_every_changeset_is_an_event(desk: Desk) -> None:
 def test_the_desk_sees_it_in_prefect(desk: Desk) -> None:
     images = os.environ.get("CONETL_SCREENSHOTS")
     runs = desk.post("/flow_runs/filter", {"sort": "START_TIME_DESC", "limit": 100})
-    backfill = next(run for run in runs if run["deployment_id"] and run["name"].startswith("backfill"))
+    backfill = next(run for run in runs if run["deployment_id"] and run["state_name"] == "SomeFailed")
     on_map = desk.rows(
         "select * from conetl.receipt where state = 'committed' and drive_id like '2026-04%' order by at"
     )

@@ -126,7 +126,7 @@ def _start_services(
     ensure("view", [*conetl, "view", "--port", str(view_port), *writing], view)
     os.environ.update(environment)  # Prefect reads its environment when it is imported, below
     from flows import register
-    from flows.runs import recover
+    from flows.runs import recover_runs
 
     processes.wait_healthy(services["prefect"], lambda: processes.is_healthy(f"{address}/api"), _TIMEOUT_S)
     processes.require_access(f"{address}/api", login, SERVER_AUTH)
@@ -141,7 +141,7 @@ def _start_services(
     show("Registering deployments")
     registered = register.ensure_deployments()
     with MapDatabase(settings) as database:
-        recovered = [str(run.id) for run in recover(database)]
+        recovered = [str(run.id) for run in recover_runs(database)]
     show("Waiting for all services")
     processes.wait_healthy(services["view"], lambda: processes.answers(view), _TIMEOUT_S)
     for name, worker in names.items():
