@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import json
-import struct
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import partial
@@ -15,7 +12,6 @@ import av
 import cv2
 import numpy as np
 import yaml
-from mcap.writer import CompressionType, Writer
 
 from conetl.geometry import geodesy
 from conetl.model.drive import Drive
@@ -60,49 +56,6 @@ def write_frames(
                 container.mux(packet)
         for packet in stream.encode(None):
             container.mux(packet)
-    return path
-
-
-def write_svo2(
-    path: Path,
-    images: Sequence[np.ndarray],
-    times_ns: Sequence[int],
-    codec: str,
-    options: dict[str, str],
-    *,
-    serial: int = 38486288,
-) -> Path:
-    """Images of both cameras side by side as a recording of a ZED camera, in the layout that `readers/svo2.py` describes."""
-    height, width = images[0].shape[:2]
-    encoder = av.CodecContext.create(codec, "w")
-    encoder.width, encoder.height, encoder.pix_fmt, encoder.framerate = width, height, "yuv420p", Fraction(10)
-    encoder.time_base, encoder.options = Fraction(1, 10), {"bf": "0", **_stated(codec, options)}
-    packets = []
-    for number, image in enumerate(images):
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="bgr24")
-        frame.pts = number
-        packets += encoder.encode(frame)
-    packets += encoder.encode(None)
-    header = base64.b64encode(struct.pack("<4I", width // 2, height, serial, 10).ljust(128, b"\0")).decode()
-    topic = f"Camera_SN{serial}/side_by_side"
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=1 << 16, compression=CompressionType.NONE, enable_crcs=False)
-        writer.start(library="libmcap stereolabs")
-        kind = writer.register_schema("sl_type", "jsonschema", b"{}")
-        video = writer.register_channel(topic, "zed_sdk_encoded", writer.register_schema(topic, "zed_sdk_encoded", b""))
-        texts = {name: writer.register_channel(name, "json", kind) for name in ("svo_header", "svo_footer")}
-        content = {"header": header, "version": "2.0.5", "ZED_SDK_version": "5.1.2"}
-        # Their times are not those of the recording.
-        writer.add_message(texts["svo_header"], 1, json.dumps(content).encode(), 1)
-        for packet, time_ns in zip(packets, times_ns, strict=True):
-            data = bytes(packet)
-            footer = struct.pack("<2I4iQIi", width, height, 0x5C002C00, 1, 2, -1, time_ns, len(data), 0).ljust(
-                56, b"\0"
-            )
-            sizes = struct.pack("<2I", len(data) + len(footer) + 4, len(data))
-            writer.add_message(video, time_ns, sizes + data + footer, time_ns)
-        writer.add_message(texts["svo_footer"], 2, json.dumps({topic: list(times_ns)}).encode(), 2)
-        writer.finish()
     return path
 
 

@@ -365,7 +365,6 @@ READERS: dict[str, Reader] = {
         videos.read_video_drive,
     ),
     "video_search": Reader(videos.write_video("mp4", small_rig(), 40, "images: {{}}\n"), videos.search_times),
-    "svo2": Reader(videos.write_zed, videos.read_zed),
     "oxts": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/data/0000000000.txt", f)), read_oxts),
     "timestamps": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/timestamps.txt", f)), read_stamps),
     "velodyne": Reader(write_scans, read_scans),

@@ -14,8 +14,7 @@ from conetl.model.errors import ConetlError, StorageError
 from conetl.model.rig import Rig
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
-from conetl.perception.video import FrameRef, index_video
-from conetl.perception.video_frames import read_frame
+from conetl.perception.video import index_video
 from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.drive_yaml import read_drive_yaml
@@ -23,9 +22,8 @@ from conetl.readers.drives.header import read_header
 from conetl.readers.drives.proposal import propose
 from conetl.readers.drives.video import preview
 from conetl.readers.rigs import write_rig_yaml
-from conetl.readers.svo2 import copy_video, read_svo2
 from tests.prepared import prepared
-from tests.video_drives import write_frames, write_svo2
+from tests.video_drives import write_frames
 
 START_S, RATE_HZ = 1_772_445_600, 10
 CODECS = {
@@ -90,23 +88,6 @@ def search_times(path: Path, _: Path) -> object:
         find_video_lag(index_video(path / "left.mp4"), index_video(path / "right.mp4"))
     with suppress(ConetlError):
         preview(path, read_drive_yaml(path))
-    return None
-
-
-def write_zed(folder: Path) -> Path:
-    times_ns = [(START_S * RATE_HZ + n) * 10**9 // RATE_HZ for n in range(6)]
-    return write_svo2(folder / "a.svo2", shaken(6, 128, 64), times_ns, "libx264", {"crf": "35", "g": "3"})
-
-
-def read_zed(path: Path, scratch: Path) -> object:
-    """Its video copied, and every frame of the copy."""
-    read_svo2(path)
-    target = scratch / "a.mp4"
-    target.unlink(missing_ok=True)
-    copy_video(path, target)
-    for pts in index_video(target).pts[:20]:
-        with suppress(ImageFileError, StorageError):
-            read_frame(FrameRef(target, pts))
     return None
 
 

@@ -19,7 +19,7 @@ from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, InputError
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.stereo_check import TRIGGER, check_stereo
 from conetl.perception.video import video_facts
-from conetl.readers.drives import find_format, kitti, plain
+from conetl.readers.drives import find_format, kitti, plain, zed_recording
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.proposal import (
@@ -36,7 +36,6 @@ from conetl.readers.drives.summary import summarise
 from conetl.readers.drives.video import NAME, Preview, preview
 from conetl.readers.drives.video_timing import Timing, UnknownTimeError
 from conetl.readers.rigs import RIG_YAML, write_rig_yaml
-from conetl.readers.svo2 import copy_video, read_svo2, svo2_of
 from conetl.readers.trajectories.times import parse_timestamp
 
 _TIME_QUESTIONS = {
@@ -122,7 +121,7 @@ def init(
     """
     root = folder.resolve()
     if not root.is_dir():
-        raise InputError(f"{folder}: there is no such folder")
+        raise zed_recording(folder) or InputError(f"{folder}: there is no such folder")
     kind = find_format(root)
     # Folders called left and right may be a plain drive, or images with a log of any format; a drive.yaml alone is no drive.
     poses = root / (plain.TRAJECTORY if kind is plain else "oxts")
@@ -146,7 +145,7 @@ def init(
         kept.get("images", {}).pop(key, None)
     if kept and not as_json:
         say(f"  kept from {DRIVE_YAML}: {_listed(kept)} (delete the file to start over)")
-    answers = _of_zed(root, as_json=as_json) | answers_in(kept) | given
+    answers = answers_in(kept) | given
     kept["images"] = kept.get("images", {}) | part
     asks = sys.stdin.isatty() and not yes and not as_json
     settings, found, new_rig = _settled(root, answers, kept, asks=asks, as_json=as_json)
@@ -321,22 +320,6 @@ def _missing(root: Path, answers: Mapping[str, str], kept: Mapping[str, Any], qu
                     questions = [_of_time(root, settings, error)]
     lines = "\n".join(f"  --{key}: {text}" for key, text in texts.items())
     return f"{root}: these values are missing; set them with these options:\n{lines}"
-
-
-def _of_zed(root: Path, *, as_json: bool) -> dict[str, str]:
-    """What a recording of a ZED camera answers itself; its video is copied into an MP4 file beside it."""
-    path = svo2_of(root)
-    if path is None:
-        return {}
-    found, target = read_svo2(path), path.with_suffix(".mp4")
-    if not target.exists():
-        with spinner(f"copying the video of {path.name}"):
-            copy_video(path, target)
-    if not as_json:
-        camera = "" if found.serial is None else f", its factory calibration is SN{found.serial}.conf"
-        say(f"  ZED recording {path.name}: {found.frames:,} frames, copied to {target.name}{camera}")
-    answers = {"left": target.name, "layout": "left-right"}
-    return answers if found.start_ns is None else answers | {"start": stated_time(found.start_ns)}
 
 
 def _refused(key: str, value: str, error: str) -> str:

@@ -18,15 +18,16 @@ from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
-from conetl.readers.drives.formats import DriveFormat, image_files
+from conetl.readers.drives.formats import DriveFormat, image_files, names_in
 from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
 from conetl.readers.stated_sigmas import implausible_sigma
 from conetl.readers.surveyed_points import read_surveyed_points
 
-__all__ = ["FORMATS", "find_format", "read_drive"]
+__all__ = ["FORMATS", "find_format", "read_drive", "zed_recording"]
 
 #: The first format that matches reads the drive.
 FORMATS: tuple[DriveFormat, ...] = (plain, euroc, ros_bag, video, kitti)
+_OF_ZED = frozenset({".svo", ".svo2"})
 
 
 def find_format(path: Path) -> DriveFormat | None:
@@ -103,15 +104,13 @@ def _control_file(source: Source) -> Path | None:
 
 
 def _not_a_drive(path: Path) -> InputError:
-    if path.suffix.lower() == ".svo2":
-        return _of_zed(path, path.parent)
+    if (error := zed_recording(path)) is not None:
+        return error
     if not path.is_dir():
         return InputError(f"{path}: this is a file; give the folder of one drive, or a .mcap or .bag file")
     children = sorted(child for child in path.iterdir() if not child.name.startswith("."))
     if not children:
         return InputError(f"{path}: the folder is empty; a drive contains image_02, image_03, oxts and the calibration")
-    if recordings := [child for child in children if child.suffix.lower() in (".svo2", ".svo")]:
-        return _of_zed(recordings[0], path)
     drives = [child.name for child in children if find_format(child)]
     if len(drives) == 1:
         return InputError(f"{path}: this folder contains one drive ({drives[0]}): conetl ingest {path / drives[0]}")
@@ -133,8 +132,15 @@ def _not_a_drive(path: Path) -> InputError:
     )
 
 
-def _of_zed(recording: Path, folder: Path) -> InputError:
+def zed_recording(path: Path) -> InputError | None:
+    """How to export a recording of a ZED camera, which is this file or in this folder; None if there is none."""
+    if path.is_dir():
+        found = [path / name for name in names_in(path, _OF_ZED)]
+    else:
+        found = [path] if path.is_file() and path.suffix.lower() in _OF_ZED else []
+    if not found:
+        return None
     return InputError(
-        f"{recording}: a recording of a ZED camera becomes a drive with 'conetl init {folder}', which copies its video into an "
-        "MP4 file and writes drive.yaml"
+        f"{found[0]}: recordings of ZED cameras are not read; export it with Stereolabs' 'svo_export.py --mode 0' and give "
+        "the AVI to 'conetl init'"
     )

@@ -206,7 +206,7 @@ def bag_files(path: Path) -> Path | None:
 def open_bag(path: Path) -> Iterator[Bag]:
     """The bag of `bag_files`. Raises InputError where it is truncated or damaged."""
     with ExitStack() as opened:
-        with bag_errors(path):
+        with _bag_errors(path):
             if path.is_dir() or path.suffix == ROS1_SUFFIX:
                 if (path / METADATA).is_file():
                     read_yaml(path / METADATA)  # within the limits, before rosbags builds it
@@ -217,7 +217,7 @@ def open_bag(path: Path) -> Iterator[Bag]:
         yield bag._replace(types={topic: kind for topic, kind in bag.types.items() if len(topic) <= MAX_TOPIC})
 
 
-def bag_errors(path: Path) -> AbstractContextManager[None]:
+def _bag_errors(path: Path) -> AbstractContextManager[None]:
     """All errors of the bag libraries in a damaged file as InputError."""
     of_ros1 = path.suffix == ROS1_SUFFIX
     repair = f"'rosbag reindex {path.name}'" if of_ros1 else "'mcap recover' (MCAP) or 'ros2 bag reindex'"
@@ -227,7 +227,7 @@ def bag_errors(path: Path) -> AbstractContextManager[None]:
 def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]
-        with bag_errors(path):
+        with _bag_errors(path):
             for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
                 content = _decoded(reader.deserialize, raw, connection.msgtype)
                 if connection.msgtype == CAMERA_INFO and not reader.is2 and content is not None:
@@ -267,7 +267,7 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [topic for topic in topics if topic in types]
         # Without an index the file is in the order of recording; to sort it, all of it would be kept in memory.
-        with bag_errors(path):
+        with _bag_errors(path):
             for _, channel, message in reader.iter_messages(wanted, log_time_order=indexed) if wanted else ():
                 content = _decoded(store.deserialize_cdr, message.data, types[channel.topic])
                 yield Message(channel.topic, content, message.log_time)

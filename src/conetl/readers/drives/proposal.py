@@ -17,7 +17,7 @@ from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, video_facts
-from conetl.readers.drives import find_format
+from conetl.readers.drives import find_format, zed_recording
 from conetl.readers.drives.drive_yaml import DRIVE_YAML
 from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
@@ -150,6 +150,8 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
     proposal.settings["images"] = images
     sources = videos or folders
     if not sources:
+        if (error := zed_recording(root)) is not None:
+            raise error
         inside = [child for child in sorted(root.iterdir()) if find_format(child)]
         hint = f"; {inside[0].name} is a drive already: conetl ingest {inside[0]}" if inside else ""
         raise InputError(
