@@ -13,6 +13,7 @@ from contextlib import closing
 
 import cv2
 import pytest
+import yaml
 from pyproj import Transformer
 from typer.main import get_command
 
@@ -28,6 +29,7 @@ from tests.command import ROOT
 from tests.integration.drives_of_days import merge, survey
 from tests.integration.small_drives import SAMPLES, cut_drive
 from tests.synthetic.world import ORIGIN_M
+from tests.unit.readers.test_rig_formats import kalibr_of
 
 PAGES = (
     "README.md",
@@ -105,7 +107,9 @@ def folder(tmp_path_factory, module_database_url):
         image = next((root / "drive" / side / "data").glob("*.jpg"))
         shutil.copy(image, root / "images" / f"{name}.jpg")
         cv2.imwrite(str(root / f"{name}.png"), cv2.imread(str(image)))
-    write_rig_yaml(read_drive(SAMPLES[0])[0].rig, root / "rig.yaml")
+    rig = read_drive(SAMPLES[0])[0].rig
+    write_rig_yaml(rig, root / "rig.yaml")
+    (root / "camchain.yaml").write_text(yaml.safe_dump(kalibr_of(rig)))
     text = re.search(r"```yaml\n(publisher:.*?)```", (ROOT / "docs/how-to/work_zones.md").read_text(), re.DOTALL)
     assert text is not None
     (root / "feed.yaml").write_text(text[1])
@@ -149,8 +153,6 @@ def test_the_commands_run_in_the_order_of_the_pages(folder, monkeypatch, capsys)
             words = [PLACES.get(word, word) for word in words]
             if words[1:] == ["base", "import", "drive"]:
                 continue  # the sample drives have no LiDAR: test_base.py
-            if words[1:3] == ["rig", "convert"]:
-                said(monkeypatch, capsys, ["conetl", "rig", "convert", "rig.yaml", words[3], "--to", "kalibr"])
             words = filled_in(words, root, feature)
             code, text = said(monkeypatch, capsys, words)
             allowed = {0, 1} if words[1] in ("inspect", "locate") or words[1:3] == ["map", "check-points"] else {0}

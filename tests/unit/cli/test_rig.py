@@ -91,12 +91,12 @@ def test_bad_options_are_rejected(rig_yaml: Path, tmp_path: Path, words: tuple[s
 
 
 def test_a_rig_yaml_needs_no_format_and_others_do(rig_yaml: Path, tmp_path: Path) -> None:
-    kalibr, back = tmp_path / "camchain.yaml", tmp_path / "back" / "rig.yaml"
+    opencv, back = tmp_path / "stereo.yml", tmp_path / "back" / "rig.yaml"
     back.parent.mkdir()
-    run("convert", rig_yaml, kalibr, "--to", "kalibr")
-    run("convert", kalibr, back)
+    run("convert", rig_yaml, opencv, "--to", "opencv")
+    run("convert", opencv, back)
     assert read_rig(back).baseline_m == pytest.approx(0.2745)
-    with pytest.raises(InputError, match=r"choose the format with --to: .*kalibr"):
+    with pytest.raises(InputError, match=r"choose the format with --to: rig, opencv, ros$"):
         run("convert", rig_yaml, tmp_path / "other.yaml")
 
 

@@ -74,9 +74,7 @@ def convert(
     ],
     to: Annotated[
         str | None,
-        typer.Option(
-            help=f"opencv (.yml, .xml, .json), kalibr, ros, matlab (.json) or rig; default for {RIG_YAML}: rig.",
-        ),
+        typer.Option(help=f"opencv (.yml, .xml, .json), ros or rig; default for {RIG_YAML}: rig."),
     ] = None,
     image_size: SizeOption = None,
     unit: UnitOption = None,

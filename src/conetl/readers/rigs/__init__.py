@@ -1,4 +1,4 @@
-"""Calibration files of many tools -> `Rig`, and back: one module per format, `read_rig` recognises the format.
+"""Calibration files of many tools -> `Rig`, and some back: one module per format, `read_rig` recognises the format.
 
 The result is the rig of the stored images: raw, with its lenses, unless the file describes a rectified pair
 (`geometry/rectification.py` makes the other from it). Every error is an InputError that names the file, the key, what was
@@ -19,11 +19,11 @@ from conetl.model.rig import Camera, Rig
 from conetl.readers.rigs.common import Pair, Size, read_xml, rectified_rig
 from conetl.readers.rigs.devices import read_oak_rig, read_zed_rig
 from conetl.readers.rigs.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
-from conetl.readers.rigs.matlab import read_matlab_rig, structure, write_matlab_rig
+from conetl.readers.rigs.matlab import read_matlab_rig, structure
 from conetl.readers.rigs.metashape import looks_like_metashape, read_metashape_rig
 from conetl.readers.rigs.opencv import looks_like_opencv, read_opencv_rig, write_opencv_rig
 from conetl.readers.rigs.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
-from conetl.readers.rigs.ros import read_kalibr_rig, read_ros_rig, write_kalibr_rig, write_ros_rig
+from conetl.readers.rigs.ros import read_kalibr_rig, read_ros_rig, write_ros_rig
 
 __all__ = [
     "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_SUFFIXES", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "FoundRigs",
@@ -46,8 +46,7 @@ _READERS: dict[Format, Callable[..., Rig]] = {
 _CALLED = {"image_size": "image size", "length_unit": "unit", "pair": "pair of cameras"}
 #: Writers by format; that of ROS takes a folder, the others a file.
 WRITERS: dict[str, Callable[[Rig, Path], None]] = {
-    "rig": write_rig_yaml, "opencv": write_opencv_rig, "kalibr": write_kalibr_rig, "ros": write_ros_rig,
-    "matlab": write_matlab_rig,
+    "rig": write_rig_yaml, "opencv": write_opencv_rig, "ros": write_ros_rig,
 }  # fmt: skip
 _KNOWN = (
     "rig.yaml, KITTI calib_cam_to_cam.txt, OpenCV .yml/.xml/.json, Kalibr camchain.yaml, ROS left.yaml + right.yaml, "

@@ -1,4 +1,4 @@
-"""MATLAB's `stereoParameters` as a structure: JSON (`jsonencode(toStruct(stereoParams))`) read and written, `.mat` read.
+"""MATLAB's `stereoParameters` as a structure, in JSON (`jsonencode(toStruct(stereoParams))`) or a `.mat` file.
 
 MATLAB differs from OpenCV in three points (MathWorks, stereoParametersToOpenCV): its first pixel is (1, 1), so its principal
 point is ours plus one; `IntrinsicMatrix` is the transposed camera matrix ([fx 0 0; s fy 0; cx cy 1]; `K` of newer versions is
@@ -8,7 +8,6 @@ not); and points are rows, `[x y z] * RotationOfCamera2 + TranslationOfCamera2`,
 
 from __future__ import annotations
 
-import json
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping
@@ -18,15 +17,12 @@ from typing import Any
 
 import numpy as np
 
-from conetl.files.atomic import atomic_text_file
 from conetl.files.documents import MAX_DEPTH, MAX_JSON_BYTES, library_errors, read_bytes, read_json, shown
 from conetl.geometry import pose as se3
-from conetl.geometry import rig as rigs
-from conetl.geometry.camera import matrix_k
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Rig
-from conetl.readers.rigs.common import Node, Size, opencv_coefficients
+from conetl.readers.rigs.common import Node, Size
 
 #: Added to a camera matrix: MATLAB's first pixel is (1, 1), ours (0, 0).
 _ORIGIN = np.array([[0, 0, 1.0], [0, 0, 1.0], [0, 0, 0]])
@@ -183,34 +179,3 @@ def _matrix(data: bytes, order: str, depth: int = 0) -> tuple[str, Any]:
         return name, content.decode({4: "utf-16", 17: "utf-16", 18: "utf-32"}.get(kind, "utf-8"))
     array = np.frombuffer(content, f"{order}{_NUMBER_TYPES[kind]}").astype(np.float64)
     return name, array.reshape(np.frombuffer(head[1], f"{order}i4"), order="F").squeeze()
-
-
-def write_matlab_rig(rig: Rig, path: Path) -> None:
-    """Write the JSON that MATLAB reads back by `stereoParameters(jsondecode(fileread(path)))`, millimetres.
-
-    MATLAB's lens has k1, k2, k3, p1, p2: raises InputError for a rational or a fisheye lens.
-    """
-    if path.suffix.lower() != ".json":
-        raise InputError(f"{path}: the structure is written as .json")
-    right_SE3_left = se3.invert(rigs.left_SE3_right(rig))
-    content: dict[str, Any] = {}
-    for number, camera in ((1, rig.left), (2, rig.right)):
-        if camera.lens.model in ("rational", "fisheye"):
-            raise InputError(
-                f"{path}: MATLAB's stereoParameters have no {camera.lens.model} lens; export to OpenCV or ROS instead"
-            )
-        k1, k2, p1, p2, k3 = opencv_coefficients(camera.lens)
-        content[f"CameraParameters{number}"] = {
-            "RadialDistortion": [k1, k2, k3],
-            "TangentialDistortion": [p1, p2],
-            "ImageSize": [camera.height_px, camera.width_px],
-            "WorldUnits": "millimeters",
-            "IntrinsicMatrix": (matrix_k(camera) + _ORIGIN).T.tolist(),
-            "NumRadialDistortionCoefficients": 3,
-            "EstimateSkew": False,
-            "EstimateTangentialDistortion": True,
-        }
-    content["RotationOfCamera2"] = right_SE3_left[:3, :3].T.tolist()
-    content["TranslationOfCamera2"] = (1000.0 * right_SE3_left[:3, 3]).tolist()
-    with atomic_text_file(path) as file:
-        json.dump(content, file, indent=1)

@@ -1,4 +1,4 @@
-"""Calibrations of the ROS world: `camera_info` YAML pairs and Kalibr's `camchain.yaml`, read and written.
+"""Calibrations of the ROS world: `camera_info` YAML pairs, read and written, and Kalibr's `camchain.yaml`, read.
 
 A pair of camera_info (camera_calibration, camera_info_manager: `left.yaml` and `right.yaml`) describes the raw images.
 `rectification_matrix` rotates directions of the camera into the rectified frame, and `projection_matrix` of the right camera has
@@ -22,7 +22,7 @@ import numpy as np
 from conetl.files.documents import input_errors, read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
-from conetl.geometry.camera import intrinsics, matrix_k
+from conetl.geometry.camera import matrix_k
 from conetl.geometry.rectification import common_rotation, rectify
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -156,26 +156,3 @@ def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
     right_SE3_left = pose if left == f"cam{first}" else se3.invert(pose)
     key = chain.get(f"cam{last}").at("T_cn_cnm1")
     return key.stereo_rig("kalibr", left_camera, right_camera, right_SE3_left)
-
-
-def write_kalibr_rig(rig: Rig, path: Path) -> None:
-    """Write a camchain. Kalibr's radtan has k1, k2, p1, p2 only: raises InputError for a lens with more."""
-    content: dict[str, Any] = {}
-    for name, camera in (("cam0", rig.left), ("cam1", rig.right)):
-        coefficients = opencv_coefficients(camera.lens)
-        if camera.lens.model != "fisheye":
-            if any(coefficients[4:]):
-                raise InputError(
-                    f"{path}: Kalibr's radtan lens has no k3 to k6, but the {camera.lens.model} lens of {name} has; "
-                    "export to OpenCV or ROS, or calibrate with the radial or the fisheye model"
-                )
-            coefficients = coefficients[:4]
-        content[name] = {
-            "camera_model": "pinhole",
-            "intrinsics": [float(v) for v in intrinsics(camera)],
-            "distortion_model": "equidistant" if camera.lens.model == "fisheye" else "radtan",
-            "distortion_coeffs": coefficients,
-            "resolution": [camera.width_px, camera.height_px],
-        }
-    content["cam1"]["T_cn_cnm1"] = se3.invert(rigs.left_SE3_right(rig)).tolist()
-    write_yaml(path, content)
