@@ -23,7 +23,6 @@ from conetl.db.map.map_store import map_transaction
 from conetl.model.base import utc_from_ns
 from conetl.model.drive import Detection, Drive, DriveRecords
 from conetl.model.map_records import Delta, ExistenceEvidence, MapFeature
-from conetl.readers.maps.gazetteer import Gazetteer
 from conetl.web.app import create_app
 from conetl.web.basemap import BaseMap
 from conetl.web.decisions import Writer
@@ -106,7 +105,6 @@ def serving(
     *,
     writer: Writer | None = None,
     reader_token: SecretStr | None = None,
-    gazetteer: Gazetteer | None = None,
     basemap: BaseMap | None = None,
 ) -> Iterator[int]:
     """The server as `conetl view` runs it, in a thread; yields its port."""
@@ -117,7 +115,6 @@ def serving(
         closing=lambda: running is not None and running.should_exit,
         writer=writer,
         reader_token=reader_token,
-        gazetteer=gazetteer,
         base_map=basemap,
     )
     listener = socket.create_server(("127.0.0.1", 0), backlog=2048)

@@ -13,8 +13,6 @@ import cv2
 import numpy as np
 import pytest
 
-from conetl.geometry.geodesy import to_geodetic
-from conetl.readers.maps.gazetteer import Gazetteer
 from tests.browser.test_view import ADDED, MOVED, click_cone, open_view, pixels_of, screenshot, settle
 from tests.view_map import commit, cone, serving
 
@@ -30,10 +28,8 @@ NOBODY = "00000000-0000-4000-8000-00000000dead"
 
 
 @pytest.fixture(scope="module")
-def address(module_database_url: str, features: dict[str, str], samples: Any) -> Iterator[str]:
-    lat, lon = to_geodetic(samples.SRID, (458_004.0, 5_428_010.0, 0.0))[:2]
-    gazetteer = Gazetteer(("Durlacher Tor",), np.array([[lon, lat]]))
-    with serving(module_database_url, "default", gazetteer=gazetteer) as port:
+def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]:
+    with serving(module_database_url, "default") as port:
         yield f"http://127.0.0.1:{port}/"
 
 
@@ -196,7 +192,7 @@ def test_counts_of_a_drive_open_the_list_of_its_changes(page, address, features)
     wait_for_rows(page, 4, "changes")
 
 
-def test_the_search_finds_cones_drives_days_coordinates_and_places(page, address, features):
+def test_the_search_finds_cones_drives_days_and_coordinates(page, address, features):
     open_view(page, address)
 
     def search(text: str) -> list[str]:
@@ -215,8 +211,6 @@ def test_the_search_finds_cones_drives_days_coordinates_and_places(page, address
     page.wait_for_selector(".found-pin")
     page.wait_for_url("**mark=4.00,10.00**")
     assert search("torf") == [] and "Nothing found for “torf”" in page.locator(".search-status").inner_text()
-    assert search("tor") == ["Places", "Durlacher Tor"]
-    page.keyboard.press("Enter")
     page.reload()
     page.wait_for_selector(".found-pin")
     page.click(".found-pin")

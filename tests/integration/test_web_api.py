@@ -11,16 +11,12 @@ import cv2
 import numpy as np
 import psycopg2
 import pytest
-from fastapi.testclient import TestClient
 
 from conetl.db.connection import connect, execute
 from conetl.db.reader_pool import ReaderPool, open_reader
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.base import utc_from_ns
-from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
-from conetl.readers.maps.gazetteer import read_gazetteer
-from conetl.web.app import create_app
 from conetl.web.live import MAX_STREAMS, HeadWatcher
 from conetl.web.models import Changes, Features
 from tests.view_map import commit, cone, missed, view_of
@@ -270,13 +266,11 @@ def test_unknown_things_are_not_found(client, path):
     assert client.get(path).status_code == 404
 
 
-def test_the_search_knows_ids_drives_days_coordinates_and_places(
-    module_database_url, client, features, samples, tmp_path
-):
+def test_the_search_knows_ids_drives_days_and_coordinates(client, features, samples):
     wanted = str(features["stays"].feature_id)
 
-    def found(text, by=client):
-        return get(by, f"{MAP}/search", text=text)
+    def found(text):
+        return get(client, f"{MAP}/search", text=text)
 
     assert found(wanted[:10].upper())["feature_ids"] == [wanted]
     assert found("0123456789")["feature_ids"] == []
@@ -294,30 +288,6 @@ def test_the_search_knows_ids_drives_days_coordinates_and_places(
         assert position["lat_lon_deg"] == pytest.approx([lat, lon], abs=1e-6)
     for text in ("here", "1 2 3", "2026-03-02", "95, 400"):
         assert [p for p in found(text)["positions"] if abs(p["xy_m"][0]) < 1e5] == [], text
-    path = tmp_path / "places.csv"
-    path.write_text(f"name;lon;lat\nDurlacher Tor;{lon};{lat}\nAm Tor;{lon};{lat}\n")
-    app = create_app(module_database_url, "default", gazetteer=read_gazetteer(path))
-    with TestClient(app, base_url="http://127.0.0.1") as with_places:
-        places = found("TOR", with_places)["places"]
-    assert [p["label"] for p in places] == ["Am Tor", "Durlacher Tor"]
-    assert places[0]["xy_m"] == pytest.approx([4.0, 10.0], abs=0.02)
-
-
-@pytest.mark.parametrize(
-    ("text", "cause"),
-    [
-        ("name,lon,lat\nA,8,49\nB,8,149\n", "row 2: lat is 149, expected -90 to 90: are the columns swapped?"),
-        ("name,lon,lat\n,8,49\n", "row 1: name is .*expected a text"),
-        ("name,lon,lat\nA,east,49\n", "row 1: lon_deg is .*not a number"),
-        ("place,lon,lat\nA,8,49\n", "no column `name`, found: place"),
-        ("name,easting,northing\nA,8,49\n", "columns lon and lat"),
-    ],
-)
-def test_a_broken_gazetteer_names_file_row_and_cause(tmp_path, text, cause):
-    path = tmp_path / "places.csv"
-    path.write_text(text)
-    with pytest.raises(InputError, match=f"places.csv.*{cause}"):
-        read_gazetteer(path)
 
 
 def test_downloads_are_the_state_that_is_shown(client, features, samples):

@@ -45,10 +45,6 @@ def view(
         bool,
         typer.Option("--login/--no-login", help="Require the view token; --no-login: for a proxy with its own login."),
     ] = True,
-    gazetteer: Annotated[
-        Path | None,
-        typer.Option(help="Places for the search: CSV with name, lon, lat, or GeoJSON points with a name."),
-    ] = None,
     basemap: Annotated[
         str | None,
         typer.Option(
@@ -70,11 +66,6 @@ def view(
     tiles = base_map(basemap, basemap_attribution, basemap_zoom) if basemap else None
     if not (STATIC / "index.html").is_file():
         raise InputError(f"{STATIC}: the front end is missing; build it with `make web`, or reinstall conetl")
-    places = None
-    if gazetteer is not None:
-        from conetl.readers.maps.gazetteer import read_gazetteer  # GDAL takes seconds to load
-
-        places = read_gazetteer(gazetteer)
     with MapDatabase(require_maps(settings)) as database, database.connection() as conn:
         url = database.url
         try:
@@ -89,7 +80,7 @@ def view(
         server: uvicorn.Server | None = None
         app = create_app(
             url, settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,
-            reader_token=token, whole_images=settings.images == "full", gazetteer=places, base_map=tiles,
+            reader_token=token, whole_images=settings.images == "full", base_map=tiles,
         )  # fmt: skip
         config = uvicorn.Config(
             app, log_level="error", http=BoundedProtocol, access_log=False, limit_concurrency=_MAX_CONNECTIONS,

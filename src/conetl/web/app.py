@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from fastapi import FastAPI, Request
 from fastapi.responses import JSONResponse, RedirectResponse
@@ -22,9 +21,6 @@ from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.security import Guard
 
-if TYPE_CHECKING:
-    from conetl.readers.maps.gazetteer import Gazetteer
-
 STATIC = Path(__file__).parent / "static"
 #: Names by which a browser on this machine may call; any other belongs to a page elsewhere that rebound its name to this machine.
 LOOPBACK_NAMES = ["127.0.0.1", "localhost", "[::1]"]
@@ -39,14 +35,12 @@ def create_app(
     writer: decisions.Writer | None = None,
     reader_token: SecretStr | None = None,
     whole_images: bool = False,
-    gazetteer: Gazetteer | None = None,
     base_map: basemap.BaseMap | None = None,
 ) -> FastAPI:
     """The application for one database. Streams end when `closing` returns True. Without `writer` it is read-only.
 
     reader_token: required for reading; the writer's token serves as well. Without it, everybody who reaches the server may read.
     whole_images: show images whole; otherwise they are pixelated outside detections.
-    gazetteer: places for the search.
     base_map: tiles under the map; the browser may request them from this one other server.
     """
     pool = ReaderPool(database_url)
@@ -66,7 +60,6 @@ def create_app(
     app.state.map_name = map_name
     app.state.writer = writer
     app.state.whole_images = whole_images
-    app.state.gazetteer = gazetteer
     app.state.basemap = base_map
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
     for routes in (maps, search, frames, layers, basemap, downloads, decisions, live):

@@ -277,7 +277,7 @@ class FoundDrive(Record):
 
 class FoundPosition(Record):
     label: str
-    """Name of a place, or how a coordinate pair was read."""
+    """How the coordinate pair was read."""
     xy_m: tuple[float, float]
     lat_lon_deg: tuple[float, float] | None
     """Null outside the area of the map's CRS."""
@@ -290,7 +290,6 @@ class SearchResult(Record):
     drives: list[FoundDrive]
     """Newest first."""
     positions: list[FoundPosition]
-    places: list[FoundPosition]
     truncated: bool
     """True if there are more cones or drives."""
 

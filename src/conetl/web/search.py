@@ -1,4 +1,4 @@
-"""Routes of the search for cones, drives, days, coordinates and places, and of longitude and latitude in the browser.
+"""Routes of the search for cones, drives, days and coordinates, and of longitude and latitude in the browser.
 
 The page computes the coordinates under the cursor, and places the tiles of a base map, by polynomials of the map's projection,
 without a request for each.
@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import re
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import numpy as np
-from fastapi import APIRouter, HTTPException, Query, Request
+from fastapi import APIRouter, HTTPException, Query
 
 from conetl.db.map.map_store import find_features, list_changesets, require_map
 from conetl.geometry.geodesy import to_geodetic, to_map
@@ -20,9 +20,6 @@ from conetl.model.base import Vec3, utc_from_ns
 from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.parameters import MapName, Origin, Reader, cut
-
-if TYPE_CHECKING:  # GDAL takes seconds to load
-    from conetl.readers.maps.gazetteer import Gazetteer
 
 router = APIRouter()
 _MAX_FOUND = 20
@@ -47,10 +44,9 @@ def search(
     map_name: MapName,
     conn: Reader,
     origin: Origin,
-    request: Request,
     text: Annotated[str, Query(min_length=1, max_length=100)],
 ) -> m.SearchResult:
-    """What a text may mean: the beginning of an id, a part of a drive's id, a day (2026-03-02), a coordinate pair, a place."""
+    """What a text may mean: the beginning of an id, a part of a drive's id, a day (2026-03-02), a coordinate pair."""
     info = require_map(conn, map_name)
     wanted = text.strip()
     ids = []
@@ -67,7 +63,7 @@ def search(
     found_drives, more_drives = cut(drives, _MAX_FOUND)
     return m.SearchResult(
         feature_ids=feature_ids, drives=found_drives, positions=_positions(wanted, info.srid, origin),
-        places=_places(wanted, info.srid, origin, request.app.state.gazetteer), truncated=more_ids or more_drives,
+        truncated=more_ids or more_drives,
     )  # fmt: skip
 
 
@@ -90,18 +86,6 @@ def _positions(text: str, srid: int, origin: Vec3) -> list[m.FoundPosition]:
             readings.append(m.FoundPosition(label=label, xy_m=found, lat_lon_deg=_lat_lon(srid, found, origin)))
     near = [reading for reading in readings if np.hypot(*reading.xy_m) <= _FAR_M]
     return (near or readings)[:1]
-
-
-def _places(text: str, srid: int, origin: Vec3, gazetteer: Gazetteer | None) -> list[m.FoundPosition]:
-    if gazetteer is None or not text:
-        return []
-    found = []
-    for i in gazetteer.find(text, _MAX_FOUND):
-        lon, lat = gazetteer.lon_lat_deg[i].tolist()
-        xy_m = _at(srid, lat, lon, origin)
-        if xy_m is not None:
-            found.append(m.FoundPosition(label=gazetteer.names[i], xy_m=xy_m, lat_lon_deg=(lat, lon)))
-    return found
 
 
 def _at(srid: int, lat_deg: float, lon_deg: float, origin: Vec3) -> tuple[float, float] | None:
