@@ -51,7 +51,7 @@ class PrefectExecutor:
             *map(_sealed, arguments), wait_for=[*self._before, *self._beside], return_state=True
         )
         result = state.result()
-        # Without the result, which would be sent along with each task; Prefect misses one that is None.
+        # Without the result, which would be sent along with each task; Prefect fails where there is no data.
         self._before, self._beside = [state.model_copy(update={"data": "done"})], []
         return result
 
