@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import closing, contextmanager, suppress
 from datetime import datetime, timedelta
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from conetl.db.cluster.cluster import cluster_up
 from conetl.db.connection import connect, execute
 from conetl.model.ingest_report import DriveOnHoldError
 from conetl.model.params import IngestParams
-from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import ThreadExecutor
 from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
@@ -107,12 +105,10 @@ def plain_ingest(drive: Path, settings: Settings, params: IngestParams) -> dict[
 
 def prefect_ingest(drive: Path, settings: Settings, params: IngestParams) -> None:
     """Ingest as `conetl ingest` does, with the running Prefect server."""
-    from flows.ingest_drive import ingest_in_run, run_by_command
+    from flows.ingest_drive import ingest_here
 
-    with MapDatabase(settings) as database, suppress(DriveOnHoldError):
-        header = read_header(drive)
-        work = partial(ingest_in_run, header, settings, params, map_srid=None, database=database)
-        run_by_command(header, settings, work)
+    with suppress(DriveOnHoldError):
+        ingest_here(read_header(drive), settings, params, map_srid=None)
 
 
 def settings_in(home: Path, map_name: str = "default") -> Settings:

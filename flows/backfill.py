@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Annotated, Any, Literal
 from uuid import uuid4
 
@@ -94,12 +93,15 @@ def _batch_run_name() -> str:
     parameters = flow_run.parameters
     since, until = (str(parameters.get(name) or "")[:10] for name in ("since", "until"))
     span = f" {since or '...'} to {until or '...'}" if since or until else ""
-    return f"backfill {printable(Path(str(parameters['root'])).resolve().name)}{span}"
+    return f"backfill {printable(as_path(parameters['root']).name)}{span}"
 
 
 @flow(name="backfill", flow_run_name=_batch_run_name)
 def backfill(
-    root: Annotated[Path, Field(description="Folder with drives, or with folders of drives; its path on the workers.")],
+    root: Annotated[
+        str,
+        Field(description="Folder with drives, or with folders of drives, or its s3:// address; as on the workers."),
+    ],
     since: Annotated[datetime | None, Field(description="Only drives recorded since this time.")] = None,
     until: Annotated[datetime | None, Field(description="Only drives recorded before this time.")] = None,
     max_parallel: Parallel = None,
@@ -111,12 +113,13 @@ def backfill(
 ) -> State[Any]:
     """Ingest all drives below a folder that are not on the map yet. Run it again after a stop: it continues."""
     settings = read_settings(map_name)
-    settings.require_readable(as_path(root))
+    folder = as_path(root)
+    settings.require_readable(folder)
     with alive(settings) as database:
         catch_up_all(settings, database, send_events)
         with database.connection() as conn:
             plan = plan_drives(
-                conn, root, settings=settings, params=params, since=utc(since), until=utc(until), recheck=recheck
+                conn, folder, settings=settings, params=params, since=utc(since), until=utc(until), recheck=recheck
             )
         if not plan.todo:  # started for what was pending
             return Completed(name="NothingNew", message=f"no new drives; {len(plan.lines)} need no ingest")

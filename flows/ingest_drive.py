@@ -1,4 +1,4 @@
-"""One drive folder becomes one changeset of the map: as a job with locks and receipts, and as a run of `conetl ingest`.
+"""One drive folder becomes one changeset of the map, on a worker, in a backfill or by `conetl ingest`: with locks and receipts.
 
 Annotations are evaluated at import: Prefect sends a flow to a child process by value, with only the globals that its body uses,
 so the child could not resolve names in annotations.
@@ -7,7 +7,6 @@ so the child could not resolve names in annotations.
 import time
 from collections.abc import Callable
 from contextvars import ContextVar
-from pathlib import Path
 from typing import Annotated, Any
 from uuid import UUID, uuid4
 
@@ -22,7 +21,6 @@ from conetl.files.storage import as_path
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import analysis_of
-from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Progress
 from conetl.pipeline.ingest import failed_receipt, final_receipt, ingest, new_receipt, save_receipt
 from conetl.pipeline.settings import Settings, read_settings
@@ -31,58 +29,29 @@ from flows.artifacts import progress_artifact, publish_drive, publish_pending
 from flows.runs import MapName, MapSrid, alive, client, drive_run_name, drive_tags
 from flows.tasks import PrefectExecutor, task_runner
 
+#: Settings and progress bar of the present command. Prefect stores parameters, so these are none.
+_command: ContextVar[tuple[Settings, Progress | None] | None] = ContextVar("command", default=None)
 
-def ingest_in_run(
-    header: DriveHeader,
-    settings: Settings,
-    params: IngestParams,
-    *,
-    map_srid: int | None,
-    database: MapDatabase,
-    progress: Progress | None = None,
+
+def ingest_here(
+    header: DriveHeader, settings: Settings, params: IngestParams, *, map_srid: int | None, bar: Progress | None = None
 ) -> IngestReport:
-    """Ingest one drive with tasks, artifacts and events of the present flow run. Raises as `pipeline.ingest` does."""
-    return ingest(
-        header.path, params, settings, map_srid=map_srid, database=database, executor=PrefectExecutor(),
-        progress=progress_artifact(header.drive_id, progress), publish_new=publish_drive, publish_known=publish_pending,
-        flow_run_id=flow_run.get_id(),
-    )  # fmt: skip
-
-
-_work: ContextVar[Callable[[], State[Any]]] = ContextVar("work")
-
-
-def _do_work() -> State[Any]:
-    """The work of the present command, which holds a connection and a progress bar.
-
-    The flow must not hold it: processes and Dask get the flow along with each task, and connections cannot be sent.
-    """
-    return _work.get()()
-
-
-def run_by_command(header: DriveHeader, settings: Settings, work: Callable[[], IngestReport]) -> IngestReport:
-    """Do the work on one drive in this process as a run of the flow `ingest`: no lock, no receipt. Raises as the work does."""
-
-    @flow(name="ingest", flow_run_name=lambda: drive_run_name(header), task_runner=task_runner(settings))
-    def ingest_flow(drive: str, map_name: str) -> State[Any]:
-        return _do_work()
-
-    stored: list[tuple[IngestReport, NeedsAttentionError | None]] = []
-
-    def work_and_keep() -> State[Any]:
-        report, error, problem = _finished(work)
-        stored.append((report, error))
-        return _final_state(report, problem)
-
-    mark = _work.set(work_and_keep)
+    """Run the flow below in this process, as `conetl ingest` does. bar: shows its progress. Raises as `pipeline.ingest` does."""
+    own = ingest_drive.with_options(task_runner=task_runner(settings), flow_run_name=lambda: drive_run_name(header))
+    given = _command.set((settings, bar))
     try:
-        ingest_flow(header.shown_path, settings.map_name)
+        state = own(str(header.path), settings.map_name, map_srid, params, return_state=True)
     finally:
-        _work.reset(mark)
-    [(report, error)] = stored
+        _command.reset(given)
+    report, error = state.result()
     if error is not None:
         raise error
     return report
+
+
+def _of_command() -> tuple[Settings, Progress | None] | None:
+    """None on a worker. A function, because a flow is sent along with each task of Dask, and a ContextVar cannot be."""
+    return _command.get()
 
 
 def _finished(work: Callable[[], IngestReport]) -> tuple[IngestReport, NeedsAttentionError | None, str]:
@@ -96,15 +65,22 @@ def _finished(work: Callable[[], IngestReport]) -> tuple[IngestReport, NeedsAtte
 
 @flow(name="ingest-drive", task_runner=task_runner(read_settings()))
 def ingest_drive(
-    drive: Annotated[Path, Field(description="Drive folder; its path on the worker.")],
+    drive: Annotated[str, Field(description="Drive folder, or its s3:// address; its path on the worker.")],
     map_name: MapName = None,
     map_srid: MapSrid = None,
     params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
     attempt_id: Annotated[UUID | None, Field(description="Leave empty.")] = None,
 ) -> State[Any]:
-    """Ingest one drive: once, even if another process tries at the same time, with a receipt of the outcome."""
-    settings = read_settings(map_name)
-    settings.require_readable(as_path(drive))
+    """Ingest one drive: once, even if another process tries at the same time, with a receipt of the outcome.
+
+    Its steps run as tasks, in the order of `pipeline.ingest.ingest` and `pipeline.analysis.analyse`: read, follow points and
+    self-calibrate, detect and match (in parallel), refine, locate, fuse, merge, publish. The result is the report, and the error
+    if the drive needs attention.
+    """
+    of_command = _of_command()
+    settings, bar = of_command or (read_settings(map_name), None)
+    if of_command is None:  # a form or another flow has chosen the folder
+        settings.require_readable(as_path(drive))
     header = read_header(as_path(drive).absolute())  # links are kept: the calibration may be beside the link
     with alive(settings, drive_lock(settings.map_name, header.header_sha256)) as database:
         analysis = analysis_of(params, settings).sha256
@@ -113,21 +89,21 @@ def ingest_drive(
         started = time.monotonic()
         try:
             _describe_run(header, settings.map_name)
-            report, _, problem = _finished(
-                lambda: ingest_in_run(header, settings, params, map_srid=map_srid, database=database)
-            )
-        except Exception as error:
-            save_receipt(failed_receipt(begun, error), settings, database)
+            report, error, problem = _finished(
+                lambda: ingest(
+                    header.path, params, settings, map_srid=map_srid, database=database, executor=PrefectExecutor(),
+                    progress=progress_artifact(header.drive_id, bar), publish_new=publish_drive,
+                    publish_known=publish_pending, flow_run_id=flow_run.get_id(),
+                )
+            )  # fmt: skip
+        except Exception as failure:
+            save_receipt(failed_receipt(begun, failure), settings, database)
             raise
         save_receipt(final_receipt(begun, report, time.monotonic() - started, problem), settings, database)
-    return _final_state(report, problem)
-
-
-def _final_state(report: IngestReport, problem: str) -> State[Any]:
-    """State of the run of a drive that is stored. problem: what a person has to check; empty if nothing."""
     if problem:
-        return Completed(name="OnHold" if report.on_hold else "CommittedNeedsALook", message=problem)
-    return Completed(message=outcome(report))
+        name = "OnHold" if report.on_hold else "CommittedNeedsALook"
+        return Completed(name=name, message=problem, data=(report, error))
+    return Completed(message=outcome(report), data=(report, None))
 
 
 def outcome(report: IngestReport) -> str:

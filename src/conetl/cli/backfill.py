@@ -91,7 +91,7 @@ def backfill(
 
         running.enter_context(flow.watch_batch(show))
         flow.backfill(
-            root.absolute(), since=begin, until=end, max_parallel=max_parallel,
+            str(root.absolute()), since=begin, until=end, max_parallel=max_parallel,
             map_name=settings.map_name, map_srid=map_srid, params=parameters, recheck=recheck,
             where="here" if here else "auto", return_state=True,
         ).result()  # fmt: skip

@@ -102,23 +102,18 @@ def ingest_drives(
     with ExitStack() as running:
         with ui.spinner("Starting Prefect"):
             # Prefect reads its environment when it is imported, which takes two seconds: not at the top of the file.
-            from conetl.pipeline.database import MapDatabase
             from conetl.pipeline.ingest import as_conetl_error
-            from flows.ingest_drive import ingest_in_run, run_by_command
+            from flows.ingest_drive import ingest_here
             from flows.server import prefect_server
 
             _log.info("Prefect server %s", running.enter_context(prefect_server(settings.home)))
-        database = running.enter_context(MapDatabase(settings))
         for header in headers:
             _log.info("drive %s", header.path)
             complaints: list[ConetlError | str] = []
             try:
                 with ui.progress_bar(header.drive_id, "images and motions") as update:
-                    work = partial(
-                        ingest_in_run, header, settings, params, map_srid=map_srid, database=database,
-                        progress=partial(_show_progress, update, header.drive_id),
-                    )  # fmt: skip
-                    report = run_by_command(header, settings, work)
+                    bar = partial(_show_progress, update, header.drive_id)
+                    report = ingest_here(header, settings, params, map_srid=map_srid, bar=bar)
             except NeedsAttentionError as error:
                 report, complaints = error.report, [error]
             except Exception as raised:

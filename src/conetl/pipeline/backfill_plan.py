@@ -192,7 +192,7 @@ def _decide_action(
     if alike:
         if recheck:
             return "ingest", "to be compared again (recheck)"
-        # `conetl ingest` writes no receipt, so the header is unknown: id and time have to do.
+        # `conetl ingest` of 0.2.0 wrote no receipt, so the header is unknown: id and time have to do.
         same_folder = [
             d for d in alike if header.header_sha256 in folders_of.get(d.changeset_id, (header.header_sha256,))
         ]
