@@ -38,10 +38,7 @@ _log = logging.getLogger(__name__)
 #: A drive whose process died is started at most this many times; then it counts as failed.
 TRIES = 2
 _POLL_S = 1.0
-Parallel = Annotated[
-    int | None,
-    Field(ge=1, le=1000, description="Drives to run in parallel; default: one per worker, 1 without workers."),
-]
+Parallel = Annotated[int | None, Field(ge=1, le=1000)]
 Watcher = Callable[["Standing"], None]
 
 
@@ -98,20 +95,29 @@ def _batch_run_name() -> str:
 
 @flow(name="backfill", flow_run_name=_batch_run_name)
 def backfill(
-    root: Annotated[
-        str,
-        Field(description="Folder with drives, or with folders of drives, or its s3:// address; as on the workers."),
-    ],
-    since: Annotated[datetime | None, Field(description="Only drives recorded since this time.")] = None,
-    until: Annotated[datetime | None, Field(description="Only drives recorded before this time.")] = None,
+    root: str,
+    since: datetime | None = None,
+    until: datetime | None = None,
     max_parallel: Parallel = None,
     map_name: MapName = None,
     map_srid: MapSrid = None,
-    params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
-    recheck: Annotated[bool, Field(description="Also compare the content of drives already on the map.")] = False,
-    where: Annotated[dispatch.Where, Field(description="Where to run the drives.")] = "auto",
+    params: IngestParams = IngestParams(),  # noqa: B008 -- frozen
+    recheck: bool = False,
+    where: dispatch.Where = "auto",
 ) -> State[Any]:
-    """Ingest all drives below a folder that are not on the map yet. Run it again after a stop: it continues."""
+    """Ingest all drives below a folder that are not on the map yet. Run it again after a stop: it continues.
+
+    Args:
+        root: Folder with drives, or with folders of drives, or its s3:// address; as on the workers.
+        since: Only drives recorded since this time.
+        until: Only drives recorded before this time.
+        max_parallel: Drives to run in parallel; default: one per worker, 1 without workers.
+        map_name: Name of the map; default: CONETL_MAP_NAME of the worker.
+        map_srid: EPSG code of the map; default: the UTM zone of the first drive.
+        params: Parameters of all steps.
+        recheck: Also compare the content of drives already on the map.
+        where: Where to run the drives: on workers, in processes beside this run (here), or on workers if there are any (auto).
+    """
     settings = read_settings(map_name)
     folder = as_path(root)
     settings.require_readable(folder)

@@ -7,13 +7,12 @@ so the child could not resolve names in annotations.
 import time
 from collections.abc import Callable
 from contextvars import ContextVar
-from typing import Annotated, Any
+from typing import Any
 from uuid import UUID, uuid4
 
 from prefect import State, flow
 from prefect.runtime import flow_run
 from prefect.states import Completed
-from pydantic import Field
 
 from conetl.db.receipt_store import drive_lock
 from conetl.exports.kind_marks import kind_label
@@ -65,17 +64,24 @@ def _finished(work: Callable[[], IngestReport]) -> tuple[IngestReport, NeedsAtte
 
 @flow(name="ingest-drive", task_runner=task_runner(read_settings()))
 def ingest_drive(
-    drive: Annotated[str, Field(description="Drive folder, or its s3:// address; its path on the worker.")],
+    drive: str,
     map_name: MapName = None,
     map_srid: MapSrid = None,
-    params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
-    attempt_id: Annotated[UUID | None, Field(description="Leave empty.")] = None,
+    params: IngestParams = IngestParams(),  # noqa: B008 -- frozen
+    attempt_id: UUID | None = None,
 ) -> State[Any]:
     """Ingest one drive: once, even if another process tries at the same time, with a receipt of the outcome.
 
     Its steps run as tasks, in the order of `pipeline.ingest.ingest` and `pipeline.analysis.analyse`: read, follow points and
     self-calibrate, detect and match (in parallel), refine, locate, fuse, merge, publish. The result is the report, and the error
     if the drive needs attention.
+
+    Args:
+        drive: Drive folder, or its s3:// address; its path on the worker.
+        map_name: Name of the map; default: CONETL_MAP_NAME of the worker.
+        map_srid: EPSG code of the map; default: the UTM zone of the first drive.
+        params: Parameters of all steps.
+        attempt_id: Leave empty.
     """
     of_command = _of_command()
     settings, bar = of_command or (read_settings(map_name), None)

@@ -32,13 +32,9 @@ MAX_RUNS = 3
 _RESUMED_FOR = timedelta(hours=1)
 _REASON = "its process has ended: no session holds its lock in the database"
 
-MapName = Annotated[
-    str | None,
-    Field(pattern=f"^{MAP_NAME.pattern}$", description="Name of the map; default: CONETL_MAP_NAME of the worker."),
-]
-MapSrid = Annotated[
-    int | None, Field(gt=0, description="EPSG code of the map; default: the UTM zone of the first drive.")
-]
+# Prefect's forms take descriptions from the docstrings of flows.
+MapName = Annotated[str | None, Field(pattern=f"^{MAP_NAME.pattern}$")]
+MapSrid = Annotated[int | None, Field(gt=0)]
 
 
 def client() -> SyncPrefectClient:

@@ -35,16 +35,20 @@ from flows.runs import MapName, MapSrid, alive, recover_runs
 @flow(name="publish-map", flow_run_name="publish map")
 def publish_map(
     map_name: MapName = None,
-    formats: Annotated[list[str] | None, Field(description=f"Some of {', '.join(FORMATS)}; default: all.")] = None,
-    folder: Annotated[
-        Path | None, Field(description="Folder for the publication; default: `exports` in CONETL_HOME.")
-    ] = None,
-    as_of: Annotated[datetime | None, Field(description="State of the road at this time; default: latest.")] = None,
+    formats: list[str] | None = None,
+    folder: Path | None = None,
+    as_of: datetime | None = None,
 ) -> State[Any]:
     """Write the map in several formats to a new folder, and point `latest` at it.
 
     All files show the same state of the map; `report.html` covers the last 24 hours. Fails for an unknown format or a folder that
     cannot be written; the last publication stays then.
+
+    Args:
+        map_name: Name of the map; default: CONETL_MAP_NAME of the worker.
+        formats: Names of formats of `map export`; default: all but WZDx.
+        folder: Folder for the publication; default: `exports` in CONETL_HOME.
+        as_of: State of the road at this time; default: latest.
     """
     settings = read_settings(map_name)
     with alive(settings) as database, database.connection() as conn:
@@ -101,18 +105,23 @@ def recover() -> State[Any]:
 
 @flow(name="ingest-drop-folder", flow_run_name="new drives")
 def ingest_drop_folder(
-    folder: Annotated[
-        Path | None, Field(description="Folder in which drives arrive; default: CONETL_DROP_FOLDER of the worker.")
-    ] = None,
-    quiet_minutes: Annotated[
-        float | None, Field(ge=0, description="A drive is complete after this many minutes without a change.")
-    ] = None,
+    folder: Path | None = None,
+    quiet_minutes: Annotated[float | None, Field(ge=0)] = None,
     max_parallel: Parallel = None,
     map_name: MapName = None,
     map_srid: MapSrid = None,
-    params: Annotated[IngestParams, Field(description="Parameters of all steps.")] = IngestParams(),  # noqa: B008 -- frozen
+    params: IngestParams = IngestParams(),  # noqa: B008 -- frozen
 ) -> State[Any]:
-    """Ingest new drives. One that failed is skipped until it changes, or a person runs a backfill."""
+    """Ingest new drives. One that failed is skipped until it changes, or a person runs a backfill.
+
+    Args:
+        folder: Folder in which drives arrive; default: CONETL_DROP_FOLDER of the worker.
+        quiet_minutes: A drive is complete after this many minutes without a change; default: CONETL_DROP_QUIET_MINUTES.
+        max_parallel: Drives to run in parallel; default: one per worker, 1 without workers.
+        map_name: Name of the map; default: CONETL_MAP_NAME of the worker.
+        map_srid: EPSG code of the map; default: the UTM zone of the first drive.
+        params: Parameters of all steps.
+    """
     settings = read_settings(map_name)
     inbox = (folder or settings.inbox).absolute()
     settings.require_readable(inbox)

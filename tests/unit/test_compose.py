@@ -125,3 +125,12 @@ def test_runs_survive_a_restart_of_the_database_behind_prefect() -> None:
     """Its API answers 500 meanwhile, which its clients do not try again by themselves."""
     for name in ("register", "desk", "drives"):
         assert COMPOSE["services"][name]["environment"]["PREFECT_CLIENT_RETRY_EXTRA_CODES"] == "500"
+
+
+def test_forms_describe_what_a_person_may_set() -> None:
+    for deployment in PREFECT["deployments"]:
+        module, function = deployment["entrypoint"].rsplit(".", 1)
+        schema = getattr(importlib.import_module(module), function).parameters.model_dump()
+        fields = [*schema["properties"].items()]
+        fields += [field for group in schema["definitions"].values() for field in group.get("properties", {}).items()]
+        assert [name for name, field in fields if not field.get("description")] == [], deployment["name"]

@@ -10,7 +10,7 @@ import hashlib
 import json
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import ConfigDict, Field, field_validator
 
 from conetl.model.base import Positive, Record
 from conetl.model.base import Probability as Fraction
@@ -19,13 +19,21 @@ from conetl.model.feature_classes import CONE, FEATURE_CLASSES, known_classes
 _SIGN_MARGIN_RAD = 0.3
 
 
-class DetectionParams(Record):
+class Params(Record):
+    """Base of the parameters of a step; the text below a field describes it in Prefect's forms."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+
+class DetectionParams(Params):
     categories: tuple[str, ...] = (CONE,)
     """Classes of objects that are searched for. A drive is not evidence that an object of another class is gone."""
     score_threshold: Fraction = 0.3
     """Low, because a track needs several boxes that agree in space."""
     nms_iou: Fraction = 0.5
+    """Of two boxes of a class that overlap by more (intersection over union), only the one with the higher score is kept."""
     min_height_px: Positive = 8.0
+    """Minimum height of a box."""
     horizon_margin_rad: Annotated[float, Field(ge=0, lt=1.57)] = 0.1
     """Rows farther than this above the horizon are not searched: cones stand on the road. 0.1 rad is a slope of 10 %."""
     search_right: Literal["along_epipolar_lines", "everywhere"] = "along_epipolar_lines"
@@ -47,31 +55,37 @@ class DetectionParams(Record):
         return known_classes(categories)  # in one order: they are part of a hash
 
 
-class MatchParams(Record):
+class MatchParams(Params):
     epipolar_tolerance_px: Positive = 3.0
     """Allowed row difference of a stereo match, added to `epipolar_tolerance_relative` times the box height."""
     epipolar_tolerance_relative: Positive = 0.12
+    """See `epipolar_tolerance_px`."""
     min_range_m: Positive = 1.5
+    """Bounds of the disparity search: the nearest object ..."""
     max_range_m: Positive = 40.0
-    """Bounds of the disparity search."""
+    """... and the farthest."""
     max_size_ratio: Positive = 1.6
     """Larger over smaller box height (and width, squared tolerance) of a match."""
     max_score_difference: Positive = 0.7
+    """Largest difference between the scores of the two boxes."""
     refine: bool = True
     """Refine the left-right correspondence by area-based matching where the images allow it."""
 
 
-class PositionParams(Record):
+class PositionParams(Params):
     convergence_m2: Positive = 1e-10
     """Stop when the sum of squares of the correction is below this (the paper's criterion)."""
     max_iterations: int = Field(default=20, ge=1)
+    """Most iterations for one position."""
     min_ray_angle_rad: Positive = 0.008
     """Matches with a smaller angle between the rays are rejected: 0.008 rad is 67 m at a baseline of 0.54 m."""
     max_range_m: Positive = 35.0
+    """Maximum distance of a position from the camera."""
     max_residual_px: Positive = 6.0
+    """Matches with a larger residual are rejected."""
 
 
-class TrackParams(Record):
+class TrackParams(Params):
     gate_chi2: Positive = 16.0
     """Gate on the squared Mahalanobis distance of (u, v, disparity) against the prediction."""
     max_gap_frames: int = Field(default=12, ge=1)
@@ -83,9 +97,11 @@ class TrackParams(Record):
     motion_sigma_aside: Positive = 0.04
     """The same across the path (sideways and up), where the INS is accurate."""
     motion_sigma_m: Positive = 0.05
+    """The part of both that does not depend on the distance."""
     join_gate_m: Positive = 0.6
     """Two tracks never observed in one image and nearer than this (plus drift) are one cone."""
     min_observations: int = Field(default=3, ge=1)
+    """Minimum number of positions of a track."""
     min_existence_probability: Fraction = 0.5
     """Minimum existence probability of a track that confirms a feature; see `founding_existence_probability` for new ones."""
     expected_cones_per_picture: Positive = 0.05
@@ -96,7 +112,9 @@ class TrackParams(Record):
     hidden_run_probability: Annotated[float, Field(gt=0, lt=1)] = 0.1
     """Probability that successive misses have one cause, an undetected object in front (a parked van)."""
     min_cone_height_m: Positive = FEATURE_CLASSES[CONE].heights_m[0]
+    """Minimum height of a cone."""
     max_cone_height_m: Positive = FEATURE_CLASSES[CONE].heights_m[1]
+    """Maximum height of a cone."""
     max_ground_distance_m: Positive = 0.45
     """Maximum distance of the foot from the road surface given by the drive's other tracks."""
     max_range_m: Positive = 20.0
@@ -109,7 +127,7 @@ class TrackParams(Record):
         return FEATURE_CLASSES[category].heights_m
 
 
-class ReconcileParams(Record):
+class ReconcileParams(Params):
     gate_chi2: Positive = 16.0
     """Gate on the squared Mahalanobis distance between track and feature, after the drive's common offset."""
     min_gate_m: Positive = 0.5
@@ -159,11 +177,12 @@ class ReconcileParams(Record):
     marking_view_to_m: Positive = 12.0
     """... to this one, and this far to the left and right: within the area that is searched for them (`MarkingParams`)."""
     marking_view_aside_m: Positive = 7.0
+    """See `marking_view_to_m`."""
     marking_max_blur_m: Positive = 0.025
     """Nothing is in view beyond the depth at which images blur edges on the road by this sigma, a fifth of the paint width."""
 
 
-class TrajectoryParams(Record):
+class TrajectoryParams(Params):
     refine: bool = True
     """Refine the logged poses by visual odometry."""
     self_calibrate: bool = True
@@ -171,6 +190,7 @@ class TrajectoryParams(Record):
     self_calibration_span_m: Positive = 2.0
     """Points are compared over this distance: longer spans determine depth better, but fewer points survive."""
     self_calibration_min_spans: int = Field(default=8, ge=8)
+    """Minimum number of spans."""
     self_calibration_max_spans: int = Field(default=120, ge=8)
     """At most this many spans, evenly spread over the drive: more cost time without lowering the error floor."""
     self_calibration_row_tolerance_px: Positive = 2.5
@@ -191,24 +211,33 @@ class TrajectoryParams(Record):
     max_width_px: int = Field(default=1280, ge=64)
     """Wider images are reduced for tracking points."""
     cell_px: int = Field(default=40, ge=8)
+    """Points are chosen in cells of this side ..."""
     corners_per_cell: int = Field(default=2, ge=1)
-    """More corners make motions more precise than the floors below, at proportional cost."""
+    """... and this many in each: more make motions more precise than the floors below, at proportional cost."""
     min_disparity_px: Positive = 2.0
     """Points with less are too far away to measure the distance driven."""
     min_points: int = Field(default=30, ge=6)
+    """Minimum number of points of a motion."""
     sigma_px: Positive = 0.3
     """Of a tracked point; only relative weights and thresholds depend on it, the covariance comes from the residuals."""
     circle_tolerance_px: Positive = 0.7
+    """Maximum distance from its start at which a point ends that is followed through both images of two pairs and back."""
     epipolar_tolerance_px: Positive = 1.0
+    """Maximum row difference of a point in the left and the right image."""
     inlier_px: Positive = 1.5
+    """Maximum residual of a point that agrees with a motion."""
     min_inlier_share: Fraction = 0.2
+    """Minimum share of points that agree with it."""
     gate_m: Positive = 0.5
     """Motions that differ by more from the logged one, per frame pair, are those of a moving lorry in the image."""
     gate_rad: Positive = 0.02
+    """The same for rotations."""
     floor_relative: Positive = 0.003
     """Error of visual odometry beyond its residuals, as a share of the distance between two frame pairs ..."""
     floor_m: Positive = 0.002
+    """... as a distance ..."""
     floor_rad: Positive = 0.0001
+    """... as an angle ..."""
     scale_sigma: Positive = 0.003
     """... and common to the whole drive: errors of baseline and focal length scale all distances equally."""
     robust_sigmas: Positive = 3.0
@@ -222,7 +251,9 @@ class TrajectoryParams(Record):
     gnss_white_share: Fraction = 0.1
     """... and the share of its sigma that is independent in every record."""
     attitude_correlation_s: Positive = 60.0
+    """The same of the attitude ..."""
     attitude_white_share: Fraction = 0.3
+    """... and the share of its sigma."""
     cone_landmarks: bool = True
     """Use the drive's own cones as landmarks in the adjustment ..."""
     cone_landmarks_from_m: Positive = 0.1
@@ -231,7 +262,7 @@ class TrajectoryParams(Record):
     """Largest squared shift of a pose in its stated sigmas: 3 sigma of a GNSS/INS that states half its sigmas."""
 
 
-class MarkingParams(Record):
+class MarkingParams(Params):
     """Detection of lane markings; only used if they are searched for (`DetectionParams.categories`)."""
 
     pair_spacing_m: Positive = 1.0
@@ -239,11 +270,13 @@ class MarkingParams(Record):
     min_range_m: Positive = 4.0
     """Depths in front of the camera between which the road is searched ..."""
     max_range_m: Positive = 17.0
+    """See `min_range_m`."""
     max_offset_m: Positive = 8.0
     """... and how far to the left and to the right."""
     min_width_m: Positive = 0.07
     """Bounds of the width of paint: 0.10 to 0.30 m by most standards, measured with noise."""
     max_width_m: Positive = 0.35
+    """See `min_width_m`."""
     min_contrast: Positive = 8.0
     """Minimum difference of paint and road in grey levels."""
     max_above_road_m: Positive = 0.04
@@ -255,25 +288,33 @@ class MarkingParams(Record):
     min_frames: int = Field(default=3, ge=1)
     """Minimum number of frame pairs that show it."""
     vertex_spacing_m: Positive = 2.5
+    """Distance between two vertices of a line."""
 
 
-class IngestParams(Record):
+class IngestParams(Params):
     """All parameters of one ingest."""
 
     detection: DetectionParams = DetectionParams()
+    """Search for objects in images."""
     match: MatchParams = MatchParams()
+    """Stereo matches."""
     position: PositionParams = PositionParams()
+    """Positions by forward intersection."""
     track: TrackParams = TrackParams()
+    """Positions of one object, over all frame pairs."""
     reconcile: ReconcileParams = ReconcileParams()
+    """Comparison with the map."""
     trajectory: TrajectoryParams = TrajectoryParams()
+    """Poses and calibration."""
     marking: MarkingParams = MarkingParams()
+    """Lane markings."""
     chunk_pairs: int = Field(default=256, ge=1)
     """Frame pairs per chunk, half of which are one detection task: a task costs Prefect about 10 ms."""
     max_rejected_fraction: Fraction = 0.10
     """With a larger share of rejected frame pairs the command ends with exit code 1."""
 
 
-class ImportParams(Record):
+class ImportParams(Params):
     """Assumptions about an imported map where its file states nothing, and parameters of its comparison with the map."""
 
     sigma_m: Positive = 0.5
@@ -289,7 +330,7 @@ class ImportParams(Record):
     reconcile: ReconcileParams = ReconcileParams()
 
 
-class WorkZoneParams(Record):
+class WorkZoneParams(Params):
     """How cones become work zones."""
 
     min_cones: int = Field(default=3, ge=2)
@@ -342,7 +383,7 @@ class WorkZoneParams(Record):
     """How long an ended work zone stays in the feed, as completed."""
 
 
-class LayoutParams(Record):
+class LayoutParams(Params):
     """Rules of the layout check. The numbers of standards, and their sources, are in `workzones/rules`; None: no such rule."""
 
     taper_spacing_ft_per_mph: Positive | None = None
