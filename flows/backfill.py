@@ -14,7 +14,7 @@ from uuid import uuid4
 
 from prefect import State, flow
 from prefect.runtime import flow_run
-from prefect.states import Completed
+from prefect.states import Completed, Failed
 from pydantic import Field
 
 from conetl.db.connection import Connection
@@ -38,6 +38,8 @@ _log = logging.getLogger(__name__)
 #: A drive whose process died is started at most this many times; then it counts as failed.
 TRIES = 2
 _POLL_S = 1.0
+#: Ends of a batch of which something needs a person: Prefect's dashboard counts what failed.
+SOME_FAILED, SOME_ON_HOLD = "SomeFailed", "SomeOnHold"
 Parallel = Annotated[int | None, Field(ge=1, le=1000)]
 Watcher = Callable[["Standing"], None]
 
@@ -272,10 +274,10 @@ def _end(standing: Standing) -> State[Any]:
     _log.info(message)
     if failed:
         first = failed[0]
-        return Completed(name="SomeFailed", message=f"{message}. {first.drive_id}: {first.reason}")
+        return Failed(name=SOME_FAILED, message=f"{message}. {first.drive_id}: {first.reason}")
     if standing.held:
         first_held = standing.held[0]
-        return Completed(name="SomeOnHold", message=f"{message}. {first_held.drive_id}: {first_held.reason}")
+        return Failed(name=SOME_ON_HOLD, message=f"{message}. {first_held.drive_id}: {first_held.reason}")
     return Completed(message=message)
 
 

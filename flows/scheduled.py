@@ -56,7 +56,7 @@ def publish_map(
         if info is None:
             return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
         wanted = list(FORMATS) if formats is None else formats
-        published, manifests, held = write_publication(conn, info, wanted, folder or settings.exports_folder, as_of)
+        published, manifests, night = write_publication(conn, info, wanted, folder or settings.exports_folder, as_of)
     create_table_artifact(
         [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
         key="publication",
@@ -70,9 +70,13 @@ def publish_map(
         description=f"File: {as_markdown(page)}",
     )
     message = f"{len(manifests)} files in {published}"
-    if held:
-        message = f"{len(held)} drives on hold; {message}. {held[0].drive_id}: {held[0].reason}"
-        return Completed(name="DrivesOnHold", message=message)
+    if night.failed:
+        first = night.failed[0]
+        message = f"{len(night.failed)} drives failed; {message}. {first['drive_id']}: {first['reason']}"
+        return Failed(name="DrivesFailed", message=message)
+    if night.held:
+        message = f"{len(night.held)} drives on hold; {message}. {night.held[0].drive_id}: {night.held[0].reason}"
+        return Failed(name="DrivesOnHold", message=message)
     return Completed(message=message)
 
 

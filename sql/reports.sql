@@ -131,20 +131,19 @@ where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_
 order by c.changeset_no;
 
 -- name: night_failures
--- Drives (by id and path: a repaired one has another header) whose last receipt in a time span is not a success, or that started
--- but did not end, oldest first; attempts: in the span. Parameters: map_name; since; until.
+-- Drives (by id and path: a repaired one has another header) whose last receipt before an instant is not a success, or that started
+-- but did not end, oldest first. Parameters: map_name; until.
 with last_receipt as (
     select distinct on (r.drive_id, r.drive_path) r.*
     from conetl.receipt r
-    where r.map_name = %(map_name)s and r.at >= %(since)s and r.at < %(until)s
+    where r.map_name = %(map_name)s and r.at < %(until)s
     order by r.drive_id, r.drive_path, r.receipt_no desc
 )
 select
     w.drive_id, w.drive_path, w.state, w.reason, w.at, w.host, w.frame_pairs,
     (
         select count(distinct s.attempt_id) from conetl.receipt s
-        where s.map_name = w.map_name and s.drive_id = w.drive_id and s.drive_path = w.drive_path
-        and s.at >= %(since)s and s.at < %(until)s
+        where s.map_name = w.map_name and s.drive_id = w.drive_id and s.drive_path = w.drive_path and s.at < %(until)s
     ) as attempts
 from last_receipt w
 where w.state in ('failed', 'crashed', 'started')

@@ -220,7 +220,7 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
     after = {name: service.pid for name, service in read_services(desk.home).items()}
     assert {name for name, pid in after.items() if pid != before[name]} == {busy, "desk"}
     run = desk.ended(run_id)
-    assert run["state_name"] == "SomeFailed", run["state"]["message"]
+    assert (run["state_type"], run["state_name"]) == ("FAILED", "SomeFailed"), run["state"]["message"]
     receipts = small()
     state, reason = receipts.pop(POISONED)
     assert state == "failed"
@@ -327,7 +327,10 @@ def test_the_map_is_published_and_audited_and_no_drive_is_taken_again(desk: Desk
     started = {name: desk.start(name, {}) for name in ("publish-map/publish-map", "audit/audit")}
     ended = {DROP_FOLDER: desk.drop_folder_ended()} | {name: desk.ended(run_id) for name, run_id in started.items()}
     messages = {name: run["state"]["message"] for name, run in ended.items()}
-    assert {run["state_type"] for run in ended.values()} == {"COMPLETED"}, messages
+    assert ended["audit/audit"]["state_type"] == ended[DROP_FOLDER]["state_type"] == "COMPLETED", messages
+    published = ended["publish-map/publish-map"]
+    assert (published["state_type"], published["state_name"]) == ("FAILED", "DrivesFailed"), messages
+    assert POISONED in messages["publish-map/publish-map"], "what failed on an earlier night is still said"
     latest = desk.home / "exports" / "latest"
     files = {name: latest / f"default{chosen.suffix}" for name, chosen in FORMATS.items()}
     assert [name for name, path in files.items() if not path.is_file()] == []

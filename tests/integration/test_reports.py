@@ -233,6 +233,9 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
         "3 drives failed", "no usable pose", "1 object was removed", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
     ):  # fmt: skip
         assert told in page
+    write_receipt(shown, replace(failed("7", "failed", reason="no calibration"), drive_path=str(tmp_path)), tmp_path)
+    next_night = read_night(shown, map_name="default", since=until, until=until + timedelta(days=1))
+    assert [row["drive_path"] for row in next_night.failed] == [str(tmp_path)], "the others' folders are gone"
 
 
 def test_an_empty_and_an_invalid_night(shown: Any) -> None:

@@ -90,11 +90,13 @@ def backfill(
             standing, printed, noted = now, len(now.ended), now.note
 
         running.enter_context(flow.watch_batch(show))
-        flow.backfill(
+        state = flow.backfill(
             str(root.absolute()), since=begin, until=end, max_parallel=max_parallel,
             map_name=settings.map_name, map_srid=map_srid, params=parameters, recheck=recheck,
             where="here" if here else "auto", return_state=True,
-        ).result()  # fmt: skip
+        )  # fmt: skip
+        if state.name not in (flow.SOME_FAILED, flow.SOME_ON_HOLD):
+            state.result()
     if as_json:
         drives = [_receipt_as_dict(receipt) for receipt in standing.ended]
         ui.print_json({**facts, "held": standing.held, "hold_events": standing.hold_events, "drives": drives})

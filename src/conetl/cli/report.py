@@ -50,7 +50,7 @@ def night(
 ) -> None:
     """Write a report of all drives processed in a period: committed, on hold, failed and why, changes, worst drives, map size.
 
-    Drives on hold come first, including those of earlier days. Exit code 1: at least one drive is on hold.
+    Drives on hold come first, including those of earlier days. Exit code 1: at least one drive is on hold, or failed.
     """
     from conetl.reports.night_page import write_night_page
 
@@ -71,7 +71,7 @@ def night(
     counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
     rows = {"held": facts.held, "hold_events": facts.hold_events}
     _print_written(as_json, path, {"since": begin, "until": end, **counts, **rows})
-    if facts.held:
+    if facts.held or facts.failed:
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 

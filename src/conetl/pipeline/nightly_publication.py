@@ -23,8 +23,7 @@ from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest
 from conetl.files.atomic import LATEST, remove_leftovers, temporary_path
 from conetl.model.errors import InputError
-from conetl.model.health import HeldDrive
-from conetl.reports.night_page import write_night_page
+from conetl.reports.night_page import NightFacts, write_night_page
 
 REPORT = "report.html"
 REPORTED = timedelta(days=1)
@@ -32,9 +31,9 @@ REPORTED = timedelta(days=1)
 
 def write_publication(
     conn: Connection, info: MapInfo, formats: list[str], folder: Path, as_of: datetime | None = None
-) -> tuple[Path, list[dict[str, Any]], list[HeldDrive]]:
+) -> tuple[Path, list[dict[str, Any]], NightFacts]:
     """Write a map as of `as_of` (None: latest) in `formats` to a new folder in `folder`; that folder, the manifests of its files,
-    and the drives on hold.
+    and the facts of the report.
 
     info: the map as it is now: what is committed from now on is left out of every file alike. Raises InputError for an unknown
     format, or a folder that cannot be written.
@@ -67,4 +66,4 @@ def write_publication(
     fresh = temporary_path(folder / LATEST)
     fresh.symlink_to(name)
     fresh.replace(folder / LATEST)  # replaces the old link in one step
-    return folder / name, manifests, facts.held
+    return folder / name, manifests, facts

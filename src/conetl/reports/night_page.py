@@ -53,6 +53,11 @@ class NightFacts:
     sizes: list[tuple[datetime, int]]
     """Number of point objects on the map after each change of it; the whole history."""
 
+    @property
+    def failed(self) -> list[Row]:
+        """Failures that are not of a drive that may still be running."""
+        return [row for row in self.failures if row["state"] != "started"]
+
     def size_at(self, instant: datetime) -> int:
         """Cones on the map just before an instant."""
         return next((count for at, count in reversed(self.sizes) if at < instant), 0)
@@ -68,13 +73,15 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
         drives = query(conn, "reports.night_drives", **period)
         changesets = {one.changeset_id: one for one in list_changesets(conn, map_name=map_name)}
         sizes = query(conn, "reports.map_size", map_name=map_name)
-        failures = query(conn, "reports.night_failures", **period)
+        failures = query(conn, "reports.night_failures", map_name=map_name, until=until)
         changes = query(conn, "reports.night_changes", **period | {"max_rows": _MAX_ROWS})
         rejections = query(conn, "reports.night_rejections", **period)
         markings = query(conn, "reports.night_markings", **period)
         held = [drive for drive in held_drives(conn, map_name=map_name) if drive.since < until]
         events = hold_events(conn, map_name=map_name, since=since, until=until)
         conn.rollback()
+    # What failed earlier is listed until it is repaired, or its folder removed.
+    failures = [row for row in failures if row["at"] >= since or Path(row["drive_path"]).exists()]
     for row in drives:
         row["captured_at"] = utc_from_ns(row["captured_from_ns"])
         row["lost_pairs"] = row["expected_frame_count"] - row["frame_pair_count"]
