@@ -105,6 +105,7 @@ def backfill(
     map_srid: MapSrid = None,
     params: IngestParams = IngestParams(),  # noqa: B008 -- frozen
     recheck: bool = False,
+    reanalyse: bool = False,
     where: dispatch.Where = "auto",
 ) -> State[Any]:
     """Ingest all drives below a folder that are not on the map yet. Run it again after a stop: it continues.
@@ -118,6 +119,7 @@ def backfill(
         map_srid: EPSG code of the map; default: the UTM zone of the first drive.
         params: Parameters of all steps.
         recheck: Also compare the content of drives already on the map.
+        reanalyse: Also analyse drives again that another version of conetl analysed, and replace what it found.
         where: Where to run the drives: on workers, in processes beside this run (here), or on workers if there are any (auto).
     """
     settings = read_settings(map_name)
@@ -127,7 +129,14 @@ def backfill(
         catch_up_all(settings, database, send_events)
         with database.connection() as conn:
             plan = plan_drives(
-                conn, folder, settings=settings, params=params, since=utc(since), until=utc(until), recheck=recheck
+                conn,
+                folder,
+                settings=settings,
+                params=params,
+                since=utc(since),
+                until=utc(until),
+                recheck=recheck,
+                reanalyse=reanalyse,
             )
         if not plan.todo:  # started for what was pending
             return Completed(name="NothingNew", message=f"no new drives; {len(plan.lines)} need no ingest")

@@ -19,7 +19,7 @@ from conetl.exports.kind_marks import kind_label
 from conetl.files.storage import as_path
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.params import IngestParams
-from conetl.pipeline.backfill_plan import analysis_of
+from conetl.pipeline.chunks import analysis_of
 from conetl.pipeline.executor import Progress
 from conetl.pipeline.ingest import failed_receipt, final_receipt, ingest, new_receipt, save_receipt
 from conetl.pipeline.settings import Settings, read_settings

@@ -61,7 +61,7 @@ def schema_comments() -> dict[tuple[str, str], str]:
     return found
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """A comment is no Markdown: brackets, bars and underscores are shown as they are written."""
     return re.sub(r"([\\`*_\[\]|])", r"\\\1", html.escape(text, quote=False))
 
@@ -78,8 +78,8 @@ def schema_as_markdown() -> str:
             "",
             "| name | |",
             "|---|---|",
-            *(f"| `{name}` | {_plain(text)} |" for name, text in named.items()),
+            *(f"| `{name}` | {plain(text)} |" for name, text in named.items()),
         ]
     columns = {name: text for (of, name), text in sorted(found.items()) if of == "column"}
     lines += ["", "## Columns", "", "Those that need more than their name.", "", "| column | |", "|---|---|"]
-    return "\n".join([*lines, *(f"| `{name}` | {_plain(text)} |" for name, text in columns.items()), ""])
+    return "\n".join([*lines, *(f"| `{name}` | {plain(text)} |" for name, text in columns.items()), ""])

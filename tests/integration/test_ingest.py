@@ -37,6 +37,7 @@ from conetl.model.map_records import DeltaKind
 from conetl.model.params import DetectionParams, IngestParams, params_sha256
 from conetl.model.rejections import RejectionReason
 from conetl.pipeline.commit import CommittedDrive
+from conetl.pipeline.executor import step
 from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
 from conetl.reports.drive_page import drive_page
@@ -512,8 +513,9 @@ def test_the_other_half_of_the_real_street_a_day_later_and_half_a_metre_aside_do
 
 def test_the_plan_of_a_drive_shows_its_lane_markings(desk: Desk, small_drive: Path) -> None:
     drawn: list[CommittedDrive] = []
+    drawing = step("draw")(lambda committed, *_: drawn.append(committed))
     params = IngestParams(detection=DetectionParams(categories=(CONE, LANE_MARKING)))
-    report = ingest(small_drive, params, desk.settings, publish_new=lambda committed, *_: drawn.append(committed))
+    report = ingest(small_drive, params, desk.settings, publish_new=drawing)
     lines = [delta for delta in drawn[0].deltas if delta.is_line]
     assert len(lines) == report.line_counts[DeltaKind.ADDED] > 0
     assert len(report.changes) == report.counts[DeltaKind.ADDED] > 0, "the table of changes is of objects only"

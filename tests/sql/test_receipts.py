@@ -15,11 +15,14 @@ from uuid import uuid4
 import pytest
 
 from conetl.db.connection import execute
+from conetl.db.map.map_store import list_changesets
 from conetl.db.receipt_store import Receipt, end_crashed, held_locks, holding, latest_receipts, run_lock, write_receipt
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
 from conetl.pipeline import backfill_plan as planning
-from conetl.pipeline.backfill_plan import Plan, analysis_of, plan_as_dict, plan_drives
+from conetl.pipeline import chunks
+from conetl.pipeline.backfill_plan import Plan, plan_as_dict, plan_drives
+from conetl.pipeline.chunks import analysis_of
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
 
@@ -149,16 +152,32 @@ def on_the_map(conn: Any, samples: Any) -> DriveHeader:
     """A recording of which a changeset with the present parameters and model was made; its receipts are the test's."""
     samples.commit(conn, samples.added(samples.feature()), key="a")
     analysis = analysis_of(IngestParams(), Settings())
+    [made] = list_changesets(conn)
     conn.rollback()
     execute(
         conn,
-        "update conetl.changeset set params_sha256 = %(p)s, model_sha256 = %(m)s",
-        {"p": analysis.params_sha256, "m": analysis.model_sha256},
-    )
+        "update conetl.changeset set params_sha256 = %(p)s, model_sha256 = %(m)s, idempotency_key = %(k)s",
+        {
+            "p": analysis.params_sha256, "m": analysis.model_sha256,
+            "k": analysis.changeset_key(made.content_sha256, made.map_srid),
+        },
+    )  # fmt: skip
     conn.commit()
     return replace(
         headers(1)[0], drive_id="drive_a", captured_from_ns=samples.START_NS, captured_to_ns=samples.START_NS + 10**10
     )
+
+
+def test_a_drive_of_another_version_is_analysed_again_only_where_a_person_asks_for_it(
+    plan: Any, receipt: Any, conn: Any, on_the_map: DriveHeader, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    receipt(on_the_map, "committed", changeset_id=changeset_id(conn), may_pass=False)
+    assert plan([on_the_map], reanalyse=True).lines[0].action == "skip", "of this version"
+    monkeypatch.setattr(chunks, "ANALYSIS_VERSION", "34")
+    (line,) = plan([on_the_map], once=True).lines
+    assert (line.action, line.why) == ("skip", "analysed by another version: --reanalyse replaces changeset 1")
+    (line,) = plan([on_the_map], reanalyse=True).lines
+    assert (line.action, line.why) == ("ingest", "analysed by another version: replaces changeset 1")
 
 
 @pytest.mark.parametrize("once", [True, False], ids=["drop folder", "backfill"])

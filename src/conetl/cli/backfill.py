@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,11 +13,15 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from conetl.cli import console as ui
 from conetl.cli.ingest import read_params
+from conetl.db.map.map_store import read_changes
+from conetl.db.map.results import MapInstant
 from conetl.db.receipt_store import QUIET, pending_changesets
+from conetl.exports.kind_marks import kind_label
 from conetl.files.names import minutes
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, EXIT_SERVICE_MISSING
+from conetl.model.map_records import DeltaKind
 from conetl.pipeline.database import open_maps
-from conetl.pipeline.settings import prefect_environment, read_settings
+from conetl.pipeline.settings import Settings, prefect_environment, read_settings
 
 if TYPE_CHECKING:
     from conetl.db.receipt_store import Receipt
@@ -37,6 +42,9 @@ def backfill(
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Print the plan and exit.")] = False,
     recheck: Annotated[bool, typer.Option(help="Also compare the content of drives already on the map.")] = False,
+    reanalyse: Annotated[
+        bool, typer.Option("--reanalyse", help="Also analyse drives again that another version of conetl analysed.")
+    ] = False,
     here: Annotated[
         bool, typer.Option("--here", help="Run the drives as child processes, even if workers are running.")
     ] = False,
@@ -58,7 +66,9 @@ def backfill(
 
     begin, end = ui.parse_span(since, until, ("--since", "--until"))
     with open_maps(settings) as conn, ui.spinner("Planning"):
-        plan = plan_drives(conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck)
+        plan = plan_drives(
+            conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck, reanalyse=reanalyse,
+        )  # fmt: skip
         pending = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
     facts: dict[str, Any] = {"held": [], "hold_events": [], "plan": plan_as_dict(plan, max_parallel or 1), "drives": []}
     if not as_json:
@@ -93,16 +103,28 @@ def backfill(
         state = flow.backfill(
             str(root.absolute()), since=begin, until=end, max_parallel=max_parallel,
             map_name=settings.map_name, map_srid=map_srid, params=parameters, recheck=recheck,
-            where="here" if here else "auto", return_state=True,
+            reanalyse=reanalyse, where="here" if here else "auto", return_state=True,
         )  # fmt: skip
         if state.name not in (flow.SOME_FAILED, flow.SOME_ON_HOLD):
             state.result()
+    difference = _difference(settings, plan) if reanalyse else {}
     if as_json:
         drives = [_receipt_as_dict(receipt) for receipt in standing.ended]
-        ui.print_json({**facts, "held": standing.held, "hold_events": standing.hold_events, "drives": drives})
+        facts |= {"held": standing.held, "hold_events": standing.hold_events, "drives": drives}
+        ui.print_json(facts | ({"difference": difference} if reanalyse else {}))
     else:
         _print_summary(standing)
+        if reanalyse:
+            counts = ", ".join(f"{count} {kind_label(kind)}" for kind, count in difference.items())
+            ui.say(f"The map now, compared with what was known before: {counts or 'no differences'}.")
     raise typer.Exit(_exit_code(standing))
+
+
+def _difference(settings: Settings, plan: Plan) -> dict[DeltaKind, int]:
+    """How the map differs from what was known of the same roads before the batch: number of features by kind."""
+    with open_maps(settings) as conn:
+        changes = read_changes(conn, MapInstant(known_at=plan.made_at), MapInstant(), map_name=settings.map_name)
+    return dict(Counter(change.kind for change in changes))
 
 
 def _print_summary(standing: Standing) -> None:

@@ -22,27 +22,16 @@ from conetl.db.map.results import CommittedChangeset
 from conetl.db.receipt_store import Receipt, headers_by_changeset, held_locks, latest_receipts, pairs_per_second
 from conetl.files.atomic import write_json
 from conetl.files.names import printable
-from conetl.files.parquet_store import result_key
-from conetl.model.detector_evidence import evidence_sha256
 from conetl.model.errors import InputError
 from conetl.model.health import HeldDrive
-from conetl.model.params import IngestParams, params_sha256
-from conetl.perception.model_card import read_model_card
+from conetl.model.params import IngestParams
+from conetl.pipeline.chunks import Analysis, analysis_of
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader, find_drives, read_header
 
 #: After this many crashes, scheduled runs do not try again.
 MAX_ATTEMPTS = 3
 Action = Literal["ingest", "wait", "skip", "refuse"]
-
-
-@dataclass(frozen=True)
-class Analysis:
-    """Hashes of parameters and model, which an analysis depends on."""
-
-    params_sha256: str
-    model_sha256: str
-    sha256: str
 
 
 @dataclass(frozen=True)
@@ -87,17 +76,6 @@ class Plan:
         return None if self.pairs_per_second is None else self.frame_pairs / self.pairs_per_second / max(1, parallel)
 
 
-def analysis_of(params: IngestParams, settings: Settings) -> Analysis:
-    """Hashes of parameters and model."""
-    card = read_model_card(settings.model_path)
-    parameters = params_sha256(params)
-    return Analysis(
-        parameters,
-        card.sha256,
-        result_key("analysis", parameters, card.detections_sha256, evidence_sha256(card.evidence)),
-    )
-
-
 def plan_drives(
     conn: Connection,
     root: Path,
@@ -108,13 +86,14 @@ def plan_drives(
     until: datetime | None = None,
     once: bool = False,
     recheck: bool = False,
+    reanalyse: bool = False,
     folders: Iterable[Path] | None = None,
 ) -> Plan:
     """Plan the drives below `root` that were recorded in [since, until).
 
     once: skip drives that failed for good or crashed repeatedly until they change (for schedules). recheck: also compare the
-    content of drives whose header is known. folders: drive folders, if they are known already. Raises InputError if `since` is
-    not before `until`, or `root` is missing.
+    content of drives whose header is known. reanalyse: also drives that another version of conetl analysed.
+    folders: drive folders, if they are known already. Raises InputError if `since` is not before `until`, or `root` is missing.
     """
     if since is not None and until is not None and until <= since:
         raise InputError(
@@ -142,6 +121,7 @@ def plan_drives(
             action, why = _decide_action(
                 header, receipt, known.get(header.drive_id, []), folders_of, analysis, on_hold,
                 working=receipt is not None and receipt.drive_lock in locked, once=once, recheck=recheck,
+                reanalyse=reanalyse,
             )  # fmt: skip
         seen.setdefault(header.header_sha256, header.path)
         lines.append(PlanLine(header, action, why))  # type: ignore[arg-type]
@@ -169,6 +149,7 @@ def _decide_action(
     working: bool,
     once: bool,
     recheck: bool,
+    reanalyse: bool,
 ) -> tuple[Action, str]:
     """What to do with one drive, and why. on_map: those with its id, oldest first; folders_of: header hashes by changeset."""
     if working and receipt is not None:
@@ -199,6 +180,13 @@ def _decide_action(
         if not same_folder:
             return "ingest", f"changed since it was committed (changeset {alike[-1].changeset_no})"
         drive = same_folder[-1]
+        if analysis.changeset_key(drive.content_sha256, drive.map_srid) != drive.idempotency_key and drive.counts:
+            no, why = drive.changeset_no, "analysed by another version"
+            return (
+                ("ingest", f"{why}: replaces changeset {no}")
+                if reanalyse
+                else ("skip", f"{why}: --reanalyse replaces changeset {no}")
+            )
         # A person reverts a wrong delivery before its correction is ingested: without a receipt, this folder may be either.
         may_be_corrected = drive.changeset_id not in folders_of and not (drive.counts or drive.hold)
         return "ingest" if may_be_corrected else "skip", _present_state(drive, on_hold)

@@ -1,22 +1,55 @@
-"""A drive is analysed in chunks of frame pairs: the input of the steps, and the keys of their results."""
+"""A drive is analysed in chunks of frame pairs: the input of the steps, the keys of their results and of the changeset."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from conetl.files.parquet_store import load_results, result_key
 from conetl.model.base import Record
+from conetl.model.detector_evidence import evidence_sha256
 from conetl.model.drive import Drive, FramePair, StereoMatch
 from conetl.model.feature_classes import LINE_CLASSES
-from conetl.model.params import IngestParams
+from conetl.model.params import IngestParams, params_sha256
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import Settings
 
-#: Part of every result key: increment it when a step computes something else from the same inputs.
-RESULTS_VERSION = "33"
+#: Part of every key: increment it when a step computes something else from the same inputs, so that drives can be analysed again.
+ANALYSIS_VERSION = "33"
+#: The last one that keys of analyses and changesets did not contain.
+_NOT_IN_KEYS = "33"
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What an analysis depends on besides the drive: hashes of parameters and model, and `ANALYSIS_VERSION`."""
+
+    params_sha256: str
+    model_sha256: str
+    detections_sha256: str
+    evidence_sha256: str
+
+    @property
+    def sha256(self) -> str:
+        return result_key("analysis", self.params_sha256, self.detections_sha256, self.evidence_sha256, *_version())
+
+    def changeset_key(self, content_sha256: str, map_srid: int) -> str:
+        """Idempotency key of the changeset of a drive."""
+        own = (self.params_sha256, self.detections_sha256, self.evidence_sha256)
+        return result_key("changeset", content_sha256, *own, str(map_srid), *_version())
+
+
+def analysis_of(params: IngestParams, settings: Settings) -> Analysis:
+    """What an analysis with these parameters depends on. Raises ModelFileError."""
+    card = read_model_card(settings.model_path)
+    return Analysis(params_sha256(params), card.sha256, card.detections_sha256, evidence_sha256(card.evidence))
+
+
+def _version() -> tuple[str, ...]:
+    return () if ANALYSIS_VERSION == _NOT_IN_KEYS else (f"analysis {ANALYSIS_VERSION}",)
 
 
 class Chunk(Record):

@@ -21,19 +21,18 @@ from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.decision_store import held_drives, why_not_counted
 from conetl.db.map.map_store import drive_transaction, find_changeset
 from conetl.db.map.results import CommittedChangeset, RunInfo
-from conetl.files.parquet_store import result_key
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.base import utc_from_ns
-from conetl.model.detector_evidence import evidence_sha256
 from conetl.model.drive import Drive
 from conetl.model.health import AGREES, hold_checks, hold_reason
 from conetl.model.ingest_report import ChangeLine, IngestReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind
-from conetl.model.params import IngestParams, params_sha256
+from conetl.model.params import IngestParams
 from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.checks.positions import check_positions_on_map
+from conetl.pipeline.chunks import analysis_of
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import step
 from conetl.pipeline.replay import merge_drive
@@ -55,18 +54,15 @@ class CommittedDrive:
 
 
 def changeset_of(drive: Drive, params: IngestParams, settings: Settings) -> Changeset:
-    """The changeset of a drive, still without deltas. Its key is derived from content, parameters, model, evidence and CRS."""
-    card = read_model_card(settings.model_path)
-    parameters, measured = params_sha256(params), evidence_sha256(card.evidence)
-    key = result_key(
-        "changeset", drive.content_sha256, parameters, card.detections_sha256, measured, str(drive.map_srid)
-    )
+    """The changeset of a drive, still without deltas. Its key is derived from content, analysis and CRS."""
+    analysis = analysis_of(params, settings)
+    key = analysis.changeset_key(drive.content_sha256, drive.map_srid)
     return Changeset(
         changeset_id=uuid5(_NAMESPACE, f"{settings.map_name}/{key}"),
         drive_id=drive.drive_id,
         idempotency_key=key,
-        params_sha256=parameters,
-        model_sha256=card.sha256,
+        params_sha256=analysis.params_sha256,
+        model_sha256=analysis.model_sha256,
         code_version=version("conetl"),
         deltas=(),
     )

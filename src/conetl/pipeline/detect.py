@@ -27,7 +27,7 @@ from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, images_key, parts_of
+from conetl.pipeline.chunks import ANALYSIS_VERSION, Chunk, images_key, parts_of
 from conetl.pipeline.executor import Tick, no_tick, step
 from conetl.pipeline.markings import find_marking_points, points_path
 from conetl.pipeline.odometry import motions_path, track_motions
@@ -96,7 +96,7 @@ def _detections(chunk: Chunk, part: int, rig: Rig, read: ImageReader, extras: It
     pairs = chunk.frame_pairs[parts_of(chunk)[part]]
     params, reconcile, first_rows = chunk.params.detection, chunk.params.reconcile, _first_rows(chunk)
     key = result_key(
-        RESULTS_VERSION,
+        ANALYSIS_VERSION,
         "detect",
         chunk.detections_sha256,
         params_sha256(params),
@@ -214,7 +214,7 @@ def match(chunk: Chunk, rig: Rig, *detected: Detected) -> Path:
     """
     files = [part.detections for part in detected]
     keys = [_match_key(chunk, path, rig) for path in files]
-    key = result_key(RESULTS_VERSION, "matches", *keys)
+    key = result_key(ANALYSIS_VERSION, "matches", *keys)
     if has_result(chunk.results_folder, key):
         return result_path(chunk.results_folder, key)
     paths = [_match_part(chunk, part, path, rig) for part, path in enumerate(files)]
@@ -262,7 +262,7 @@ def _match_key(chunk: Chunk, detected: Path, rig: Rig) -> str:
     """Key of the matches of one part."""
     ups = b"".join(_up(pair, rig).tobytes() for pair in chunk.frame_pairs).hex()
     return result_key(
-        RESULTS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), images_key(chunk, rig), ups
+        ANALYSIS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), images_key(chunk, rig), ups
     )
 
 

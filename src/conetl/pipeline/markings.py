@@ -21,7 +21,7 @@ from conetl.perception.markings.points import MarkingPoints
 from conetl.perception.rectified_image import fetch_pairs
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, parts_of
+from conetl.pipeline.chunks import ANALYSIS_VERSION, Chunk, geometry_key, parts_of
 from conetl.pipeline.executor import step
 from conetl.tracking.error_propagation import PoseCov
 from conetl.tracking.markings.tracks import fuse_markings
@@ -60,7 +60,7 @@ def points_path(chunk: Chunk, part: int, rig: Rig) -> Path:
 
 def _points_key(chunk: Chunk, part: int, rig: Rig) -> str:
     params = params_sha256(chunk.params.marking)
-    return result_key(RESULTS_VERSION, "marking-points", params, geometry_key(chunk, rig), str(part))
+    return result_key(ANALYSIS_VERSION, "marking-points", params, geometry_key(chunk, rig), str(part))
 
 
 @step("mark", "mark {drive.drive_id}")

@@ -33,7 +33,7 @@ from conetl.perception.torn_images import check_torn, find_torn
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader
-from conetl.pipeline.chunks import RESULTS_VERSION, Chunk, geometry_key, load_matches, parts_of
+from conetl.pipeline.chunks import ANALYSIS_VERSION, Chunk, geometry_key, load_matches, parts_of
 from conetl.pipeline.executor import Tick, step
 from conetl.tracking.checks.exposures import check_lost_frames, check_recording, right_camera_ahead
 from conetl.tracking.checks.poses import check_trajectory
@@ -87,7 +87,7 @@ def _part(chunk: Chunk, part: int) -> Chunk:
 
 def _motions_key(own: Chunk, rig: Rig) -> str:
     params = params_sha256(own.params.trajectory)
-    return result_key(RESULTS_VERSION, "motions", params, geometry_key(own), rig.model_dump_json())
+    return result_key(ANALYSIS_VERSION, "motions", params, geometry_key(own), rig.model_dump_json())
 
 
 def calibration_pieces(chunk: Chunk, pairs: Sequence[FramePair]) -> list[Chunk]:
@@ -109,7 +109,7 @@ def calibration_pieces(chunk: Chunk, pairs: Sequence[FramePair]) -> list[Chunk]:
 def follow_spans(piece: Chunk) -> Path:
     """Follow points over the spans of one of the `calibration_pieces`; returns the Parquet file."""
     params, pairs, rig = piece.params.trajectory, piece.frame_pairs, piece.rig
-    key = result_key(RESULTS_VERSION, "spans", params_sha256(params), geometry_key(piece))
+    key = result_key(ANALYSIS_VERSION, "spans", params_sha256(params), geometry_key(piece))
     if has_result(piece.results_folder, key):
         return result_path(piece.results_folder, key)
     set_up_worker()
@@ -121,7 +121,7 @@ def follow_spans(piece: Chunk) -> Path:
 def self_calibrate(chunk: Chunk, pieces: Sequence[Chunk], followed: Sequence[Path]) -> SelfCalibration:
     """Self-calibration from the points of all pieces. chunk: any of the drive's; followed: one file per piece."""
     params, folder, rig = chunk.params.trajectory, chunk.results_folder, chunk.rig
-    key = result_key(RESULTS_VERSION, "self-calibration", *(path.stem for path in followed))
+    key = result_key(ANALYSIS_VERSION, "self-calibration", *(path.stem for path in followed))
     if has_result(folder, key):
         return load_result(result_path(folder, key), SelfCalibration)[0][0]
     spans = [span for piece in pieces for span in _spans(rig, piece.frame_pairs, params)]

@@ -159,9 +159,10 @@ def _current_state(pool: ReaderPool, map_name: str, decision: DecisionRequest) -
     if not isinstance(decision, PlaceRequest):
         return None
     with pool.reading() as conn:
-        last = read_feature_history(conn, map_name, decision.feature_id)[-1:]
+        origin = origin_of(conn, map_name)
+        last = read_feature_history(conn, map_name, decision.feature_id, origin_m=origin)[-1:]
         reasons = reasons_of(conn, map_name, decision.feature_id, last)
-        return to.history(last, reasons, origin_of(conn, map_name))[0] if last else None
+        return to.history(last, reasons, origin)[0] if last else None
 
 
 def _sentence(error: Exception) -> str:

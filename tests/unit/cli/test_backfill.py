@@ -12,7 +12,8 @@ import pytest
 
 from conetl.cli.backfill import _print_plan, _print_summary
 from conetl.model.errors import ConetlError, MapMismatchError, ServiceError
-from conetl.pipeline.backfill_plan import Analysis, Plan, PlanLine
+from conetl.pipeline.backfill_plan import Plan, PlanLine
+from conetl.pipeline.chunks import Analysis
 from conetl.pipeline.ingest import failed_receipt, new_receipt
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader, read_header
@@ -45,6 +46,6 @@ def test_the_plan_notes_what_the_user_has_to_know_of_drives_to_ingest(
         for k, action in enumerate(["skip", *["ingest"] * count])
     ]
     now = datetime.now(UTC)
-    _print_plan(Plan(tmp_path, "m", None, None, Analysis("p", "m", "s"), tuple(lines), None, now, 0.1), 1)
+    _print_plan(Plan(tmp_path, "m", None, None, Analysis("p", "m", "d", "e"), tuple(lines), None, now, 0.1), 1)
     notes = ["", "conetl: note: heights of d1\n", "", "conetl: note: heights of d1 (2 more notes like this)\n"]
     assert capsys.readouterr().err == notes[count]
