@@ -38,7 +38,7 @@ _log = logging.getLogger(__name__)
 #: A drive whose process died is started at most this many times; then it counts as failed.
 TRIES = 2
 _POLL_S = 1.0
-#: Ends of a batch of which something needs a person: Prefect's dashboard counts what failed.
+#: Ends of a batch of which a drive needs attention: Prefect's dashboard counts what failed.
 SOME_FAILED, SOME_ON_HOLD = "SomeFailed", "SomeOnHold"
 Parallel = Annotated[int | None, Field(ge=1, le=1000)]
 Watcher = Callable[["Standing"], None]
