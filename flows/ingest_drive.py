@@ -97,7 +97,7 @@ def ingest_drive(
             _describe_run(header, settings.map_name)
             report, error, problem = _finished(
                 lambda: ingest(
-                    header.path, params, settings, map_srid=map_srid, database=database, executor=PrefectExecutor(),
+                    as_path(drive), params, settings, map_srid=map_srid, database=database, executor=PrefectExecutor(),
                     progress=progress_artifact(header.drive_id, bar), publish_new=publish_drive,
                     publish_known=publish_pending, flow_run_id=flow_run.get_id(),
                 )

@@ -133,7 +133,8 @@ def _start_services(
     register.ensure_pool()
     names = {name: f"{name} {socket.gethostname()}" for name in ("desk", *(f"drives-{n + 1}" for n in range(workers)))}
     for name, worker in names.items():
-        queues, limit = (["desk"], "8") if name == "desk" else (["drives", "backfill"], "1")
+        # Prefect shows a queue that nobody polls as not ready, and makes `default` with the pool.
+        queues, limit = (["desk", "default"], "8") if name == "desk" else (["drives", "backfill"], "1")
         command = [sys.executable, "-m", "prefect", "worker", "start", "--pool", "conetl", "--type", "process"]
         command += [part for queue in queues for part in ("--work-queue", queue)]
         command += ["--limit", limit, "--name", worker, "--install-policy", "never"]
