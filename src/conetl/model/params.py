@@ -61,9 +61,9 @@ class MatchParams(Params):
     epipolar_tolerance_relative: Positive = 0.12
     """See `epipolar_tolerance_px`."""
     min_range_m: Positive = 1.5
-    """Bounds of the disparity search: the nearest object ..."""
+    """Nearest object of the disparity search."""
     max_range_m: Positive = 40.0
-    """... and the farthest."""
+    """Farthest object of the disparity search."""
     max_size_ratio: Positive = 1.6
     """Larger over smaller box height (and width, squared tolerance) of a match."""
     max_score_difference: Positive = 0.7
@@ -151,13 +151,13 @@ class ReconcileParams(Params):
     unseen_occluder_probability: Annotated[float, Field(gt=0, lt=1)] = 0.02
     """Probability that an undetected object (a parked van) hid a location during the whole drive; limits evidence of absence."""
     removal_existence_probability: Annotated[float, Field(gt=0, lt=1)] = 0.5
-    """A feature is removed by the drive that lowers its existence probability below this ..."""
+    """A feature is removed by the drive that lowers its existence probability below this."""
     removal_min_frames: int = Field(default=5, ge=1)
-    """... with its location visible and empty in at least this many frame pairs."""
+    """A feature is removed only if its location is visible and empty in at least this many frame pairs."""
     visible_min_height_px: Positive = 22.0
-    """A cone counts as visible if it would appear at least this tall ..."""
+    """A cone counts as visible if it would appear at least this tall."""
     visible_border_px: Positive = 12.0
-    """... and at least this far inside both images."""
+    """A cone counts as visible if it would appear at least this far inside both images."""
     marking_gate_m: Positive = 0.25
     """Lane markings nearer than this across their direction, after the drive's common offset, are the same one."""
     marking_moved_max_m: Positive = 1.0
@@ -173,11 +173,11 @@ class ReconcileParams(Params):
     marking_min_frames: int = Field(default=3, ge=1)
     """A vertex of a lane marking is missed if it was in view of this many frame pairs and the drive did not observe it."""
     marking_view_from_m: Positive = 4.0
-    """Lane markings are in view from this distance in front of the camera ..."""
+    """Lane markings are in view from this distance in front of the camera on."""
     marking_view_to_m: Positive = 12.0
-    """... to this one, and this far to the left and right: within the area that is searched for them (`MarkingParams`)."""
+    """Lane markings are in view up to this distance, within the area that is searched for them (`MarkingParams`)."""
     marking_view_aside_m: Positive = 7.0
-    """See `marking_view_to_m`."""
+    """Lane markings are in view this far to the left and to the right."""
     marking_max_blur_m: Positive = 0.025
     """Nothing is in view beyond the depth at which images blur edges on the road by this sigma, a fifth of the paint width."""
 
@@ -203,17 +203,17 @@ class TrajectoryParams(Params):
     self_calibration_sigma_floor_px: Positive = 0.05
     """Added to the sigma of each of these from the spans: errors of lenses and focal lengths are not turns of a camera."""
     self_calibration_least_px: Positive = 0.1
-    """A correction smaller than this in all four is not applied ..."""
+    """A correction that is smaller in all four is not applied."""
     self_calibration_significance: Positive = 3.0
-    """... nor one below this many of its own sigmas ..."""
+    """A correction below this many of its own sigmas is not applied."""
     self_calibration_max_chi2: Positive = 18.5
-    """... nor one farther from the prior: chi-square of 4 degrees of freedom at 0.001."""
+    """A correction farther from the prior is not applied: chi-square of 4 degrees of freedom at 0.001."""
     max_width_px: int = Field(default=1280, ge=64)
     """Wider images are reduced for tracking points."""
     cell_px: int = Field(default=40, ge=8)
-    """Points are chosen in cells of this side ..."""
+    """Points are chosen in cells of this side."""
     corners_per_cell: int = Field(default=2, ge=1)
-    """... and this many in each: more make motions more precise than the floors below, at proportional cost."""
+    """Points in each cell: more make motions more precise than `floor_relative`, at proportional cost."""
     min_disparity_px: Positive = 2.0
     """Points with less are too far away to measure the distance driven."""
     min_points: int = Field(default=30, ge=6)
@@ -231,15 +231,15 @@ class TrajectoryParams(Params):
     gate_m: Positive = 0.5
     """Motions that differ by more from the logged one, per frame pair, are those of a moving lorry in the image."""
     gate_rad: Positive = 0.02
-    """The same for rotations."""
+    """Like `gate_m`, for rotations."""
     floor_relative: Positive = 0.003
-    """Error of visual odometry beyond its residuals, as a share of the distance between two frame pairs ..."""
+    """Error of visual odometry beyond its residuals, as a share of the distance between two frame pairs."""
     floor_m: Positive = 0.002
-    """... as a distance ..."""
+    """Error of visual odometry beyond its residuals, as a distance."""
     floor_rad: Positive = 0.0001
-    """... as an angle ..."""
+    """Error of visual odometry beyond its residuals, as an angle."""
     scale_sigma: Positive = 0.003
-    """... and common to the whole drive: errors of baseline and focal length scale all distances equally."""
+    """Error of all distances of a drive, common to them: that of the baseline and the focal length."""
     robust_sigmas: Positive = 3.0
     """Huber's bound for an interval in the adjustment of the trajectory."""
     clock_sigma_s: Positive = 0.001
@@ -247,17 +247,17 @@ class TrajectoryParams(Params):
     lever_arm_sigma_m: Positive = 0.01
     """Sigma of each coordinate of the lever arm between GNSS/INS and cameras."""
     gnss_correlation_s: Positive = 20.0
-    """Correlation time of the error of GNSS/INS (first-order Gauss-Markov process) ..."""
+    """Correlation time of the error of GNSS/INS (first-order Gauss-Markov process)."""
     gnss_white_share: Fraction = 0.1
-    """... and the share of its sigma that is independent in every record."""
+    """Share of the sigma of GNSS/INS that is independent in every record."""
     attitude_correlation_s: Positive = 60.0
-    """The same of the attitude ..."""
+    """Correlation time of the error of the attitude."""
     attitude_white_share: Fraction = 0.3
-    """... and the share of its sigma."""
+    """Share of the sigma of the attitude that is independent in every record."""
     cone_landmarks: bool = True
-    """Use the drive's own cones as landmarks in the adjustment ..."""
+    """Use the drive's own cones as landmarks in the adjustment."""
     cone_landmarks_from_m: Positive = 0.1
-    """... if GNSS/INS states at least this median horizontal sigma; with an RTK fix, cones make the trajectory worse."""
+    """Cones are landmarks if GNSS/INS states at least this median horizontal sigma; with an RTK fix they do harm."""
     max_shift_chi2: Positive = 36.0
     """Largest squared shift of a pose in its stated sigmas: 3 sigma of a GNSS/INS that states half its sigmas."""
 
@@ -268,15 +268,15 @@ class MarkingParams(Params):
     pair_spacing_m: Positive = 1.0
     """A frame pair is searched for markings if the rig has moved this far since the last searched one."""
     min_range_m: Positive = 4.0
-    """Depths in front of the camera between which the road is searched ..."""
+    """Depth in front of the camera from which on the road is searched."""
     max_range_m: Positive = 17.0
-    """See `min_range_m`."""
+    """Depth in front of the camera up to which the road is searched."""
     max_offset_m: Positive = 8.0
-    """... and how far to the left and to the right."""
+    """How far to the left and to the right of the camera the road is searched."""
     min_width_m: Positive = 0.07
-    """Bounds of the width of paint: 0.10 to 0.30 m by most standards, measured with noise."""
+    """Minimum width of paint: 0.10 to 0.30 m by most standards, measured with noise."""
     max_width_m: Positive = 0.35
-    """See `min_width_m`."""
+    """Maximum width of paint."""
     min_contrast: Positive = 8.0
     """Minimum difference of paint and road in grey levels."""
     max_above_road_m: Positive = 0.04
