@@ -72,9 +72,9 @@ def ingest_drive(
 ) -> State[Any]:
     """Ingest one drive: once, even if another process tries at the same time, with a receipt of the outcome.
 
-    Its steps run as tasks, in the order of `pipeline.ingest.ingest` and `pipeline.analysis.analyse`: read, follow points and
-    self-calibrate, detect and match (in parallel), refine, locate, fuse, merge, publish. The result is the report, and the error
-    if the drive needs attention.
+    Its steps run as tasks, in the order of `pipeline.ingest.ingest` and `pipeline.analysis.analyse`: read; follow points and
+    self-calibrate; detect and match; refine; locate; fuse, three times with better sigmas; mark; merge; publish. Follow
+    points, detect and match run in parallel. The result is the report, and the error if the drive needs attention.
 
     Args:
         drive: Drive folder, or its s3:// address; its path on the worker.
@@ -99,7 +99,7 @@ def ingest_drive(
                 lambda: ingest(
                     as_path(drive), params, settings, map_srid=map_srid, database=database, executor=PrefectExecutor(),
                     progress=progress_artifact(header.drive_id, bar), publish_new=publish_drive,
-                    publish_known=publish_pending, flow_run_id=flow_run.get_id(),
+                    publish_known=publish_pending, flow_run_id=flow_run.id,
                 )
             )  # fmt: skip
         except Exception as failure:

@@ -57,7 +57,8 @@ def backfill(
     """Ingest all drives below a folder that are not on the map yet, one run per drive.
 
     Prints the plan first: which drives, why, and how long it will take. If it was interrupted, run it again to continue and to
-    retry failed drives. Exit code 2: some drives failed (the others are on the map). Exit code 3: a service was unavailable.
+    retry failed drives. Exit code 2: some drives would fail again. Exit code 3: all failures may be temporary (a service, a
+    disk, a crash). The other drives are on the map.
     """
     settings = read_settings(map_name)
     parameters = read_params(params, category, settings)

@@ -29,7 +29,7 @@ from conetl.pipeline.chunks import Analysis, analysis_of
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader, find_drives, read_header
 
-#: After this many crashes, scheduled runs do not try again.
+#: After this many starts, scheduled runs do not try again.
 MAX_ATTEMPTS = 3
 Action = Literal["ingest", "wait", "skip", "refuse"]
 

@@ -208,7 +208,7 @@ def _detect(
 
 @step("match", "match {chunk.frames}")
 def match(chunk: Chunk, rig: Rig, *detected: Detected) -> Path:
-    """Stereo matches of a chunk from the detections of its parts; returns the Parquet file.
+    """Stereo matches of a chunk: those that `detect` found with its parts, joined; returns the Parquet file.
 
     chunk: with the rig that was used to read its images; rig: the same after self-calibration.
     """
