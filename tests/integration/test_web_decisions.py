@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 from uuid import uuid4
 
@@ -79,6 +80,24 @@ def test_pin_and_unpin_every_cone_that_stands_by_the_version_of_its_history(clie
     assert "is no longer active" in post(
         client, {"kind": "withdraw", "decision_id": done["decision_id"], "decided_by": "Ada", "reason": "again"}, 409
     )["detail"]  # fmt: skip
+
+
+def test_a_pinned_cone_is_drawn_as_it_is_counted(client):
+    """The counts of a drive and its changes are as known then, also after a pin has put back what it removed."""
+
+    def shown():
+        second = client.get("/api/maps/default/timeline").json()["changesets"][1]
+        drawn = Counter(change["kind"] for change in client.get("/api/maps/default/changes/2").json()["changes"])
+        return {kind: second[f"{kind}_count"] for kind in drawn}, dict(drawn)
+
+    counted, drawn = shown()
+    assert counted == drawn and drawn["removed"] > 0
+    changes = client.get("/api/maps/default/changes/2").json()["changes"]
+    gone = next(change for change in changes if change["kind"] == "removed")
+    done = post(client, request_for(gone, "pin"))
+    assert gone["feature_id"] in {feature["feature_id"] for feature in standing(client)}
+    assert shown() == (counted, drawn)
+    withdrawn(client, done)
 
 
 def test_a_conflict_reports_the_current_state_and_writes_nothing(client):
