@@ -230,6 +230,22 @@ def test_what_others_do_to_drives_on_hold_is_said_and_kept_in_order(conn):
     assert world.failed_audits(conn) == []
 
 
+@pytest.mark.parametrize("at", [0, -1], ids=["earlier first pair", "later last pair"])
+def test_a_delivery_with_one_end_of_another_time_replaces_the_first(conn, at):
+    """The same recording: its id, and its first or its last time stamp."""
+    world.merge(conn, of_day(0))
+    first = of_day(2)
+    pairs = list(first.drive.frame_pairs)
+    pairs[at] = pairs[at].model_copy(update={"captured_at_ns": pairs[at].captured_at_ns + (10**6 if at else -(10**6))})
+    longer = first.drive.model_copy(update={"content_sha256": "ab" * 32, "frame_pairs": tuple(pairs)})
+    world.merge(conn, first)
+    world.merge(conn, first._replace(drive=longer))
+    conn.commit()
+    assert counting(conn) == [1, 3]
+    assert world.failed_audits(conn) == []
+    assert_nothing_to_replay(conn)
+
+
 def test_of_two_deliveries_only_the_later_one_counts_whatever_releases_them(conn):
     world.merge(conn, of_day(0))
     first = of_day(2)
