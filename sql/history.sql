@@ -59,9 +59,8 @@ select
     x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id, c.changeset_no,
     conetl.offset_m(o.geom, %(origin_m)s::float8[]) as old_xyz_m, n.feature_id, n.version, n.category,
     n.easting_m, n.northing_m, n.ellipsoidal_height_m, conetl.offset_m(n.geom, %(origin_m)s::float8[]) as xyz_m,
-    n.sigma_m, n.sigma_u_m,
-    n.object_height_m, coalesce(x.existence_after, n.existence_probability) as existence_probability, n.observation_count,
-    n.last_seen_at, {{marking columns of n}} as marking, {{marking columns of o}} as old_marking
+    n.sigma_m, n.sigma_u_m, n.object_height_m, coalesce(x.existence_after, n.existence_probability) as existence_probability,
+    n.observation_count, n.last_seen_at, {{marking columns of n}} as marking, {{marking columns of o}} as old_marking
 from conetl.changeset c
 join conetl.map m using (map_id)
 join conetl.delta x using (changeset_id)

@@ -64,7 +64,8 @@ limit %(max_rows)s;
 select
     x.changeset_no, x.drive_id, x.drive_uuid, x.drive_kind, x.captured_from_ns, x.kind, x.changed_at, x.committed_at,
     x.new_version as version, x.track_index, x.shift_m, x.other_feature_id, x.frames_seen, x.frames_empty, s.category,
-    s.easting_m, s.northing_m, s.ellipsoidal_height_m, conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m, v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz, s.sigma_m,
+    s.easting_m, s.northing_m, s.ellipsoidal_height_m, conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m,
+    v.cov_xx, v.cov_xy, v.cov_xz, v.cov_yy, v.cov_yz, v.cov_zz, s.sigma_m,
     s.object_height_m, s.object_height_sigma_m, coalesce(x.existence_after, s.existence_probability) as existence_probability,
     s.observation_count, s.first_seen_at, s.last_seen_at, {{marking columns of s}} as marking,
     (

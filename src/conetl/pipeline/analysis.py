@@ -148,13 +148,13 @@ def _extra_steps(params: IngestParams) -> ExtraSteps:
 
 def _chunks(drive: Drive, params: IngestParams, settings: Settings) -> tuple[Drive, list[Chunk], list[HealthCheck]]:
     """The drive with the calibration that fits its images, its chunks, and the check of the calibration."""
-    given = drive.rig
-    chunks_of(drive, settings, params)  # raises for a drive that was read with headers_only
+    given, chunks = drive.rig, chunks_of(drive, settings, params)
     drive, health = check_stereo(drive)
     if drive.rig != given:  # the calibration is known to be wrong: even small corrections are applied
         small = {"self_calibration_significance": 1.0, "self_calibration_least_px": 0.01}
-        params = params.model_copy(update={"trajectory": params.trajectory.model_copy(update=small)})
-    return drive, chunks_of(drive, settings, params), health
+        trajectory = params.trajectory.model_copy(update=small)
+        chunks = chunks_of(drive, settings, params.model_copy(update={"trajectory": trajectory}))
+    return drive, chunks, health
 
 
 def _whole_pairs(

@@ -181,12 +181,9 @@ def _decide_action(
             return "ingest", f"changed since it was committed (changeset {alike[-1].changeset_no})"
         drive = same_folder[-1]
         if analysis.changeset_key(drive.content_sha256, drive.map_srid) != drive.idempotency_key and drive.counts:
-            no, why = drive.changeset_no, "analysed by another version"
-            return (
-                ("ingest", f"{why}: replaces changeset {no}")
-                if reanalyse
-                else ("skip", f"{why}: --reanalyse replaces changeset {no}")
-            )
+            action = "replaces" if reanalyse else "--reanalyse replaces"
+            why = f"analysed by another version: {action} changeset {drive.changeset_no}"
+            return "ingest" if reanalyse else "skip", why
         # A person reverts a wrong delivery before its correction is ingested: without a receipt, this folder may be either.
         may_be_corrected = drive.changeset_id not in folders_of and not (drive.counts or drive.hold)
         return "ingest" if may_be_corrected else "skip", _present_state(drive, on_hold)

@@ -162,7 +162,7 @@ def _current_state(pool: ReaderPool, map_name: str, decision: DecisionRequest) -
         origin = origin_of(conn, map_name)
         last = read_feature_history(conn, map_name, decision.feature_id, origin_m=origin)[-1:]
         reasons = reasons_of(conn, map_name, decision.feature_id, last)
-        return to.history(last, reasons, origin)[0] if last else None
+        return to.history(last, reasons)[0] if last else None
 
 
 def _sentence(error: Exception) -> str:

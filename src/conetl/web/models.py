@@ -138,6 +138,7 @@ class Change(Feature):
     changed_at: datetime | None
     shift_m: float | None
     old_xyz_m: Vec3 | None
+    """Before a move; null for other kinds."""
 
 
 class StretchChange(Change):

@@ -28,8 +28,11 @@ def offset(xyz_m: Sequence[float], origin_m: Vec3) -> Vec3:
     return x, y, z
 
 
-def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
-    """An answer whose fields are columns of the same name, or computed from others: offsets, covariances, times."""
+def answer(model: type[A], row: Row, origin_m: Vec3 = (0.0, 0.0, 0.0), **computed: Any) -> A:
+    """An answer whose fields are columns of the same name, or computed from others: offsets, covariances, times.
+
+    origin_m: of rows that have no xyz_m yet.
+    """
 
     def value(name: str) -> Any:
         if name in row:
@@ -46,16 +49,13 @@ def answer(model: type[A], row: Row, origin_m: Vec3, **computed: Any) -> A:
 
 def timeline_item(c: CommittedChangeset) -> TimelineItem:
     """One changeset of the timeline."""
-    known = {"valid_at": utc_from_ns(c.captured_to_ns) + TICK, "known_before": c.effective_at - TICK}
-    return answer(TimelineItem, vars(c), (0.0, 0.0, 0.0), **known)
+    known: dict[str, Any] = {"valid_at": utc_from_ns(c.captured_to_ns) + TICK, "known_before": c.effective_at - TICK}
+    return answer(TimelineItem, vars(c), **known)
 
 
-def history(rows: Sequence[Row], reasons: Sequence[str], origin_m: Vec3) -> list[HistoryItem]:
-    """A feature's history; reasons: the sentence of each row."""
-    return [
-        answer(HistoryItem, row, origin_m, map_xyz_m=position(row), why=why)
-        for row, why in zip(rows, reasons, strict=True)
-    ]
+def history(rows: Sequence[Row], reasons: Sequence[str]) -> list[HistoryItem]:
+    """A feature's history; rows: read with the origin of the answer; reasons: the sentence of each."""
+    return [answer(HistoryItem, row, map_xyz_m=position(row), why=why) for row, why in zip(rows, reasons, strict=True)]
 
 
 def decision(row: Row, origin_m: Vec3) -> Decision:
