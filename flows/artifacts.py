@@ -5,8 +5,8 @@ from __future__ import annotations
 import base64
 import time
 from collections import defaultdict
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, cast
 from uuid import UUID, uuid5
 
 import numpy as np
@@ -14,7 +14,7 @@ from prefect import artifacts
 from prefect.events import emit_event
 from prefect.events.worker import EventsWorker
 
-from conetl.db.receipt_store import StepTime
+from conetl.db.receipt_store import Receipt, StepTime
 from conetl.exports.kind_marks import kind_label
 from conetl.files.names import as_markdown
 from conetl.model.arrays import Image
@@ -49,14 +49,22 @@ def progress_artifact(drive_id: str, progress: Progress | None = None) -> Progre
             progress(done, total)
         now = time.monotonic()
         if shown is None:
-            made = artifacts.create_progress_artifact(
-                0.0, key="progress", description=f"Images and motions of drive {as_markdown(drive_id)}"
-            )
-            assert isinstance(made, UUID)  # a coroutine only where an event loop runs
-            shown, shown_at = made, now
+            what = f"Images and motions of drive {as_markdown(drive_id)}"
+            shown = cast(UUID, artifacts.create_progress_artifact(0.0, key="progress", description=what))
+            shown_at = now
         elif now - shown_at >= _SHOWN_EVERY_S or done == total:
             artifacts.update_progress_artifact(shown, 100.0 * done / total)
             shown_at = now
+
+    return show
+
+
+def batch_progress(sentence: str) -> Callable[[float, str], None]:
+    """The progress bar of a batch that begins, in Prefect's UI: a callback that moves it to a percentage, with a sentence."""
+    bar = cast(UUID, artifacts.create_progress_artifact(0.0, key="batch-progress", description=sentence))
+
+    def show(percent: float, sentence: str) -> None:
+        artifacts.update_progress_artifact(bar, percent, description=sentence)
 
     return show
 
@@ -122,6 +130,21 @@ def send_events(report: IngestReport, vanished: Sequence[dict[str, Any]]) -> Non
             id=uuid5(_NAMESPACE, f"{changeset_resource}/{cone['feature_id']}"),
         )
     EventsWorker.drain_all(timeout=_PATIENCE_S, at_exit=False)  # a thread sends them
+
+
+def send_not_recognised(receipt: Receipt) -> None:
+    """The event of a folder that cannot be read as a drive."""
+    emit_event(
+        "conetl.drive.not_recognised",
+        resource={
+            "prefect.resource.id": f"conetl.map.{receipt.map_name}.folder.{receipt.header_sha256}",
+            "prefect.resource.name": receipt.drive_id,
+            "conetl.map": receipt.map_name,
+        },
+        payload={"drive": receipt.drive_path, "reason": receipt.reason},
+        id=uuid5(_NAMESPACE, str(receipt.attempt_id)),
+    )
+    EventsWorker.drain_all(timeout=_PATIENCE_S, at_exit=False)
 
 
 def _show_files(committed: CommittedDrive, files: PublishedFiles, settings: Settings) -> None:

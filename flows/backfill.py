@@ -20,7 +20,7 @@ from pydantic import Field
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import held_drives, hold_events
 from conetl.db.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
-from conetl.files.names import printable
+from conetl.files.names import minutes, printable
 from conetl.files.storage import as_path
 from conetl.model.health import HeldDrive, HoldEvent
 from conetl.model.params import IngestParams
@@ -30,8 +30,7 @@ from conetl.pipeline.ingest import new_receipt
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings, read_settings
 from flows import dispatch
-from flows.artifacts import send_events
-from flows.batch_artifacts import batch_progress, show_summary
+from flows.artifacts import batch_progress, send_events, send_not_recognised
 from flows.runs import MapName, MapSrid, alive
 
 _log = logging.getLogger(__name__)
@@ -87,6 +86,20 @@ class Standing:
             return (self.plan.frame_pairs - self.pairs_done) * self.seconds / self.pairs_done
         return self.plan.estimate_s(self.parallel)
 
+    @property
+    def percent(self) -> float:
+        if pairs := self.plan.frame_pairs:
+            return min(100.0, 100.0 * self.pairs_done / pairs)
+        return 100.0 * len(self.ended) / max(1, self.todo)
+
+    @property
+    def sentence(self) -> str:
+        """How many drives have ended, and when the others will."""
+        rate = f", {self.pairs_done / self.seconds:.1f} frame pairs per second" if self.pairs_done else ""
+        when = "" if self.left_s is None else f", about {minutes(self.left_s)} left"
+        ended = f"{len(self.ended)} of {self.todo} drives ({len(self.failed)} failed)"
+        return f"{ended}, {len(self.running)} running{rate}{when}"
+
 
 def _batch_run_name() -> str:
     parameters = flow_run.parameters
@@ -140,13 +153,10 @@ def backfill(
             )
         if not plan.todo:  # started for what was pending
             return Completed(name="NothingNew", message=f"no new drives; {len(plan.lines)} need no ingest")
-        return run_batch(
-            database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where,
-            queue=dispatch.BACKFILL_QUEUE,
-        )  # fmt: skip
+        return _run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where)
 
 
-def run_batch(
+def _run_batch(
     database: MapDatabase,
     plan: Plan,
     settings: Settings,
@@ -155,17 +165,13 @@ def run_batch(
     map_srid: int | None,
     max_parallel: int | None,
     where: dispatch.Where,
-    queue: str | None = None,
 ) -> State[Any]:
-    """Execute a plan inside a flow run. The state says how many drives failed; the receipts say which and why.
-
-    queue: in which its drives wait for workers; None: that of the deployment `ingest-drive`.
-    """
+    """Execute a plan inside a flow run. The state says how many drives failed; the receipts say which and why."""
     place = dispatch.resolve_where(where)
     parallel = max_parallel or (max(1, dispatch.online_workers()) if place == "workers" else 1)
     write_plan(plan, parallel, settings.home / "plans")
     standing = Standing(plan, parallel, place, time.monotonic(), [], [])
-    board = batch_progress(standing)
+    board = batch_progress(standing.sentence)
     look_at_s = standing.started + dispatch.WORKERS_GONE_S  # whether workers are there
     with database.connection() as conn:
         held_before = {drive.changeset_id for drive in held_drives(conn, map_name=settings.map_name)}
@@ -177,12 +183,9 @@ def run_batch(
             while waiting and len(standing.running) < parallel:
                 line, number = waiting.popleft()
                 if line.action == "refuse":
-                    with database.connection() as conn:
-                        standing.ended.append(_refused(conn, line, plan, settings))
-                    continue
-                standing.running.append(
-                    dispatch.launch(line, number, settings, params, map_srid, place, parallel, queue)
-                )
+                    standing.ended.append(refuse(database, line, plan, settings))
+                else:
+                    standing.running.append(_start(line, number, standing, settings, params, map_srid))
                 _tell(standing, board)
             with database.connection() as conn:
                 landed = _landed(conn, standing.running, plan, settings)
@@ -211,8 +214,19 @@ def run_batch(
         events = hold_events(conn, map_name=settings.map_name)
         standing.hold_events = [event for event in events if event not in known_events]
     _tell(standing, board)
-    show_summary(standing)
     return _end(standing)
+
+
+def _start(
+    line: PlanLine, number: int, standing: Standing, settings: Settings, params: IngestParams, map_srid: int | None
+) -> dispatch.DriveRun:
+    """Start a drive of the plan. On workers at most once for each try, also when this run itself was started again."""
+    if standing.where == "here":
+        run, process = dispatch.start_here(line.header, settings, params, map_srid, standing.parallel)
+        return dispatch.DriveRun(line, number, run.id, process)
+    key = f"{flow_run.id} {line.header.header_sha256} {number}"
+    run = dispatch.start_on_worker(line.header, settings, params, map_srid, key, dispatch.BACKFILL_QUEUE)
+    return dispatch.DriveRun(line, number, run.id, None)
 
 
 def _landed(
@@ -247,11 +261,13 @@ def _landed(
     return landed
 
 
-def _refused(conn: Connection, line: PlanLine, plan: Plan, settings: Settings) -> Receipt:
-    """The receipt of a folder that cannot be a drive."""
+def refuse(database: MapDatabase, line: PlanLine, plan: Plan, settings: Settings) -> Receipt:
+    """The receipt of a folder that cannot be a drive, which is also sent as an event."""
     begun = new_receipt(line.header, settings, plan.analysis.sha256, uuid4(), flow_run.id)
     receipt = replace(begun, state="failed", reason=line.why, may_pass=line.header.problem_may_pass)
-    write_receipt(conn, receipt, settings.receipts_folder)
+    with database.connection() as conn:
+        write_receipt(conn, receipt, settings.receipts_folder)
+    send_not_recognised(receipt)
     return receipt
 
 
@@ -268,8 +284,9 @@ def watch_batch(watcher: Watcher) -> Iterator[None]:
         _watchers.remove(watcher)
 
 
-def _tell(standing: Standing, board: Watcher) -> None:
-    for watcher in (board, *_watchers):
+def _tell(standing: Standing, board: Callable[[float, str], None]) -> None:
+    board(standing.percent, standing.sentence)
+    for watcher in _watchers:
         watcher(standing)
 
 

@@ -1,6 +1,7 @@
 """Start one drive in a process of its own: on a worker of the pool where there is one, else as a child of this process.
 
-Either way it is a sub-flow of the present run, and a drive that kills its process costs only itself.
+Either way it is a sub-flow of the present run, and a drive that kills its process costs only itself. Children are our own:
+Prefect starts a sub-flow in another process only where a worker serves its deployment.
 """
 
 from __future__ import annotations
@@ -10,23 +11,31 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any, Literal, cast
 from uuid import UUID, uuid4
 
 from prefect import Task
-from prefect.client.orchestration import SyncPrefectClient
-from prefect.client.schemas.objects import FlowRun, Worker, WorkerStatus
+from prefect.client.schemas.filters import (
+    FlowFilter,
+    FlowFilterName,
+    FlowRunFilter,
+    FlowRunFilterState,
+    FlowRunFilterStateType,
+)
+from prefect.client.schemas.objects import FlowRun, StateType, Worker, WorkerStatus
 from prefect.context import FlowRunContext
+from prefect.deployments import run_deployment
 from prefect.exceptions import ObjectNotFound
 from prefect.flow_engine import run_flow_in_subprocess
-from prefect.states import Crashed, Pending, Scheduled
+from prefect.states import Crashed, Pending
 
 from conetl.model.errors import ServiceError
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import PlanLine
-from conetl.pipeline.settings import Settings
+from conetl.pipeline.settings import Settings, read_settings
+from conetl.readers.drives.header import DriveHeader
 from flows.ingest_drive import ingest_drive
-from flows.runs import client, drive_run_name, drive_tags
+from flows.runs import attempt_of, client, drive_run_name, drive_tags
 
 POOL = "conetl"
 DRIVE_DEPLOYMENT = "ingest-drive/ingest-drive"
@@ -45,10 +54,14 @@ class DriveRun:
     line: PlanLine
     number: int
     """Of the try, from 1."""
-    attempt_id: UUID
     flow_run_id: UUID
     process: multiprocessing.process.BaseProcess | None
     """The child of this process; None where a worker runs it."""
+
+    @property
+    def attempt_id(self) -> UUID:
+        """Of its receipts: another try is another run."""
+        return attempt_of(self.flow_run_id, 1)
 
 
 def resolve_where(where: Where) -> Literal["workers", "here"]:
@@ -85,6 +98,21 @@ def missing_workers() -> str | None:
     )
 
 
+def drives_under_way(map_name: str) -> set[str]:
+    """Folders of drives for this map whose runs wait for a worker or run."""
+    states = [StateType.SCHEDULED, StateType.PENDING, StateType.RUNNING]
+    found: list[FlowRun] = []
+    with client() as api:
+        while page := api.read_flow_runs(
+            flow_filter=FlowFilter(name=FlowFilterName(any_=[ingest_drive.name])),
+            flow_run_filter=FlowRunFilter(state=FlowRunFilterState(type=FlowRunFilterStateType(any_=states))),
+            offset=len(found),
+        ):
+            found += page
+    here = read_settings().map_name
+    return {run.parameters["drive"] for run in found if (run.parameters.get("map_name") or here) == map_name}
+
+
 def _workers() -> list[Worker]:
     """The workers of the pool that ingest drives, online or not."""
     with client() as api:
@@ -92,43 +120,49 @@ def _workers() -> list[Worker]:
         return [worker for worker in api.read_workers_for_work_pool(pool) if DRIVE_QUEUE in worker.name]
 
 
-def launch(
-    line: PlanLine,
-    number: int,
+def start_on_worker(
+    header: DriveHeader,
     settings: Settings,
     params: IngestParams,
     map_srid: int | None,
-    where: Literal["workers", "here"],
-    parallel: int,
-    queue: str | None,
-) -> DriveRun:
-    """Start the ingest of one drive as a sub-flow of the present flow run. queue: of workers; None: the deployment's."""
-    header, attempt_id = line.header, uuid4()
-    parameters: dict[str, Any] = {
-        "drive": str(header.path),
-        "map_name": settings.map_name,
-        "map_srid": map_srid,
-        "params": params.model_dump(mode="json"),
-        "attempt_id": str(attempt_id),
-    }
-    name, labels = drive_run_name(header), drive_tags(header, settings.map_name)
+    key: str,
+    queue: str | None = None,
+) -> FlowRun:
+    """Queue the ingest of one drive for a worker, unless a run with this idempotency key exists; the run.
+
+    queue: of workers; None: the deployment's.
+    """
+    return cast(
+        FlowRun,
+        run_deployment(
+            DRIVE_DEPLOYMENT,
+            parameters=_parameters(header, settings, params, map_srid),
+            flow_run_name=drive_run_name(header),
+            tags=drive_tags(header, settings.map_name),
+            idempotency_key=key,
+            work_queue_name=queue,
+            timeout=0,
+        ),
+    )
+
+
+def start_here(
+    header: DriveHeader, settings: Settings, params: IngestParams, map_srid: int | None, parallel: int
+) -> tuple[FlowRun, multiprocessing.process.BaseProcess]:
+    """Start the ingest of one drive in a child of this process, one of `parallel`."""
+    parameters, name = _parameters(header, settings, params, map_srid), drive_run_name(header)
+    context = FlowRunContext.get()
+    assert context is not None and context.flow_run is not None
     with client() as api:
-        parent = _parent_task_run(api, name, attempt_id)
-        if where == "workers":
-            deployment = api.read_deployment_by_name(DRIVE_DEPLOYMENT)
-            run = api.create_flow_run_from_deployment(
-                deployment.id,
-                parameters=parameters,
-                state=Scheduled(),
-                name=name,
-                tags=labels,
-                parent_task_run_id=parent,
-                work_queue_name=queue,
-            )
-            return DriveRun(line, number, attempt_id, run.id, None)
-        run = api.create_flow_run(
-            ingest_drive, name=name, parameters=parameters, tags=labels, parent_task_run_id=parent, state=Pending()
+        # A task of the present run that represents the sub-flow, as `run_deployment` makes one.
+        represents = Task(name=name, fn=_nothing)
+        parent = api.create_task_run(
+            represents, context.flow_run.id, dynamic_key=str(uuid4()), name=name, state=Pending()
         )
+        run = api.create_flow_run(
+            ingest_drive, name=name, parameters=parameters, tags=drive_tags(header, settings.map_name),
+            parent_task_run_id=parent.id, state=Pending(),
+        )  # fmt: skip
     process = run_flow_in_subprocess(
         ingest_drive, flow_run=run, parameters=ingest_drive.validate_parameters(parameters),
         env={
@@ -136,7 +170,16 @@ def launch(
             "CONETL_WORKERS": str(max(1, settings.workers // parallel)),
         },
     )  # fmt: skip
-    return DriveRun(line, number, attempt_id, run.id, process)
+    return run, process
+
+
+def _parameters(header: DriveHeader, settings: Settings, params: IngestParams, map_srid: int | None) -> dict[str, Any]:
+    return {
+        "drive": str(header.path),
+        "map_name": settings.map_name,
+        "map_srid": map_srid,
+        "params": params.model_dump(mode="json"),
+    }
 
 
 def over(run: DriveRun) -> str | None:
@@ -183,18 +226,6 @@ def abandon(runs: Sequence[DriveRun]) -> None:
         if child.is_alive():
             child.kill()
             child.join()
-
-
-def _parent_task_run(api: SyncPrefectClient, name: str, attempt_id: UUID) -> UUID | None:
-    """A task run of the present flow run that represents the sub-flow, as `prefect.deployments.run_deployment` makes one."""
-    context = FlowRunContext.get()
-    if context is None or context.flow_run is None:
-        return None
-    stand_in = Task(name=name, fn=_nothing)
-    run = api.create_task_run(
-        stand_in, flow_run_id=context.flow_run.id, dynamic_key=str(attempt_id), name=name, state=Pending()
-    )
-    return run.id
 
 
 def _nothing() -> None:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from contextvars import ContextVar
 from typing import Any
-from uuid import UUID, uuid4
+from uuid import UUID
 
 from prefect import State, flow
 from prefect.runtime import flow_run
@@ -25,7 +25,7 @@ from conetl.pipeline.ingest import failed_receipt, final_receipt, ingest, new_re
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.readers.drives.header import DriveHeader, read_header
 from flows.artifacts import progress_artifact, publish_drive, publish_pending
-from flows.runs import MapName, MapSrid, alive, client, drive_run_name, drive_tags
+from flows.runs import MapName, MapSrid, alive, attempt_of, client, drive_run_name, drive_tags
 from flows.tasks import PrefectExecutor, task_runner
 
 #: Settings and progress bar of the present command. Prefect stores parameters, so these are none.
@@ -68,7 +68,6 @@ def ingest_drive(
     map_name: MapName = None,
     map_srid: MapSrid = None,
     params: IngestParams = IngestParams(),  # noqa: B008 -- frozen
-    attempt_id: UUID | None = None,
 ) -> State[Any]:
     """Ingest one drive: once, even if another process tries at the same time, with a receipt of the outcome.
 
@@ -81,7 +80,6 @@ def ingest_drive(
         map_name: Name of the map; default: CONETL_MAP_NAME of the worker.
         map_srid: EPSG code of the map; default: the UTM zone of the first drive.
         params: Parameters of all steps.
-        attempt_id: Leave empty.
     """
     of_command = _of_command()
     settings, bar = of_command or (read_settings(map_name), None)
@@ -90,7 +88,7 @@ def ingest_drive(
     header = read_header(as_path(drive).absolute())  # links are kept: the calibration may be beside the link
     with alive(settings, drive_lock(settings.map_name, header.header_sha256)) as database:
         analysis = analysis_of(params, settings).sha256
-        begun = new_receipt(header, settings, analysis, attempt_id or uuid4(), flow_run.id)
+        begun = new_receipt(header, settings, analysis, attempt_of(UUID(flow_run.id), flow_run.run_count), flow_run.id)
         save_receipt(begun, settings, database)
         started = time.monotonic()
         try:

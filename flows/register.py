@@ -1,4 +1,4 @@
-"""Registers the work pool and the deployments of `conetl up`."""
+"""Registers the work pool, the deployments and the automations of `conetl up`."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import yaml
 from prefect.client.schemas.actions import WorkPoolCreate, WorkPoolUpdate
 from prefect.client.schemas.objects import WorkerStatus
-from prefect.exceptions import ObjectAlreadyExists
+from prefect.events import AutomationCore
+from prefect.exceptions import ObjectAlreadyExists, ObjectNotFound
 from prefect.variables import Variable
 
 from conetl.model.errors import ServiceError
@@ -24,6 +26,13 @@ from flows.runs import client
 
 _VARIABLE = "conetl_deployments"
 _TIMEOUT_S = 300
+AUTOMATIONS = Path(__file__).with_name("automations.yaml")
+#: Templates of Prefect. A trigger that waited in vain has no event.
+_SUBJECT = "{{ automation.name }}"
+_BODY = (
+    "{{ automation.description }}{% if event %} {{ event.resource.name or event.resource.id }}: "
+    "{{ event.payload.reason or event.payload.on_hold or event.resource['prefect.state-message'] or '' }}{% endif %}"
+)
 #: Whoever starts a run chooses its parameters only: no command, environment or working folder as in Prefect's own template.
 JOB_TEMPLATE: dict[str, Any] = {
     "job_configuration": {"stream_output": True},
@@ -51,13 +60,15 @@ def ensure_pool() -> None:
 
 
 def ensure_deployments() -> bool:
-    """Register the deployments of `prefect.yaml` unless this version is registered; changes in the UI are kept until an upgrade.
+    """Register the deployments of `prefect.yaml`, and the automations, unless this version is registered.
 
-    Returns whether they were registered now. Raises ServiceError with Prefect's message.
+    Changes in the UI are kept until an upgrade, or until the settings change. Returns whether they were registered now.
+    Raises ServiceError with Prefect's message, or where the notification block is missing.
     """
-    path = deployments_file()
-    pool = read_settings().drives_pool
-    wanted = f"{version('conetl')} {hashlib.sha256(path.read_bytes()).hexdigest()} {pool}"
+    path, settings = deployments_file(), read_settings()
+    pool, block = settings.drives_pool, settings.notification_block
+    files = hashlib.sha256(path.read_bytes() + AUTOMATIONS.read_bytes()).hexdigest()
+    wanted = f"{version('conetl')} {files} {pool} {block}"
     with client() as api:
         registered = {deployment.name for deployment in api.read_deployments()}
     if Variable.get(_VARIABLE) == wanted and "ingest-drive" in registered:
@@ -74,8 +85,35 @@ def ensure_deployments() -> bool:
     with client() as api, suppress(ObjectAlreadyExists):
         # A worker gets nothing at all while one of its queues is missing. Made last, it comes behind that of the deployment.
         api.create_work_queue(name=BACKFILL_QUEUE, work_pool_name=pool)
+    _ensure_automations(block)
     Variable.set(_VARIABLE, wanted, overwrite=True)
     return True
+
+
+def _ensure_automations(block: str | None) -> None:
+    """Create the automations of `automations.yaml`, or bring them up to date; one that a person has paused stays so.
+
+    block: of Prefect, as type/name, which sends the notifications; None: the automations do nothing but write an event.
+    """
+    with client() as api:
+        action: dict[str, Any] = {"type": "do-nothing"}
+        if block is not None:
+            type_slug, _, name = block.partition("/")
+            try:
+                found = api.read_block_document_by_name(name, type_slug)
+            except ObjectNotFound:
+                raise ServiceError(
+                    f"CONETL_NOTIFICATION_BLOCK: this Prefect server has no block {block}; make it in Prefect's UI (Blocks), and "
+                    "name it as type/name, such as slack-webhook/operations"
+                ) from None
+            action = {"type": "send-notification", "block_document_id": found.id, "subject": _SUBJECT, "body": _BODY}
+        for wanted in yaml.safe_load(AUTOMATIONS.read_text(encoding="utf-8")):
+            automation = AutomationCore.model_validate(wanted | {"actions": [action]})
+            present = api.read_automations_by_name(automation.name)
+            if present:
+                api.update_automation(present[0].id, automation.model_copy(update={"enabled": present[0].enabled}))
+            else:
+                api.create_automation(automation)
 
 
 def worker_is_online(name: str, since: datetime) -> bool:

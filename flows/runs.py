@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import Annotated
+from uuid import UUID, uuid5
 
 from prefect.client.orchestration import SyncPrefectClient, get_client
 from prefect.client.schemas import filters
@@ -59,6 +60,11 @@ def drive_tags(header: DriveHeader, map_name: str) -> list[str]:
     """Tags by which a run is found in Prefect."""
     day = [f"day:{header.captured_from:%Y-%m-%d}"] if header.captured_from else []
     return [f"drive:{header.drive_id}", f"map:{map_name}", *day]
+
+
+def attempt_of(flow_run_id: UUID, run_count: int) -> UUID:
+    """Id of the receipts of one execution of a flow run, which can be started again."""
+    return uuid5(flow_run_id, str(run_count))
 
 
 def recover_runs(database: MapDatabase) -> list[FlowRun]:

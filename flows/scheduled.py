@@ -12,23 +12,23 @@ from typing import Annotated, Any
 
 from prefect import State, flow
 from prefect.artifacts import create_link_artifact, create_table_artifact
+from prefect.runtime import flow_run
 from prefect.states import Completed, Failed
 from pydantic import Field
 
 from conetl.db.map.map_store import find_map
-from conetl.db.receipt_store import held_locks, holding
 from conetl.db.schema import run_audits
 from conetl.exports import FORMATS
 from conetl.files.names import as_markdown
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import plan_drives
-from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.nightly_publication import REPORT, write_publication
 from conetl.pipeline.publish import catch_up_all
-from conetl.pipeline.settings import Settings, read_settings
+from conetl.pipeline.settings import read_settings
 from conetl.readers.drives.header import MARKER, find_drives, quiet_since
+from flows import dispatch
 from flows.artifacts import send_events
-from flows.backfill import Parallel, run_batch
+from flows.backfill import refuse
 from flows.runs import MapName, MapSrid, alive, recover_runs
 
 
@@ -111,17 +111,15 @@ def recover() -> State[Any]:
 def ingest_drop_folder(
     folder: Path | None = None,
     quiet_minutes: Annotated[float | None, Field(ge=0)] = None,
-    max_parallel: Parallel = None,
     map_name: MapName = None,
     map_srid: MapSrid = None,
     params: IngestParams = IngestParams(),  # noqa: B008 -- frozen
 ) -> State[Any]:
-    """Ingest new drives. One that failed is skipped until it changes, or a person runs a backfill.
+    """Queue new drives for the workers. One that failed is skipped until it changes, or a person runs a backfill.
 
     Args:
         folder: Folder in which drives arrive; default: CONETL_DROP_FOLDER of the worker.
         quiet_minutes: A drive is complete after this many minutes without a change; default: CONETL_DROP_QUIET_MINUTES.
-        max_parallel: Drives to run in parallel; default: one per worker, 1 without workers.
         map_name: Name of the map; default: CONETL_MAP_NAME of the worker.
         map_srid: EPSG code of the map; default: the UTM zone of the first drive.
         params: Parameters of all steps.
@@ -130,29 +128,26 @@ def ingest_drop_folder(
     inbox = (folder or settings.inbox).absolute()
     settings.require_readable(inbox)
     quiet_s = 60.0 * (settings.drop_quiet_minutes if quiet_minutes is None else quiet_minutes)
-    # A session's lock instead of a limit of Prefect's, which a run that died would keep.
-    lock = f"conetl.drop_folder/{settings.map_name}/{inbox}"
     with alive(settings) as database:
+        catch_up_all(settings, database, send_events)
+        complete, arriving = split_by_completeness(inbox, quiet_s)
+        under_way = dispatch.drives_under_way(settings.map_name)
         with database.connection() as conn:
-            if held_locks(conn, [lock]):
-                return Completed(name="StillAtWork", message=f"an earlier run still ingests the drives of {inbox}")
-        with holding(database.url, lock):
-            return _new_drives(database, settings, inbox, quiet_s, map_srid, max_parallel, params)
+            plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
+        _show_arriving(arriving, quiet_s)
+        refused = [refuse(database, line, plan, settings) for line in plan.lines if line.action == "refuse"]
+    drives = [line.header for line in plan.lines if line.action == "ingest" and str(line.header.path) not in under_way]
+    for header in drives:
+        dispatch.start_on_worker(header, settings, params, map_srid, key=f"{flow_run.id} {header.header_sha256}")
+    message = f"{len(drives)} drives queued, {len(refused)} not recognised, {len(arriving)} still arriving in {inbox}"
+    if refused:
+        return Failed(name="NotRecognised", message=f"{message}. {refused[0].drive_id}: {refused[0].reason}")
+    if (drives or under_way) and (note := dispatch.missing_workers()):
+        return Failed(name="NoWorkers", message=f"{message}; {note}")
+    return Completed(name=None if drives else "NothingNew", message=message)
 
 
-def _new_drives(
-    database: MapDatabase,
-    settings: Settings,
-    inbox: Path,
-    quiet_s: float,
-    map_srid: int | None,
-    max_parallel: int | None,
-    params: IngestParams,
-) -> State[Any]:
-    catch_up_all(settings, database, send_events)
-    complete, arriving = split_by_completeness(inbox, quiet_s)
-    with database.connection() as conn:
-        plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
+def _show_arriving(arriving: list[tuple[Path, float]], quiet_s: float) -> None:
     if arriving:
         rows = [
             {"drive": as_markdown(path.name), "unchanged for s": round(quiet, 1), "needed s": quiet_s}
@@ -161,10 +156,6 @@ def _new_drives(
         create_table_artifact(
             rows, key="arriving", description=f"Still arriving: no file {MARKER}, and changed too recently"
         )
-    if not plan.todo:
-        message = f"no new drives: {len(complete)} need no ingest, {len(arriving)} still arriving in {inbox}"
-        return Completed(name="NothingNew", message=message)
-    return run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where="auto")
 
 
 def split_by_completeness(inbox: Path, quiet_s: float) -> tuple[list[Path], list[tuple[Path, float]]]:

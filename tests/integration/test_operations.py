@@ -14,10 +14,13 @@ import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Thread
 from typing import Any
 
 import httpx
@@ -90,18 +93,13 @@ class Desk:
         found = self.get(f"/deployments/name/{deployment}")
         self.api.patch(f"/deployments/{found['id']}", json={"paused": True}).raise_for_status()
 
+    def automations(self) -> list[Any]:
+        return list(self.post("/automations/filter", {}))
+
     def start(self, deployment: str, parameters: dict[str, Any]) -> str:
         """Start a deployment as the form in Prefect's UI does; the run's id."""
         found = self.get(f"/deployments/name/{deployment}")
         return str(self.post(f"/deployments/{found['id']}/create_flow_run", {"parameters": parameters})["id"])
-
-    def drop_folder_ended(self) -> Any:
-        """A run of ours over the drop folder. Where one of its schedule, made before the pause, is at work, ours does nothing."""
-        while True:
-            run = self.ended(self.start(DROP_FOLDER, {}))
-            if run["state_name"] != "StillAtWork":
-                return run
-            time.sleep(2)
 
     def ended(self, run_id: str) -> Any:
         def final() -> Any:
@@ -176,8 +174,12 @@ def test_a_complete_drive_in_the_drop_folder_is_taken(desk: Desk) -> None:
     complete = cut_drive(SAMPLES[0], arrivals / "2026-03-20_dropped", "2026-03-20")
     (complete / "COMPLETE").touch()
     cut_drive(SAMPLES[1], arrivals / "2026-03-21_arriving", "2026-03-21")
-    run = desk.drop_folder_ended()
-    assert run["state_type"] == "COMPLETED", run["state"]["message"]
+    runs = [desk.ended(desk.start(DROP_FOLDER, {})) for _ in range(2)]
+    messages = [run["state"]["message"] for run in runs]
+    assert [run["state_type"] for run in runs] == ["COMPLETED"] * 2, messages
+    assert [message.partition(",")[0] for message in messages] == ["1 drives queued", "0 drives queued"], messages
+    (drive,) = desk.post("/flow_runs/filter", {"flows": {"name": {"any_": ["ingest-drive"]}}})
+    assert desk.ended(drive["id"])["state_type"] == "COMPLETED"
     assert desk.receipts() == {"2026-03-20_dropped": ("committed", "")}
 
 
@@ -324,8 +326,8 @@ def test_a_backfill_without_postgresql_ends_with_code_3_and_goes_on_later(desk: 
 
 
 def test_the_map_is_published_and_audited_and_no_drive_is_taken_again(desk: Desk) -> None:
-    started = {name: desk.start(name, {}) for name in ("publish-map/publish-map", "audit/audit")}
-    ended = {DROP_FOLDER: desk.drop_folder_ended()} | {name: desk.ended(run_id) for name, run_id in started.items()}
+    started = {name: desk.start(name, {}) for name in ("publish-map/publish-map", "audit/audit", DROP_FOLDER)}
+    ended = {name: desk.ended(run_id) for name, run_id in started.items()}
     messages = {name: run["state"]["message"] for name, run in ended.items()}
     assert ended["audit/audit"]["state_type"] == ended[DROP_FOLDER]["state_type"] == "COMPLETED", messages
     published = ended["publish-map/publish-map"]
@@ -350,6 +352,61 @@ def test_every_changeset_is_an_event(desk: Desk) -> None:
     assert {"conetl.added", "conetl.removed", "conetl.map"} <= set(events[0]["resource"])
 
 
+def test_a_folder_that_is_no_drive_notifies_a_person_once(desk: Desk) -> None:
+    """The drop folder's run fails, and Prefect sends what the automation says with the block of the operator."""
+    told: SimpleQueue[dict[str, Any]] = SimpleQueue()
+    with webhook(told) as url:
+        kind = desk.get("/block_types/slug/custom-webhook")
+        schema = desk.post("/block_schemas/filter", {"block_schemas": {"block_type_id": {"any_": [kind["id"]]}}})[0]
+        message = {"subject": "{{subject}}", "body": "{{body}}"}
+        data = {"name": "operations", "url": url, "method": "POST", "json_data": message}
+        block = {"name": "operations", "data": data, "block_type_id": kind["id"], "block_schema_id": schema["id"]}
+        desk.post("/block_documents/", block)
+        paused = next(one for one in desk.automations() if one["name"].endswith("crashed"))
+        desk.api.patch(f"/automations/{paused['id']}", json={"enabled": False}).raise_for_status()
+        with_block = replace(
+            desk, environment=desk.environment | {"CONETL_NOTIFICATION_BLOCK": "custom-webhook/operations"}
+        )
+        assert with_block.up()["deployments_registered"]
+        automations = desk.automations()
+        assert {one["actions"][0]["type"] for one in automations} == {"send-notification"}
+        assert [one["name"] for one in automations if not one["enabled"]] == [paused["name"]], (
+            "what a person paused stays"
+        )
+        folder = Path(desk.environment["CONETL_DROP_FOLDER"]) / f"half{HTML_NAME}"
+        shutil.copytree(SAMPLES[0], folder)
+        (folder / "drive.yaml").write_text("rigg: rig.yaml\n")
+        (folder / "COMPLETE").touch()
+        for name in ("NotRecognised", "NothingNew"):
+            run = desk.ended(desk.start(DROP_FOLDER, {}))
+            assert run["state_name"] == name, run["state"]["message"]
+        heard = [told.get(timeout=60), told.get(timeout=60)]
+    by_subject = {one["subject"]: one["body"] for one in heard}
+    assert set(by_subject) == {"conetl: a folder was not recognised", "conetl: a run failed"}
+    assert all("rigg" in body for body in by_subject.values()), by_subject
+    assert told.empty()
+
+
+@contextmanager
+def webhook(told: SimpleQueue[dict[str, Any]]) -> Iterator[str]:
+    """A server that receives notifications; its address."""
+
+    class Receiver(BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            told.put(json.loads(self.rfile.read(int(self.headers["Content-Length"]))))
+            self.send_response(200)
+            self.end_headers()
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Receiver) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}/"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
 def test_the_desk_sees_it_in_prefect(desk: Desk) -> None:
     images = os.environ.get("CONETL_SCREENSHOTS")
     runs = desk.post("/flow_runs/filter", {"sort": "START_TIME_DESC", "limit": 100})
@@ -369,7 +426,7 @@ def test_the_desk_sees_it_in_prefect(desk: Desk) -> None:
         page.keyboard.press("Enter")
         page.get_by_text("Flow Runs").first.wait_for()
         for name, run, words in (
-            ("backfill", backfill, ["batch-progress", "batch-summary", "3 drives"]),
+            ("backfill", backfill, ["batch-progress"]),
             ("drive", drive, ["Plan view of drive", "frame pairs with the largest residuals"]),
         ):
             go_to(page, f"/runs/flow-run/{run['id']}", run["name"])
@@ -379,7 +436,7 @@ def test_the_desk_sees_it_in_prefect(desk: Desk) -> None:
             if images:
                 page.screenshot(path=f"{images}/prefect-{name}.png", full_page=True)
             for artifact in desk.post("/artifacts/filter", {"artifacts": {"flow_run_id": {"any_": [run["id"]]}}}):
-                if artifact["key"] in ("batch-summary", "batch-drives", "summary", "plan-view", "qa-report"):
+                if artifact["key"] in ("summary", "plan-view", "qa-report"):
                     with nothing_of_html_happens(page):
                         go_to(page, f"/artifacts/artifact/{artifact['id']}", artifact["key"])
                         page.get_by_text(HTML_NAME).first.wait_for()

@@ -81,7 +81,6 @@ def backfill(
     with ExitStack() as running:
         with ui.spinner("Starting Prefect"):
             from flows import backfill as flow
-            from flows.batch_artifacts import percent, sentence
             from flows.server import prefect_server
 
             running.enter_context(prefect_server(settings.home))
@@ -91,7 +90,7 @@ def backfill(
 
         def show(now: Standing) -> None:
             nonlocal standing, printed, noted
-            bar.update(task, completed=percent(now), description=sentence(now))
+            bar.update(task, completed=now.percent, description=now.sentence)
             if now.note != noted:
                 ui.err.print(f"conetl: {now.note}", markup=False, soft_wrap=True)
             for receipt in [] if as_json else now.ended[printed:]:

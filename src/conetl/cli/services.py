@@ -259,6 +259,8 @@ def _environment(settings: Settings, home: Path, api: str, login: str, view: str
         "CONETL_VIEW_URL": settings.view_url or view,
         "CONETL_DROP_FOLDER": str(settings.inbox.resolve()),
         "CONETL_WORKERS": os.environ.get("CONETL_WORKERS", str(max(1, settings.workers // workers))),
+        # A run waits 8 minutes for a server that is being restarted, not the usual one.
+        "PREFECT_CLIENT_MAX_RETRIES": os.environ.get("PREFECT_CLIENT_MAX_RETRIES", "8"),
         "PREFECT_WORKER_QUERY_SECONDS": os.environ.get("PREFECT_WORKER_QUERY_SECONDS", "3"),
     }
     # Runs have their own working folders, so relative paths would not work.
