@@ -27,7 +27,7 @@ from flows.runs import client
 _VARIABLE = "conetl_deployments"
 _TIMEOUT_S = 300
 AUTOMATIONS = Path(__file__).with_name("automations.yaml")
-#: Templates of Prefect. A trigger that waited in vain has no event.
+#: Templates of Prefect. A trigger that misses an event has none.
 _SUBJECT = "{{ automation.name }}"
 _BODY = (
     "{{ automation.description }}{% if event %} {{ event.resource.name or event.resource.id }}: "
