@@ -1,7 +1,7 @@
 """Start one drive in a process of its own: on a worker of the pool where there is one, else as a child of this process.
 
 Either way it is a sub-flow of the present run, and a drive that kills its process costs only itself. Children are our own:
-Prefect starts a sub-flow in another process only where a worker serves its deployment.
+without a worker Prefect runs sub-flows in the process of their parent (PrefectHQ/prefect #6689).
 """
 
 from __future__ import annotations
