@@ -1,8 +1,8 @@
 """What all flows of deployments share: their parameters, the lock that shows that they live, and recovery of dead runs.
 
 Prefect leaves a run whose worker died running for ever (PrefectHQ/prefect #16746), and its automation by heartbeats crashes
-living runs (#20887). Every run of conetl holds a lock in the database as long as its process lives (`db/receipt_store.py`), so one that
-runs without its lock is dead, on whatever machine it was.
+living runs (#20887). Every run of conetl holds a lock in the database as long as its process lives (`db/receipt_store.py`), so
+one that runs without its lock is dead, on whatever machine it was.
 """
 
 from collections.abc import Iterator
