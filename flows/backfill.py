@@ -14,7 +14,7 @@ from uuid import uuid4
 
 from prefect import State, flow
 from prefect.runtime import flow_run
-from prefect.states import Completed, Failed
+from prefect.states import Completed
 from pydantic import Field
 
 from conetl.db.connection import Connection
@@ -31,7 +31,7 @@ from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings, read_settings
 from flows import dispatch
 from flows.artifacts import batch_progress, send_events, send_not_recognised
-from flows.runs import MapName, MapSrid, alive
+from flows.runs import MapName, MapSrid, alive, needs_a_person
 
 _log = logging.getLogger(__name__)
 #: A drive whose process died is started at most this many times; then it counts as failed.
@@ -297,13 +297,11 @@ def _end(standing: Standing) -> State[Any]:
         f"{on_hold}{standing.done} on the map, {len(failed)} failed, {standing.plan.count('skip')} had nothing to do; "
         f"{standing.seconds:.0f} s"
     )
-    _log.info(message)
     if failed:
-        first = failed[0]
-        return Failed(name=SOME_FAILED, message=f"{message}. {first.drive_id}: {first.reason}")
+        return needs_a_person(SOME_FAILED, f"{message}. {failed[0].drive_id}: {failed[0].reason}")
     if standing.held:
-        first_held = standing.held[0]
-        return Failed(name=SOME_ON_HOLD, message=f"{message}. {first_held.drive_id}: {first_held.reason}")
+        return needs_a_person(SOME_ON_HOLD, f"{message}. {standing.held[0].drive_id}: {standing.held[0].reason}")
+    _log.info(message)
     return Completed(message=message)
 
 

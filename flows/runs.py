@@ -5,17 +5,19 @@ living runs (#20887). Every run of conetl holds a lock in the database as long a
 one that runs without its lock is dead, on whatever machine it was.
 """
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
-from typing import Annotated
+from typing import Annotated, Any
 from uuid import UUID, uuid5
 
+from prefect import State
 from prefect.client.orchestration import SyncPrefectClient, get_client
 from prefect.client.schemas import filters
 from prefect.client.schemas.objects import FlowRun, StateType
 from prefect.runtime import flow_run
-from prefect.states import Crashed, Scheduled
+from prefect.states import Crashed, Failed, Scheduled
 from pydantic import Field
 
 from conetl.db.receipt_store import held_locks, holding, run_lock
@@ -24,6 +26,7 @@ from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
 
+_log = logging.getLogger(__name__)
 FLOWS = ("ingest-drive", "backfill", "ingest-drop-folder", "publish-map", "audit", "recover")
 #: Between the state "running" and its lock a run imports and connects.
 GRACE = timedelta(seconds=30)
@@ -61,6 +64,18 @@ def drive_tags(header: DriveHeader, map_name: str) -> list[str]:
     """Tags by which a run is found in Prefect."""
     day = [f"day:{header.captured_from:%Y-%m-%d}"] if header.captured_from else []
     return [f"drive:{header.drive_id}", f"map:{map_name}", *day]
+
+
+def needs_a_person(name: str, message: str) -> State[Any]:
+    """The end of a run in which something needs a person: a failed state, which Prefect's dashboard counts."""
+    _log.warning(message)  # in the run's log Prefect writes only a traceback
+    return Failed(name=name, message=message)
+
+
+def rename_run(name: str) -> None:
+    """Give the present flow run another name."""
+    with client() as api:
+        api.update_flow_run(UUID(flow_run.id), name=name)
 
 
 def attempt_of(flow_run_id: UUID, run_count: int) -> UUID:

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from prefect import State, flow
 from prefect.artifacts import create_link_artifact, create_table_artifact
 from prefect.runtime import flow_run
-from prefect.states import Completed, Failed
+from prefect.states import Completed
 from pydantic import Field
 
 from conetl.db.map.map_store import find_map
@@ -29,7 +29,7 @@ from conetl.readers.drives.header import MARKER, find_drives, quiet_since
 from flows import dispatch
 from flows.artifacts import send_events
 from flows.backfill import refuse
-from flows.runs import MapName, MapSrid, alive, recover_runs
+from flows.runs import MapName, MapSrid, alive, needs_a_person, recover_runs, rename_run
 
 
 @flow(name="publish-map", flow_run_name="publish map")
@@ -72,11 +72,11 @@ def publish_map(
     message = f"{len(manifests)} files in {published}"
     if night.failed:
         first = night.failed[0]
-        message = f"{len(night.failed)} drives failed; {message}. {first['drive_id']}: {first['reason']}"
-        return Failed(name="DrivesFailed", message=message)
+        said = f"{len(night.failed)} drives failed; {message}. {first['drive_id']}: {first['reason']}"
+        return needs_a_person("DrivesFailed", said)
     if night.held:
-        message = f"{len(night.held)} drives on hold; {message}. {night.held[0].drive_id}: {night.held[0].reason}"
-        return Failed(name="DrivesOnHold", message=message)
+        said = f"{len(night.held)} drives on hold; {message}. {night.held[0].drive_id}: {night.held[0].reason}"
+        return needs_a_person("DrivesOnHold", said)
     return Completed(message=message)
 
 
@@ -95,7 +95,8 @@ def audit() -> State[Any]:
             {"audit": r.name, **{k: as_markdown(str(v)) for k, v in row.items()}} for r in failed for row in r.rows[:20]
         ]
         create_table_artifact(found, key="audit-rows", description="Inconsistent rows, the first 20 of each audit")
-        return Failed(message=f"{', '.join(r.name for r in failed)}: inconsistent rows; see `conetl db audit`")
+        names = ", ".join(result.name for result in failed)
+        return needs_a_person("Inconsistent", f"{names}: inconsistent rows; see `conetl db audit`")
     return Completed(message=f"{len(results)} audits passed")
 
 
@@ -107,7 +108,7 @@ def recover() -> State[Any]:
     return Completed(message=", ".join(run.name for run in dead) or "all runs are alive")
 
 
-@flow(name="ingest-drop-folder", flow_run_name="new drives")
+@flow(name="ingest-drop-folder", flow_run_name="drop folder")
 def ingest_drop_folder(
     folder: Path | None = None,
     quiet_minutes: Annotated[float | None, Field(ge=0)] = None,
@@ -136,14 +137,18 @@ def ingest_drop_folder(
             plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
         _show_arriving(arriving, quiet_s)
         refused = [refuse(database, line, plan, settings) for line in plan.lines if line.action == "refuse"]
-    drives = [line.header for line in plan.lines if line.action == "ingest" and str(line.header.path) not in under_way]
-    for header in drives:
-        dispatch.start_on_worker(header, settings, params, map_srid, key=f"{flow_run.id} {header.header_sha256}")
+        drives = [
+            line.header for line in plan.lines if line.action == "ingest" and str(line.header.path) not in under_way
+        ]
+        for header in drives:
+            dispatch.start_on_worker(header, settings, params, map_srid, key=f"{flow_run.id} {header.header_sha256}")
+    if drives or refused:
+        rename_run(f"{len(drives) + len(refused)} new drives")
     message = f"{len(drives)} drives queued, {len(refused)} not recognised, {len(arriving)} still arriving in {inbox}"
     if refused:
-        return Failed(name="NotRecognised", message=f"{message}. {refused[0].drive_id}: {refused[0].reason}")
+        return needs_a_person("NotRecognised", f"{message}. {refused[0].drive_id}: {refused[0].reason}")
     if (drives or under_way) and (note := dispatch.missing_workers()):
-        return Failed(name="NoWorkers", message=f"{message}; {note}")
+        return needs_a_person("NoWorkers", f"{message}; {note}")
     return Completed(name=None if drives else "NothingNew", message=message)
 
 
