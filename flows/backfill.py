@@ -31,7 +31,7 @@ from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings, read_settings
 from flows import dispatch
 from flows.artifacts import batch_progress, send_events, send_not_recognised
-from flows.runs import MapName, MapSrid, alive, needs_a_person
+from flows.runs import MapName, MapSrid, alive, needs_attention
 
 _log = logging.getLogger(__name__)
 #: A drive whose process died is started at most this many times; then it counts as failed.
@@ -298,9 +298,9 @@ def _end(standing: Standing) -> State[Any]:
         f"{standing.seconds:.0f} s"
     )
     if failed:
-        return needs_a_person(SOME_FAILED, f"{message}. {failed[0].drive_id}: {failed[0].reason}")
+        return needs_attention(SOME_FAILED, f"{message}. {failed[0].drive_id}: {failed[0].reason}")
     if standing.held:
-        return needs_a_person(SOME_ON_HOLD, f"{message}. {standing.held[0].drive_id}: {standing.held[0].reason}")
+        return needs_attention(SOME_ON_HOLD, f"{message}. {standing.held[0].drive_id}: {standing.held[0].reason}")
     _log.info(message)
     return Completed(message=message)
 

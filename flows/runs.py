@@ -66,8 +66,8 @@ def drive_tags(header: DriveHeader, map_name: str) -> list[str]:
     return [f"drive:{header.drive_id}", f"map:{map_name}", *day]
 
 
-def needs_a_person(name: str, message: str) -> State[Any]:
-    """The end of a run in which something needs a person: a failed state, which Prefect's dashboard counts."""
+def needs_attention(name: str, message: str) -> State[Any]:
+    """The end of a run that needs attention: a failed state, which Prefect's dashboard counts."""
     _log.warning(message)  # in the run's log Prefect writes only a traceback
     return Failed(name=name, message=message)
 

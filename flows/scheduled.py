@@ -29,7 +29,7 @@ from conetl.readers.drives.header import MARKER, find_drives, quiet_since
 from flows import dispatch
 from flows.artifacts import send_events
 from flows.backfill import refuse
-from flows.runs import MapName, MapSrid, alive, needs_a_person, recover_runs, rename_run
+from flows.runs import MapName, MapSrid, alive, needs_attention, recover_runs, rename_run
 
 
 @flow(name="publish-map", flow_run_name="publish map")
@@ -73,10 +73,10 @@ def publish_map(
     if night.failed:
         first = night.failed[0]
         said = f"{len(night.failed)} drives failed; {message}. {first['drive_id']}: {first['reason']}"
-        return needs_a_person("DrivesFailed", said)
+        return needs_attention("DrivesFailed", said)
     if night.held:
         said = f"{len(night.held)} drives on hold; {message}. {night.held[0].drive_id}: {night.held[0].reason}"
-        return needs_a_person("DrivesOnHold", said)
+        return needs_attention("DrivesOnHold", said)
     return Completed(message=message)
 
 
@@ -96,7 +96,7 @@ def audit() -> State[Any]:
         ]
         create_table_artifact(found, key="audit-rows", description="Inconsistent rows, the first 20 of each audit")
         names = ", ".join(result.name for result in failed)
-        return needs_a_person("Inconsistent", f"{names}: inconsistent rows; see `conetl db audit`")
+        return needs_attention("Inconsistent", f"{names}: inconsistent rows; see `conetl db audit`")
     return Completed(message=f"{len(results)} audits passed")
 
 
@@ -146,9 +146,9 @@ def ingest_drop_folder(
         rename_run(f"{len(drives) + len(refused)} new drives")
     message = f"{len(drives)} drives queued, {len(refused)} not recognised, {len(arriving)} still arriving in {inbox}"
     if refused:
-        return needs_a_person("NotRecognised", f"{message}. {refused[0].drive_id}: {refused[0].reason}")
+        return needs_attention("NotRecognised", f"{message}. {refused[0].drive_id}: {refused[0].reason}")
     if (drives or under_way) and (note := dispatch.missing_workers()):
-        return needs_a_person("NoWorkers", f"{message}; {note}")
+        return needs_attention("NoWorkers", f"{message}; {note}")
     return Completed(name=None if drives else "NothingNew", message=message)
 
 
