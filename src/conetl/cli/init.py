@@ -77,7 +77,7 @@ def init(
         return
     kept = still_valid(_earlier(root, force=force), _with({}, given))
     if kept and not as_json:
-        say(f"  kept from {DRIVE_YAML}: {_listed(kept)} (delete the file to start over)")
+        say(f"  kept from {DRIVE_YAML}: {', '.join(kept)} (delete the file to start over)")
     stated_now = validated(stated(_with(kept, given)), DriveYaml, "--set").model_dump(mode="json", exclude_unset=True)
     proposal = propose(root, stated_now, None if rig is None else root / _as_in_folder(root, str(rig)))
     for line in () if as_json else proposal.found:
@@ -162,14 +162,6 @@ def _earlier(root: Path, *, force: bool) -> dict[str, Any]:
             raise
         complain(f"{error}\nconetl ignores this file and writes a new one.")
         return {}
-
-
-def _listed(settings: Mapping[str, Any]) -> str:
-    """Sections of settings with their keys."""
-    return ", ".join(
-        f"{section} ({', '.join(values)})" if isinstance(values, Mapping) else section
-        for section, values in settings.items()
-    )
 
 
 # --------------------------------------------------------------------------- what the images show

@@ -168,7 +168,7 @@ def read_yaml(path: Path) -> Any:
 
 def parse_yaml(source: object, text: str) -> Any:
     """Content of a text in YAML, of a file or an option. Raises InputError where it is not YAML or exceeds a limit."""
-    # Numbers that do not exist are ValueErrors.
+    # Numbers and tagged times that do not exist are ValueErrors.
     with library_errors(f"{source}: this is not YAML", yaml.YAMLError, ValueError):
         _require_bounded(source, text)
         return yaml.load(text, Loader=_Loader)

@@ -554,6 +554,20 @@ def test_names_of_files_do_not_change_the_meaning_of_a_template(tmp_path: Path) 
         assert is_template(tmp_path / "drive.yaml")
 
 
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"clock": {}}, {"clock": {"offset_s": "estimate"}}, {"pair": ["a", "b"], "cameras": {"left": "image_01"}},
+        {"control_points": {"file": "points.csv", "sigma_m": 0.02}, "antenna_t_m": [0.4, -0.2, 1.1], "map_srid": 25832},
+        {"trajectory": {"date": "2024-02-07", "delimiter": " ", "decimal": ",", "columns": {"time": 1, "lat": "Höhe, ell."}}},
+        {"images": {"start": "2026-03-02 10:00:00.250Z", "layout": "left-right"}, "timestamps_timezone": "Europe/Berlin"},
+    ],
+)  # fmt: skip
+def test_a_template_states_the_same_settings(settings: dict[str, object], tmp_path: Path) -> None:
+    (tmp_path / "drive.yaml").write_text(template(settings, []), encoding="utf-8")
+    assert read_drive_yaml(tmp_path) == DriveYaml.model_validate(settings)
+
+
 def test_every_key_of_a_template_is_one_of_drive_yaml() -> None:
     """Also those that are comments."""
     text = re.sub(r"^(\s*)# (\w+: )", r"\1\2", template({}, [Missing("mount")]), flags=re.MULTILINE)
@@ -923,7 +937,7 @@ def test_init_says_which_pairs_have_a_pose(folder: Path, tmp_path: Path, sample:
     assert "drive.csv covers 2026-03-02 09:41:07 to 2026-03-02 09:41:08 UTC" in str(made.exception)
     made = init(copy, "images.from_s=900")
     assert made.exit_code == 1 and "was written, but the drive cannot be read yet" in made.output, made.output
-    assert "kept from drive.yaml: images (left, right" in made.output
+    assert "kept from drive.yaml: images, trajectory" in made.output
 
 
 def test_links_and_pipes_are_no_videos(folder: Path, tmp_path: Path) -> None:

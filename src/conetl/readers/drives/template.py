@@ -113,9 +113,8 @@ def template(settings: Mapping[str, Any], missing: Sequence[Missing]) -> str:
     """The text of drive.yaml. settings: as `DriveYaml`; missing: what is still needed."""
     needed = {value.key: value for each in missing if each.key != RIG for value in _values_of(each)}
     text = _HEADER + _HOW_TO_COMPLETE * bool(missing)
-    text += "".join(
-        _comment(f"NEEDED: conetl init FOLDER --rig FILE. {each.text}") for each in missing if each.key == RIG
-    )
+    for each in (each for each in missing if each.key == RIG):
+        text += _comment(f"NEEDED: conetl init FOLDER --rig FILE. {each.text}")
     for name in [*_OPTIONAL, *(name for name in settings if name not in _OPTIONAL)]:
         text += _section(name, settings.get(name), needed)
     return text + "\n" + "".join(_optional(key) for key in _OPTIONAL_VALUES if key not in settings)
@@ -130,8 +129,8 @@ def _values_of(missing: Missing) -> list[Missing]:
 
 def _section(name: str, values: object, needed: Mapping[str, Missing]) -> str:
     """The lines of a key of the highest level, behind an empty one; nothing where it has none. needed: by their keys."""
-    if values is not None and not isinstance(values, Mapping):
-        return f"\n{name}: {in_yaml(values)}\n"
+    if values is not None and (not isinstance(values, Mapping) or (name == "clock" and not values)):
+        return f"\n{name}: {in_yaml(values)}\n"  # an empty clock is one to estimate
     stated, lines = values or {}, ""
     # Most rigs have a mount.
     optional = _OPTIONAL.get(name, ()) if name != "mount" or stated or "mount.forward_m" in needed else ()
