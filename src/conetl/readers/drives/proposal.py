@@ -303,7 +303,7 @@ def _add_rig(root: Path, rig_file: Path | None, proposal: Proposal, size: tuple[
             proposal.found.extend(unread)
         replaces = (root / RIG_YAML).is_file() and RIG_YAML not in (path.name for path, _, _ in found)
         if len(found) != 1 or replaces:  # a file that somebody made is not replaced without being asked
-            names = ", ".join(path.name for path, _, _ in found) or "none was found that fits"
+            names = ", ".join(path.name for path, _, _ in found) or "none that fits"
             cause = f"Found: {names}."
             if not found:
                 cause += " 'conetl calibrate' makes one from images of a board."

@@ -31,7 +31,9 @@ def known_zone(name: str, what: str = "a time zone; expected a name such as UTC 
 class TrajectoryFile(Record):
     """How to read a trajectory file; every key is optional."""
 
-    file: str | None = setting("File in the drive folder.", "rover.pos", min_length=1, max_length=1000)
+    file: str | None = setting(
+        "The GNSS/INS log: a file in the drive folder.", "rover.pos", min_length=1, max_length=1000
+    )
     format: FormatName | None = None
     columns: dict[str, str | int] = setting(
         "Which columns of a table contain what, by their names or numbers from 1.",
