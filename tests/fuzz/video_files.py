@@ -83,7 +83,7 @@ def read_video_drive(path: Path, _: Path) -> object:
 def search_times(path: Path, _: Path) -> object:
     """What `conetl init` does: a proposal, then the shift of both files and the clock."""
     with suppress(ConetlError):
-        propose(path, {"mount": "1,0,0"})
+        propose(path, {"mount": {"forward_m": 1, "left_m": 0, "up_m": 0}})
     with suppress(ConetlError, ImageFileError):
         find_video_lag(index_video(path / "left.mp4"), index_video(path / "right.mp4"))
     with suppress(ConetlError):

@@ -30,8 +30,8 @@ _COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
         "init": (
             "init:init",
             "recording",
-            "recording --left l.mp4 --right r.mp4 --trajectory log.nmea --date 2026-03-02 --yes",
-            "recording --every 2 --from 10 --to 70",
+            "recording --set images.left=l.mp4 --set trajectory.date=2026-03-02",
+            "recording --rig calibration.yml",
         ),
         "inspect": ("inspect_drive:inspect", "drives/2026-03-02", "drives/2026-03-02 --page inspection.html"),
         "drive": (),

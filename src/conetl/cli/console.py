@@ -41,6 +41,32 @@ MapSridOption = Annotated[
 MapOption = Annotated[
     str | None, typer.Option("--map", metavar="NAME", help="Name of the map; default: CONETL_MAP_NAME, or `default`.")
 ]
+CategoryOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--category",
+        help="Class to search for, such as drum or lane_marking, or `all`; may be repeated; default: traffic_cone.",
+    ),
+]
+ClassesOption = Annotated[
+    list[str] | None,
+    typer.Option("--category", help="Only objects of this class, such as drum; may be repeated; default: all."),
+]
+#: State of the road; `map picture` has an older name for it, too.
+AS_OF = "State of the road at this time, e.g. 2026-03-02 or 2026-03-02T10:00+01:00; default: latest."
+AsOfOption = Annotated[str | None, typer.Option("--as-of", help=AS_OF)]
+FileCrsOption = Annotated[
+    str | None,
+    typer.Option("--crs", help="CRS of the file, if it states none, e.g. EPSG:25832 or EPSG:25832+7837."),
+]
+DecisionsOption = Annotated[
+    bool,
+    typer.Option(
+        "--decisions",
+        help="Enable decisions in the web view (suppress, pin, revert). They require the writer token, which is created in "
+        "CONETL_HOME.",
+    ),
+]
 #: Knowledge right after each state, before later drives, decisions and corrections.
 THEN = "then"
 KnownOption = Annotated[
@@ -256,15 +282,6 @@ def spinner(text: str) -> Iterator[Callable[[str], object]]:
         return
     with err.status(text) as status:
         yield status.update
-
-
-CategoryOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--category",
-        help="Class to search for, such as drum or lane_marking, or `all`; may be repeated; default: traffic_cone.",
-    ),
-]
 
 
 def class_if_mixed(columns: Columns, categories: Collection[str]) -> Columns:

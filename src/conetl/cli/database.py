@@ -123,6 +123,14 @@ def audit(as_json: JsonOption = False) -> None:
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 
+_KeepPositions = Annotated[
+    str | None,
+    typer.Option(
+        "--keep-positions",
+        help="Keep the detections, stereo matches and positions of drives this long: 90d, 12w, 36h.",
+    ),
+]
+_Yes = Annotated[bool, typer.Option("--yes", help="Do it; without it, only list what would be done.")]
 _PRUNABLE: Columns = {
     "map": "map_name",
     "drive": "drive_id",
@@ -134,19 +142,14 @@ _PRUNABLE: Columns = {
 
 
 def archive(
-    keep_positions: Annotated[
-        str | None,
-        typer.Option(
-            help="Keep the detections, stereo matches and positions of drives this long in the tables: 90d, 12w, 36h."
-        ),
-    ] = None,
+    keep_positions: _KeepPositions = None,
     folder: Annotated[
         Path | None, typer.Option("--to", help="Folder for the files; default: `archive` in CONETL_HOME.")
     ] = None,
     restore: Annotated[
         str | None, typer.Option(help="Move the records of this drive back into the tables.", metavar="DRIVE_ID")
     ] = None,
-    do_it: Annotated[bool, typer.Option("--yes", help="Move the records; without it, only list them.")] = False,
+    do_it: _Yes = False,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -184,10 +187,7 @@ def archive(
 
 
 def prune(
-    keep_positions: Annotated[
-        str | None,
-        typer.Option(help="Keep the detections, stereo matches and positions of drives this long: 90d, 12w, 36h."),
-    ] = None,
+    keep_positions: _KeepPositions = None,
     keep_results: Annotated[str | None, typer.Option(help="Keep files of intermediate results this long.")] = None,
     keep_pictures: Annotated[
         str | None, typer.Option("--keep-images", "--keep-pictures", help="Keep images unpacked from bags this long.")
@@ -195,7 +195,7 @@ def prune(
     keep_publications: Annotated[
         str | None, typer.Option(help="Keep published files this long; the latest publication is always kept.")
     ] = None,
-    do_it: Annotated[bool, typer.Option("--yes", help="Delete; without it, only list what would be deleted.")] = False,
+    do_it: _Yes = False,
     as_json: JsonOption = False,
 ) -> None:
     """Delete raw records and files older than the given ages. Without --yes it only lists them.

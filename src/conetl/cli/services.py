@@ -14,7 +14,17 @@ from typing import Annotated, Any
 
 import typer
 
-from conetl.cli.console import JsonOption, MapOption, answer, counted, print_json, print_table, say, spinner
+from conetl.cli.console import (
+    DecisionsOption,
+    JsonOption,
+    MapOption,
+    answer,
+    counted,
+    print_json,
+    print_table,
+    say,
+    spinner,
+)
 from conetl.db.cluster.cluster import cluster_down, cluster_status
 from conetl.db.connection import sqlalchemy_url
 from conetl.db.schema import prefect_database
@@ -45,9 +55,7 @@ def up(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of Prefect.")] = 4200,
     view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the web view, on 127.0.0.1.")] = 8791,
-    decisions: Annotated[
-        bool, typer.Option("--decisions", help="Enable decisions in the web view (require the writer token).")
-    ] = False,
+    decisions: DecisionsOption = False,
     group: Annotated[
         str | None, typer.Option(help="Operating system group that may read results, reports and exports.")
     ] = None,

@@ -34,13 +34,21 @@ def _problem(error: Any, context: Any) -> str:
     if text.startswith("No such option"):
         name = text.split(": ", 1)[1].split(" ", maxsplit=1)[0]
         known = [option for param in context.command.params for option in param.opts if option.startswith("--")]
-        near = get_close_matches(name, known, n=2, cutoff=0.5)
+        near = _as_settings(name) if "--set" in known else []
+        near = near or get_close_matches(name, known, n=2, cutoff=0.5)
         return f"there is no option {name}" + (f"; did you mean {' or '.join(near)}?" if near else "")
     if text.startswith("Got unexpected extra argument"):
         extra = text.partition("(s) (")[2].rstrip(")")
         has_map = any("--map" in param.opts for param in context.command.params)
         return f"unexpected argument {extra}" + (f"; did you mean --map {extra}?" if has_map else "")
     return text[:1].lower() + text[1:]
+
+
+def _as_settings(name: str) -> list[str]:
+    """`--set images.start=...` for `--start`: keys of drive.yaml of this name."""
+    from conetl.readers.drives.template import similar_keys  # the readers take time to load
+
+    return [f"--set {key}=..." for key in similar_keys(name.lstrip("-"))]
 
 
 def _in_groups(name: str, context: Any) -> list[str]:

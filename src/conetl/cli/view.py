@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 import uvicorn
 
-from conetl.cli.console import JsonOption, MapOption, answer, err, note
+from conetl.cli.console import DecisionsOption, JsonOption, MapOption, answer, err, note
 from conetl.cli.database import require_maps
 from conetl.db.map.map_store import require_map
 from conetl.files.home import WRITER_TOKEN, login_address, make_secret, read_secret, validated_secret, view_token
@@ -30,13 +30,7 @@ _MAX_CONNECTIONS = 256
 def view(
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port on 127.0.0.1.")] = 8791,
     map_name: MapOption = None,
-    decisions: Annotated[
-        bool,
-        typer.Option(
-            "--decisions",
-            help="Enable decisions (suppress, pin, revert). They require the writer token, which is created in CONETL_HOME.",
-        ),
-    ] = False,
+    decisions: DecisionsOption = False,
     writer_token_file: Annotated[
         Path | None,
         typer.Option(help="Enable decisions with the token in this file (mode 600); or set CONETL_WRITER_TOKEN."),

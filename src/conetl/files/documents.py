@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from io import FileIO
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -33,7 +33,7 @@ MAX_SHOWN, MAX_MESSAGE = 200, 400
 
 #: pydantic's kind of an error -> what was expected; {} are the error's own figures.
 _EXPECTED = {
-    "missing": "is missing", "extra_forbidden": "unknown key",
+    "missing": "is missing", "extra_forbidden": "unknown key", "invalid_key": "unknown key",
     "greater_than": "expected more than {gt}", "greater_than_equal": "expected at least {ge}",
     "less_than_equal": "expected at most {le}",
     "string_pattern_mismatch": "expected text that matches {pattern}",
@@ -58,6 +58,16 @@ _DATE = "expected a date like 2026-03-02"
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxdict, _short.maxlist = 2, 6, 6
 _short.maxstring = _short.maxother = _short.maxlong = MAX_SHOWN
+
+
+class _Loader(yaml.CSafeLoader):
+    """Dates and times stay text, which says to which digit a time is known."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":timestamp")]
+    for first, resolvers in yaml.CSafeLoader.yaml_implicit_resolvers.items()
+}
 
 
 def shown(value: object) -> str:
@@ -156,12 +166,12 @@ def read_yaml(path: Path) -> Any:
     return parse_yaml(path, read_limited(path, MAX_YAML_BYTES))
 
 
-def parse_yaml(path: Path, text: str) -> Any:
-    """Content of the text of a YAML file. Raises InputError where it is not YAML or exceeds a limit."""
-    # Dates and numbers that do not exist are ValueErrors.
-    with library_errors(f"{path}: this is not YAML", yaml.YAMLError, ValueError):
-        _require_bounded(path, text)
-        return yaml.load(text, Loader=yaml.CSafeLoader)
+def parse_yaml(source: object, text: str) -> Any:
+    """Content of a text in YAML, of a file or an option. Raises InputError where it is not YAML or exceeds a limit."""
+    # Numbers and tagged times that do not exist are ValueErrors.
+    with library_errors(f"{source}: this is not YAML", yaml.YAMLError, ValueError):
+        _require_bounded(source, text)
+        return yaml.load(text, Loader=_Loader)
 
 
 def read_yaml_model(path: Path | None, model: type[Model], what: str) -> Model:
@@ -200,11 +210,17 @@ def validated(values: Mapping[str, Any], model: type[Model], name: str) -> Model
 def _fields_at(model: type[BaseModel], path: tuple[int | str, ...]) -> list[str]:
     """Names of the fields of the nested model at `path`."""
     for part in path:
-        inner = model.model_fields[str(part)].annotation
-        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+        inner = nested_model(model.model_fields[str(part)].annotation)
+        if inner is None:
             return []
         model = inner
     return list(model.model_fields)
+
+
+def nested_model(annotation: Any) -> type[BaseModel] | None:
+    """The model that the values of a field are, or may be."""
+    kinds = (annotation, *get_args(annotation))
+    return next((kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)), None)
 
 
 def read_json(path: Path) -> Any:
@@ -214,7 +230,7 @@ def read_json(path: Path) -> Any:
         return json.loads(read_limited(path))
 
 
-def _require_bounded(path: Path, text: str) -> None:
+def _require_bounded(source: object, text: str) -> None:
     """Count depth and values from the parser's events, before anything is built."""
     sizes: dict[str, int] = {}
     open_nodes: list[tuple[str | None, int]] = [(None, 0)]  # anchor, values before it
@@ -236,6 +252,6 @@ def _require_bounded(path: Path, text: str) -> None:
         if len(open_nodes) > MAX_DEPTH or values > MAX_VALUES:
             line = event.start_mark.line + 1 if event.start_mark else 1
             raise InputError(
-                f"{path}: line {line} exceeds {MAX_VALUES:,} values (each alias counts as what it refers "
+                f"{source}: line {line} exceeds {MAX_VALUES:,} values (each alias counts as what it refers "
                 f"to) or {MAX_DEPTH} levels"
             )

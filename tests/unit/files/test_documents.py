@@ -34,7 +34,7 @@ BOMB = "\n".join(f"l{n}: &l{n} [{', '.join([f'*l{n - 1}'] * 9) if n else 'x'}]" 
         ("{a: " * 20_000, "levels"),
         ("- " * 20_000, "levels"),
         ("x: " + "y" * MAX_YAML_BYTES, "at most 256,000 bytes"),
-        ("at: 2026-13-45", "not YAML"),
+        ("at: !!timestamp 2026-13-45", "not YAML"),
         (f"n: {'9' * 5000}", "not YAML"),
         ("a: !!python/object/apply:os.system [id]", "not YAML"),
         ("a: b: c", "not YAML"),
@@ -47,6 +47,11 @@ def test_hostile_yaml_is_refused_in_one_sentence(tmp_path: Path, text: str | byt
     with pytest.raises(InputError, match=said) as refused:
         read_yaml(path)
     assert len(str(refused.value)) < len(str(path)) + MAX_SHOWN + 100
+
+
+def test_times_keep_their_digits(tmp_path: Path) -> None:
+    (tmp_path / "drive.yaml").write_text("start: 2026-03-02 10:00:00.000000250Z\ndate: 2026-03-02\n")
+    assert read_yaml(tmp_path / "drive.yaml") == {"start": "2026-03-02 10:00:00.000000250Z", "date": "2026-03-02"}
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "{", '{"a": ' * 50_000, "9" * 5000, "NaN,"])

@@ -6,13 +6,9 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from datetime import datetime, timedelta, timezone
-from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import av
 import numpy as np
@@ -31,9 +27,11 @@ from conetl.perception.video import index_video, video_facts
 from conetl.perception.video_sync import find_video_lag
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives import find_format, read_drive, video, video_timing
+from conetl.readers.drives import find_format, read_drive, video
+from conetl.readers.drives.drive_yaml import DriveYaml, Mount, read_drive_yaml, stated
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import Image, pair_by_stamp
+from conetl.readers.drives.template import KEYS, Missing, is_template, template
 from conetl.readers.rigs import WRITERS, read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
 from conetl.reports.inspection_images import _middle_pair
@@ -95,19 +93,20 @@ def copied(folder: Path, tmp_path: Path, *left_out: str, settings: str | None = 
     return copy
 
 
-def init(folder: Path, *options: str) -> Result:
-    return CliRunner().invoke(app, ["init", str(folder), "--yes", *options])
+def init(folder: Path, *words: str) -> Result:
+    """`conetl init`; words with a = and without dashes are values of drive.yaml."""
+    options = (["--set", word] if "=" in word and not word.startswith("--") else [word] for word in words)
+    return CliRunner().invoke(app, ["init", str(folder), *(part for option in options for part in option)])
 
 
-def init_on_terminal(folder: Path, answers: list[str], *options: str) -> subprocess.CompletedProcess[str]:
-    """`conetl init` that asks; the input ends after the answers."""
-    terminal, stdin = os.openpty()
-    os.write(terminal, "".join([*(f"{answer}\n" for answer in answers), "\x04"]).encode())
-    command = [sys.executable, "-c", "from conetl.cli import main; main()", "init", str(folder), *options]
-    made = subprocess.run(command, stdin=stdin, capture_output=True, text=True, timeout=120, check=False)
-    os.close(terminal)
-    os.close(stdin)
-    return made
+def missing(made: Result) -> dict[str, str]:
+    """What `init` says of each value that is missing, by its key; drive.yaml has a place for each."""
+    assert made.exit_code == 1 and "was written, but these values are missing" in made.output, (
+        made.output,
+        made.exception,
+    )
+    listed = re.findall(r"^  --(?:set '?([\w.]+)=|(rig) ).*\n      (.*)$", made.output, re.MULTILINE)
+    return {key or rig: text for key, rig, text in listed}
 
 
 def start_of(drive: Drive) -> str:
@@ -269,7 +268,7 @@ def test_names_that_may_be_times_or_not_are_refused(
 ) -> None:
     named_by_time(tmp_path / "run", sample, name_of)
     made = init(tmp_path / "run")
-    assert understood in str(made.exception) and "--timestamps: " in str(made.exception), (made.output, made.exception)
+    assert understood in missing(made)["images.timestamps"]
 
 
 def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: Path, sample: Drive) -> None:
@@ -281,20 +280,20 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
     write_rig_yaml(sample.rig, root / "rig.yaml")
     write_csv(root, video_drives.known_of(sample))
     (root / "times.txt").write_text("\n".join(f"{p.captured_at_ns}" for p in sample.frame_pairs))
-    made = init(root, "--start", "2026-03-02 09:41:07Z")
-    said = str(made.exception)
-    assert "names of the images in left (0000.jpg to 0015.jpg) are not times" in said and "--timestamps: " in said
-    assert "images.start is for videos" in said and not (root / "drive.yaml").exists()
-    made = init(root, "--timestamps", "time.txt")
-    assert "--timestamps time.txt: there is no such file or folder" in str(made.exception)
+    made = init(root, "images.timestamps=time.txt")
+    assert "images.timestamps: there is no file or folder time.txt in " in str(made.exception)
+    assert not (root / "drive.yaml").exists()
+    said = missing(init(root, "images.start=2026-03-02 09:41:07Z"))["images.timestamps"]
+    assert "names of the images in left (0000.jpg to 0015.jpg) are not times" in said
+    assert "images.start is for videos" in said
     (root / "local.txt").write_text("\n".join(f"{p.captured_at_ns + 3600 * 10**9}" for p in sample.frame_pairs))
-    made = init(root, "--timestamps", "local.txt")
+    made = init(root, "images.timestamps=local.txt")
     assert made.exit_code == 1 and "its own are from 2026-03-02T09:41:07" in made.output
     assert "trajectory.time: Europe/Berlin" in made.output
     # The trajectory states the times, too, if it has a record per image.
     assert "drive.csv has one record per image" in said
     for file in ("times.txt", "drive.csv"):
-        made = init(root, "--force", "--timestamps", file)
+        made = init(root, f"images.timestamps={file}")
         assert made.exit_code == 0 and "16 frame pairs" in made.output, made.output
         drive, _ = read_drive(root)
         assert [p.captured_at_ns for p in drive.frame_pairs] == [p.captured_at_ns for p in sample.frame_pairs]
@@ -304,7 +303,7 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
         read_drive(root)
     (root / "drive.yaml").unlink()
     (root / "drive.csv").rename(root / "short.csv")
-    assert "one record per image;" not in str(init(root).exception)
+    assert "one record per image;" not in missing(init(root))["images.timestamps"]
 
 
 @pytest.mark.parametrize("broken", ["mount: {forward_m: 1070, left_m: 0, up_m: 0}\n", "mount: {\n"])
@@ -315,7 +314,9 @@ def test_init_replaces_a_drive_yaml_with_a_wrong_value(broken: str, tmp_path: Pa
     for side, name in (("left", "Cam_L"), ("right", "Cam_R")):
         (root / side).rename(root / name)
     (root / "drive.yaml").write_text(f"images: {{left: Cam_L, right: Cam_R}}\n{broken}")
-    made = init(root, "--force", "--mount", "1.07,0,0")
+    options = "images.left=Cam_L", "mount={forward_m: 1.07, left_m: 0, up_m: 0}"
+    assert "drive.yaml was not written by 'conetl init'" in str(init(root, *options).exception)
+    made = init(root, "--force", *options)
     assert made.exit_code == 0 and "16 frame pairs" in made.output, (made.output, made.exception)
 
 
@@ -406,24 +407,27 @@ def test_frames_are_found_for_people_inside_the_drive_only(folder: Path) -> None
 
 def test_init_writes_what_the_folder_says(folder: Path, tmp_path: Path, sample: Drive) -> None:
     copy = copied(folder, tmp_path)
-    known = ("--start", start_of(sample))
+    known = (f"images.start={start_of(sample)}",)
     made = init(copy, *known)
     assert made.exit_code == 0, made.output
     assert "video left.mp4 and right.mp4: 960 x 320, 16 frames" in made.output and "a right file" not in made.output
     assert "16 frame pairs" in made.output and f"conetl ingest {copy}" in made.output
     assert len(read_drive(copy)[0].frame_pairs) == COUNT
-    again = init(copy, *known)
-    assert again.exit_code != 0 and "--force" in str(again.exception)
-    part = init(copy, *known, "--force", "--every", "3", "--from", "0.15", "--to", "1.05")
+    written = (copy / "drive.yaml").read_text()
+    again = init(copy)
+    assert again.exit_code == 0 and (copy / "drive.yaml").read_text() == written
+    part = init(copy, "images.every=3", "images.from_s=0.15", "images.to_s=1.05")
     assert part.exit_code == 0, part.output
     whole, shorter = sample.frame_pairs[0].captured_at_ns, [p.captured_at_ns for p in read_drive(copy)[0].frame_pairs]
     assert [round((t - whole) / 1e8) for t in shorter] == [2, 5, 8]  # of frames 0.1 s apart
-    backwards = init(copy, *known, "--force", "--from", "5", "--to", "2")
-    assert "--to 2 is not after --from 5" in str(backwards.exception)
+    assert "images: to_s 2 is not after from_s 5" in str(init(copy, "images.from_s=5", "images.to_s=2").exception)
+    assert init(copy, "images.every=", "images.from_s=", "images.to_s=").exit_code == 0
+    assert (copy / "drive.yaml").read_text() == written, "values that are removed"
     named = tmp_path / "a b"
     named.symlink_to(SAMPLE)
     drive = CliRunner().invoke(app, ["init", str(named), "--json"])
     assert json.loads(drive.output)["next"][1] == f"conetl ingest '{named}'"
+    assert "is already a drive (kitti): write its settings into drive.yaml" in str(init(named, *known).exception)
 
 
 @pytest.mark.parametrize("suffix", [".svo", ".svo2"])
@@ -442,33 +446,137 @@ def test_recordings_of_zed_cameras_name_the_tool_that_exports_them(
     both = [np.hstack([read_pair_image(p, s, sample.rig) for s in ("left", "right")]) for p in sample.frame_pairs]
     times_ns = [pair.captured_at_ns for pair in sample.frame_pairs]
     video_drives.write_frames(copy / "road.avi", both, times_ns, "mjpeg", {"q:v": "2"}, 10)
-    made = init(copy, "--layout", "left-right", "--start", start_of(sample))
+    made = init(copy, "images.layout=left-right", f"images.start={start_of(sample)}")
     assert made.exit_code == 0 and "16 frame pairs" in made.output, (made.output, made.exception)
 
 
-def test_init_names_the_options_for_what_is_missing(folder: Path, tmp_path: Path) -> None:
+def test_init_lists_what_is_missing(folder: Path, tmp_path: Path) -> None:
     copy = copied(folder, tmp_path, "rig.yaml", "drive.csv")
     for side in ("left", "right"):
         (copy / f"{side}.mp4").rename(copy / f"GX01_{len(side)}.mp4")
-    made = init(copy)
-    assert made.exit_code != 0
-    assert all(f"--{option}: " in str(made.exception) for option in ("left", "trajectory", "rig"))
-    assert "--right" not in str(made.exception), "of two videos, the other one"
-    made = init(copy, "--left", "GX02.mp4")
-    assert f"--left GX02.mp4: there is no such file or folder in {copy}" in str(made.exception)
+    assert "images.left: there is no file or folder GX02.mp4 in" in str(init(copy, "images.left=GX02.mp4").exception)
+    assert not (copy / "drive.yaml").exists()
+    assert list(missing(init(copy))) == ["images.left", "trajectory.file", "rig"], "of two videos, the other one"
     (copy / "GX01_5.mp4").rename(copy / "right.mp4")
-    assert "--left" not in str(init(copy).exception)
-    for header, option in (
+    assert "images.left" not in missing(init(copy))
+    (copy / "log.csv").touch()
+    for header, key in (
         ("time,easting,northing,h", "crs"),
         ("time,lat,lon,h_msl", "heights"),
         ("Ortszeit,lat,lon,h", "time"),
     ):
         lines = (f"2024-02-07 10:15:0{second},49.000{second},8,110\n" for second in range(2))
         (copy / "log.csv").write_text("".join((header, "\n", *lines)))
-        made = init(copy)
-        assert f"--{option}: In which" in str(made.exception), made.exception
-        assert "drive.yaml" not in str(made.exception), "which conetl init writes"
+        assert "drive.yaml" not in missing(init(copy))[f"trajectory.{key}"], "which conetl init writes"
+
+
+def test_a_drive_yaml_with_places_for_what_is_missing_can_be_completed(
+    folder: Path, tmp_path: Path, sample: Drive
+) -> None:
+    copy = copied(folder, tmp_path, "rig.yaml", "drive.csv")
+    WRITERS["opencv"](read_rig_yaml(folder / "rig.yaml"), copy / "stereo.yml")
+    video_drives.LOGS["GPX"].write(copy, video_drives.known_of(sample))
+    path = copy / "drive.yaml"
+    assert list(missing(init(copy))) == ["sigmas.horizontal_m", "mount"]
+    text = path.read_text()
+    assert "  # NEEDED, like 0.02: Accuracy of the positions, horizontally, in metres" in text
+    assert "  # every: 2  # Use every n-th frame pair." in text
+    empty = re.findall(r"^  (\w+):$", text, re.MULTILINE)
+    assert empty == ["horizontal_m", "forward_m", "left_m", "up_m", "pitch_deg"]
+    assert list(missing(init(copy))) == ["sigmas.horizontal_m", "mount"] and path.read_text() == text
+    with pytest.raises(DriveFolderError, match=r"rig\.yaml is missing"):
+        read_drive(copy)
+    path.write_text(text.replace("  forward_m:\n", "  forward_m: 1.5\n"))
+    assert f"settings {path}: mount.left_m: is missing" in str(init(copy).exception)
+    for key, value in {"horizontal_m": 0.02, "forward_m": 1.5, "left_m": 0.2, "up_m": 0.4}.items():
+        text = text.replace(f"  {key}:\n", f"  {key}: {value}\n")
+    path.write_text(text.replace("# drive_id: morning-run", "drive_id: ring road"))
+    made = init(copy)
+    assert list(missing(made)) == ["images.start"] and "left camera: 1.5 m in front of" in made.output
+    # A time needs no quotes, and keeps its digits.
+    path.write_text(path.read_text().replace("  start:\n", f"  start: {start_of(sample)}\n"))
+    made = init(copy)
+    assert made.exit_code == 0 and "NEEDED" not in path.read_text(), (made.output, made.exception)
+    assert yaml.safe_load(path.read_text()) == {
+        "drive_id": "ring road", "images": {
+            "left": "left.mp4", "right": "right.mp4", "start": start_of(sample), "right_offset_s": 0.0,
+        },
+        "trajectory": {"file": "van.gpx"}, "sigmas": {"horizontal_m": 0.02},
+        "mount": {"forward_m": 1.5, "left_m": 0.2, "up_m": 0.4}, "clock": None,
+    }  # fmt: skip
+    # As much can be stated by options.
+    again = copied(copy, tmp_path / "again", "rig.yaml")
+    options = (
+        "sigmas.horizontal_m=0.02",
+        "drive_id=ring road",
+        "mount.forward_m=1.5",
+        "mount.left_m=0.2",
+        "mount.up_m=0.4",
+    )
+    made = init(again, *options, f"images.start={start_of(sample)}")
+    assert made.exit_code == 0 and yaml.safe_load((again / "drive.yaml").read_text()) == yaml.safe_load(
+        path.read_text()
+    )
+
+
+@pytest.mark.parametrize(
+    ("word", "says"),
+    [
+        ("start=noon", "--set start: drive.yaml has no such key; did you mean images.start?"),
+        ("mount.foward_m=1", "did you mean mount.forward_m?"),
+        ("colour=red", "drive.yaml has no such key; they are listed in docs/reference/drives.md"),
+        ("=red", "--set '=red': expected KEY=VALUE, like images.every=2"),
+        ("images.every=two", "--set: images.every: expected a whole number, found 'two'"),
+        ("images.layout=noon", "--set: images.layout: expected 'left-right', 'right-left'"),
+        ("images.start=noon", "images.start: expected a time stamp"),
+        ("trajectory.date=noon", "--set: trajectory.date: expected a date like 2026-03-02"),
+        ("trajectory.time=noon", "expected utc, gps or a zone"),
+        ("trajectory.columns=Messzeit,2", "--set: trajectory.columns: expected keys and values"),
+        ("mount={forward_m: 1,07, left_m: 0, up_m: 1}", "--set: mount.7: unknown key"),
+        ("mount.forward_m={1", "--set mount.forward_m: this is not YAML"),
+        ("mount.up_m=1", "--set: mount.forward_m: is missing"),
+        ("images.left.name=a", "--set images.left.name: drive.yaml has no such key"),
+    ],
+)  # fmt: skip
+def test_a_wrong_value_names_its_key_and_changes_nothing(word: str, says: str, folder: Path, tmp_path: Path) -> None:
+    copy = copied(folder, tmp_path)
+    made = init(copy, word)
+    assert isinstance(made.exception, InputError) and says in str(made.exception), (made.output, made.exception)
     assert not (copy / "drive.yaml").exists()
+
+
+def test_names_of_files_do_not_change_the_meaning_of_a_template(tmp_path: Path) -> None:
+    """Causes quote files, and comments end with their line."""
+    for name in ("a\nmount: 3", "b\x85mount: 3", "c\u2028mount: 3", "d\x07 # ", "Höhe: 'x'"):
+        text = template({"images": {"left": name}}, [Missing("images.right", f"Found: {name}", name)])
+        (tmp_path / "drive.yaml").write_text(text, encoding="utf-8")
+        assert read_drive_yaml(tmp_path).model_dump(exclude_unset=True) == {"images": {"left": name}}, text
+        assert is_template(tmp_path / "drive.yaml")
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"clock": {}}, {"clock": {"offset_s": "estimate"}}, {"pair": ["a", "b"], "cameras": {"left": "image_01"}},
+        {"control_points": {"file": "points.csv", "sigma_m": 0.02}, "antenna_t_m": [0.4, -0.2, 1.1], "map_srid": 25832},
+        {"trajectory": {"date": "2024-02-07", "delimiter": " ", "decimal": ",", "columns": {"time": 1, "lat": "Höhe, ell."}}},
+        {"images": {"start": "2026-03-02 10:00:00.250Z", "layout": "left-right"}, "timestamps_timezone": "Europe/Berlin"},
+    ],
+)  # fmt: skip
+def test_a_template_states_the_same_settings(settings: dict[str, object], tmp_path: Path) -> None:
+    (tmp_path / "drive.yaml").write_text(template(settings, []), encoding="utf-8")
+    assert read_drive_yaml(tmp_path) == DriveYaml.model_validate(settings)
+
+
+def test_every_key_of_a_template_is_one_of_drive_yaml() -> None:
+    """Also those that are comments."""
+    text = re.sub(r"^(\s*)# (\w+: )", r"\1\2", template({}, [Missing("mount")]), flags=re.MULTILINE)
+    text = re.sub(r"^  (\w+):$", r"  \1: 1", text, flags=re.MULTILINE)
+    read = DriveYaml.model_validate(yaml.safe_load(text))
+    assert (read.mount, read.images.every, read.trajectory.heights) == (
+        Mount(forward_m=1, left_m=1, up_m=1, pitch_deg=1, yaw_deg=-1.5, roll_deg=0.5), 2, "EPSG:5773"
+    )  # fmt: skip
+    assert all(field.description for key, field in KEYS.items() if field.examples)
 
 
 def test_init_names_the_drive_inside_a_folder(folder: Path, tmp_path: Path) -> None:
@@ -476,7 +584,7 @@ def test_init_names_the_drive_inside_a_folder(folder: Path, tmp_path: Path) -> N
     assert f"run is a drive already: conetl ingest {drive}" in str(init(tmp_path / "day").exception)
 
 
-def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path, sample: Drive) -> None:
+def test_init_needs_to_know_the_columns_of_a_table(folder: Path, tmp_path: Path, sample: Drive) -> None:
     copy = copied(folder, tmp_path)
     log = copy / "drive.csv"
     rows = [line.split(",")[:7] for line in log.read_text().splitlines()[2:]]
@@ -484,17 +592,19 @@ def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path,
     names = ["Messzeit", "geogr. Breite", "geogr. Länge", "Höhe, ell.", "Wanken [°]", "Nicken [°]", "Kurs"]
     table = [";".join(names), *(";".join([row[0].rstrip("Z"), *row[1:]]) for row in rows)]
     (copy / "Fahrt.csv").write_text("\n".join(table), encoding="cp1252")
-    known = ["--start", start_of(sample), "--right-offset", "0", "--sigma", "0.02", "--mount", "1,0,1"]
-    said = str(init(copy, *known).exception)
-    assert "--trajectory: " in said and "none was recognised; there is Fahrt.csv" in said
-    known += ["--trajectory", "Fahrt.csv"]
-    said = str(init(copy, *known).exception)
-    assert "--columns: Which columns contain what" in said and "found Messzeit, geogr. Breite, " in said, said
+    known = [
+        f"images.start={start_of(sample)}",
+        "images.right_offset_s=0",
+        "sigmas.horizontal_m=0.02",
+        "mount={forward_m: 1, left_m: 0, up_m: 1}",
+    ]
+    said = missing(init(copy, *known))["trajectory.file"]
+    assert "none was recognised; there is Fahrt.csv" in said
+    said = missing(init(copy, "trajectory.file=Fahrt.csv"))["trajectory.columns"]
+    assert "Which columns of a table contain what" in said and "found Messzeit, geogr. Breite, " in said, said
     assert "drive.yaml" not in said, said
-    made = init(copy, *known, "--columns", "Messzeit,2")
-    assert "--columns 'Messzeit,2': expected names as in time=Zeit" in str(made.exception)
-    columns = ["--columns", "time=Messzeit, lat=2,lon=3,height=4,roll=5,pitch=6,heading=Kurs"]
-    made = init(copy, *known, *columns)
+    columns = "trajectory.columns={time: Messzeit, lat: 2, lon: 3, height: 4, roll: 5, pitch: 6, heading: Kurs}"
+    made = init(copy, columns)
     assert made.exit_code == 0, made.exception
     assert "Fahrt.csv: times taken as UTC; if they are local" in made.output, made.output
     assert "Fahrt.csv: heights taken as ellipsoidal; if they are not" in made.output, made.output
@@ -506,68 +616,40 @@ def test_init_asks_what_the_columns_of_a_table_are(folder: Path, tmp_path: Path,
     stated = yaml.safe_load((copy / "drive.yaml").read_text())["trajectory"]["columns"]
     assert stated == {"time": "Messzeit", "lat": 2, "lon": 3, "height": 4, "roll": 5, "pitch": 6, "heading": "Kurs"}
     assert len(read_drive(copy)[0].frame_pairs) == COUNT
-    # With --force the columns stay, whatever characters their names have; a line without time is not why no record fits.
-    stated["height"] = "Höhe, ell."
-    (copy / "drive.yaml").write_text(yaml.safe_dump({"trajectory": {"file": "Fahrt.csv", "columns": stated}}))
-    made = init(copy, *known, "--force", "--time", "utc")
+    # The columns stay, whatever characters their names have; a line without time is not why no record fits.
+    made = init(copy, "trajectory.columns.height='Höhe, ell.'", "trajectory.time=utc")
     assert made.exit_code == 0 and "taken as UTC" not in made.output, made.exception
+    stated["height"] = "Höhe, ell."
     assert yaml.safe_load((copy / "drive.yaml").read_text())["trajectory"]["columns"] == stated
-    made = init(
-        copy, *known, "--force", "--time", "Asia/Tokyo", "--columns", columns[1].replace("Messzeit", "1")
-    )  # fmt: skip
-    assert made.exit_code == 2 or isinstance(made.exception, ConetlError), made.output
+    made = init(copy, "trajectory.time=Asia/Tokyo", columns.replace("Messzeit", "1"))
+    assert isinstance(made.exception, ConetlError), made.output
     assert "Fahrt.csv covers 2026-03-02 00:41:07 to 2026-03-02 00:41:" in str(made.exception), made.exception
 
 
-def test_init_says_what_is_wrong_with_an_answer_before_it_asks_again(folder: Path, tmp_path: Path) -> None:
+def test_init_does_not_ask_for_columns_where_another_value_is_wrong(folder: Path, tmp_path: Path) -> None:
     copy = copied(folder, tmp_path, "drive.csv")
     rows = [f"07.02.2024;09:15:0{second};458000;542700{second};110" for second in range(5)]
     (copy / "log.csv").write_text("\n".join(["Messtag;Zeit;Ostwert;Nordwert;H", *rows]))
-    answers = ["0.02", "EPSG:25832", "{date", "date=Tag", "date=Messtag"]
-    made = init_on_terminal(copy, answers, "--trajectory", "log.csv")
-    wanted = (
-        "does not state their coordinate reference system",
-        "In which coordinate reference system are its positions",
-        "0.02: drive.yaml: trajectory.crs: '0.02' is not known to PROJ",
-        "In which coordinate reference system are its positions",
-        "no usable pose: line 2: expected a time stamp like",
-        "Which columns contain what",
-        ": '{date': this is not JSON",
-        "Which columns contain what",
-        "has no column 'Tag', which trajectory.columns names; its columns are Messtag, Zeit",
-        "Which columns contain what",
-        "trajectory log.csv (table): 5 records",
-        "How accurate are its positions",
-    )
-    at = 0
-    for text in wanted:
-        at = made.stdout.find(text, at)
-        assert at >= 0, (text, made.stdout)
-        at += len(text)
-    assert "--crs" not in made.stdout and "--columns" not in made.stdout, "the options were not typed"
-    said = str(init(copy, "--trajectory", "log.csv", "--crs", "EPSG:25832").exception)
-    assert "--columns: Which columns contain what" in said and "found '09:15:00'" in said, said
+    log = "trajectory.file=log.csv"
+    assert "does not state their coordinate reference system" in missing(init(copy, log))["trajectory.crs"]
+    said = str(init(copy, "trajectory.crs=0.02").exception)
+    assert (
+        said.endswith("drive.yaml: trajectory.crs: '0.02' is not known to PROJ")
+        or "'0.02' is not known to PROJ" in said
+    ), said
+    said = missing(init(copy, "trajectory.crs=25832"))["trajectory.columns"]
+    assert "no usable pose: line 2: expected a time stamp like" in said and "found '09:15:00'" in said, said
+    said = str(init(copy, "trajectory.columns={date: Tag}").exception)
+    assert "has no column 'Tag', which trajectory.columns names; its columns are Messtag, Zeit" in said, said
+    assert list(missing(init(copy, "trajectory.columns={date: Messtag}"))) == ["sigmas.horizontal_m"]
 
 
-def test_init_says_how_to_go_on_without_an_answer(folder: Path, tmp_path: Path) -> None:
-    copy = copied(folder, tmp_path, "drive.csv")
-    rows = (folder / "drive.csv").read_text().splitlines()
-    (copy / "drive.csv").write_text("\n".join([*rows[:4], *rows[5:]]))  # with a record per frame it suggests a time
-    made = init_on_terminal(copy, ["", "noon", "2026-03-02 09:41:07Z"], "--right-offset", "0")
-    assert made.returncode == 0, made
-    asked = "Time of the first left frame, in UTC or with a UTC offset, like 2026-03-02 11:00:00.250+01:00; to the second if"
-    _, first, second, third = made.stdout.split(asked)
-    assert "This value is required. To look it up first, press Ctrl-C; nothing has been written." in first
-    assert ": expected a time stamp like 2011-09-26 13:04:32.345, found 'noon'\n" in second, second
-    assert "Next: conetl ingest" in third
-
-
-def test_heights_of_unknown_reference_are_asked_for_and_named(
+def test_heights_of_unknown_reference_are_named(
     folder: Path, tmp_path: Path, sample: Drive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     copy = copied(folder, tmp_path, "drive.csv")
     log = write_gpx(copy, video_drives.known_of(sample), geoid=False)
-    known = ["--start", start_of(sample), "--right-offset", "0", "--sigma", "0.02", "--force"]
+    known = [f"images.start={start_of(sample)}", "images.right_offset_s=0", "sigmas.horizontal_m=0.02"]
     remark = (
         f"{log}: does not state whether its heights are above sea level or the ellipsoid: vertical sigma 100 m. Put "
         "into drive.yaml, below trajectory, heights: 'EPSG:5773' (sea level, EGM96) or heights: ellipsoidal"
@@ -580,17 +662,10 @@ def test_heights_of_unknown_reference_are_asked_for_and_named(
     assert str(ingested.exception) == "stop here" and f"note: {remark}" in ingested.output, ingested.output
     assert f"note: {remark}" in CliRunner().invoke(app, ["inspect", str(copy)]).output
     assert max(pair.pose.sigma_enu_m[2] for pair in read_drive(copy)[0].frame_pairs) > 100
-    question = (
-        "Heights of van.gpx: EPSG:5773 if above sea level (EGM96), ellipsoidal, or unknown (sigma 100 m)? [unknown]"
-    )
-    for answer in ("", "ellipsoidal"):
-        run = init_on_terminal(copy, [answer], *known)
-        assert run.returncode == 0 and question in run.stdout, (answer, run)
-        assert (remark in run.stderr) == (answer != "ellipsoidal"), (answer, run)
+    assert remark not in init(copy, "trajectory.heights=ellipsoidal").output
     assert read_header(copy).remarks == ()
     assert read_drive(copy)[0].frame_pairs[0].pose.sigma_enu_m[2] < 1
-    run = init_on_terminal(copy, [], *known, "--heights", "unknown")
-    assert run.returncode == 0 and question not in run.stdout and remark in run.stderr, "the option answers it"
+    assert remark in init(copy, "trajectory.heights=").output
     settings = yaml.safe_load((copy / "drive.yaml").read_text())
     assert "heights" not in settings["trajectory"]
     for section, key, value in (
@@ -614,19 +689,25 @@ def test_init_takes_the_size_of_the_images_where_a_calibration_has_none(folder: 
     (copy / "stereo.yml").write_text(text.replace("478.", "956."))
     made = init(copy)
     assert "stereo.yml is not used as a calibration: 'image_width, image_height' are missing" in made.output
-    assert "--rig: Which file" in str(made.exception)
+    assert "rig" in missing(made)
     # Which is not known before it is known how the images lie in a file.
     (copy / "stereo.yml").write_text(text)
     (copy / "right.mp4").unlink()
+    (copy / "drive.yaml").unlink()
     made = init(copy)
-    assert "--layout: Where are" in str(made.exception) and "--rig" not in str(made.exception)
+    assert "images.layout" in missing(made) and "rig" not in missing(made)
     assert "stereo.yml" not in made.output
 
 
 def test_init_takes_the_calibration_of_kitti(folder: Path, tmp_path: Path) -> None:
     copy = copied(folder, tmp_path, "rig.yaml")
     (copy / "calib_cam_to_cam.txt").hardlink_to(SAMPLE / "calib_cam_to_cam.txt")
-    made = init(copy, "--start", "2026-03-02 09:41:07.25Z", "--right-offset", "0", "--mount", "1,0,0.7,2")
+    made = init(
+        copy,
+        "images.start=2026-03-02 09:41:07.25Z",
+        "images.right_offset_s=0",
+        "mount={forward_m: 1, left_m: 0, up_m: 0.7, pitch_deg: 2}",
+    )
     assert made.exit_code == 0 and "calibration calib_cam_to_cam.txt (KITTI" in made.output, (
         made.output,
         made.exception,
@@ -653,39 +734,30 @@ def test_init_knows_the_layout_by_the_size_of_the_calibration(tmp_path: Path, sa
     for layout in ("left-right", "top-bottom"):
         root = video_drives.write_video_drive(tmp_path / layout, few, layout=layout)
         (root / "drive.yaml").unlink()
-        made = init(root, "--start", start_of(sample))
+        made = init(root, f"images.start={start_of(sample)}")
         assert made.exit_code == 0 and f"both.mp4: layout {layout}, by the size" in made.output, made.output
         assert yaml.safe_load((root / "drive.yaml").read_text())["images"]["layout"] == layout
     (root / "drive.yaml").unlink()
     (root / "rig.yaml").rename(tmp_path / "rig.yaml")
-    assert "--layout: Where are" in str(init(root).exception)
-    made = init(root, "--rig", str(tmp_path / "rig.yaml"), "--start", start_of(sample))
+    assert "images.layout" in missing(init(root))
+    made = init(root, "--rig", str(tmp_path / "rig.yaml"), f"images.start={start_of(sample)}")
     assert made.exit_code == 0, made.exception
-    made = init(root, "--force", "--layout", "0.05")
-    assert "--layout 0.05: expected one of left-right" in str(made.exception).replace("'", "")
 
 
 def test_init_suggests_the_first_record_of_a_log_with_one_per_frame(
-    folder: Path, tmp_path: Path, sample: Drive, monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, sample: Drive
 ) -> None:
-    copy, asked = copied(folder, tmp_path), []
-
-    def lag_of(*videos: Any) -> Any:
-        asked.append(videos)
-        return find_video_lag(*videos)
-
-    monkeypatch.setattr(video_timing, "_video_lag", lru_cache(maxsize=1)(lag_of))
+    copy = copied(folder, tmp_path)
     made = init(copy)
-    assert f"that was at {start_of(sample)}" in str(made.exception), made.exception
-    # What the images show is not searched again after an answer.
-    made = init(copy, "--start", start_of(sample))
-    assert made.exit_code == 0 and len(asked) == 1, made.output
+    assert f"that was at {start_of(sample)}" in missing(made)["images.start"]
+    assert f"--set 'images.start={start_of(sample)}'" in made.output
+    made = init(copy, f"images.start={start_of(sample)}")
+    assert made.exit_code == 0, made.output
     (copy / "drive.yaml").unlink()
     rows = (copy / "drive.csv").read_text().splitlines(keepends=True)
     (copy / "drive.csv").unlink()
     (copy / "short.csv").write_text("".join(rows[:-1]))
-    made = init(copy)
-    assert "--start: " in str(made.exception) and "that was at" not in str(made.exception)
+    assert "that was at" not in missing(init(copy))["images.start"]
 
 
 def test_init_finds_files_that_are_named_from_the_current_folder(
@@ -695,8 +767,8 @@ def test_init_finds_files_that_are_named_from_the_current_folder(
     (copy / "rig.yaml").rename(tmp_path / "van.yaml")
     (copy / "left.mp4").rename(copy / "a.mp4")
     monkeypatch.chdir(tmp_path)
-    files = ["--left", "copy/a.mp4", "--trajectory", "copy/drive.csv", "--rig", "van.yaml"]
-    made = init(Path("copy"), "--right-offset", "0", "--start", "2026-03-02 09:41:07.25", *files)
+    files = ["images.left=copy/a.mp4", "trajectory.file=copy/drive.csv", "--rig", "van.yaml"]
+    made = init(Path("copy"), "images.right_offset_s=0", "images.start=2026-03-02 09:41:07.25", *files)
     assert made.exit_code == 0, (made.exception, made.output)
     stated = yaml.safe_load((copy / "drive.yaml").read_text())
     assert (stated["images"]["left"], stated["trajectory"]["file"]) == ("a.mp4", "drive.csv")
@@ -710,26 +782,15 @@ def test_init_takes_no_shift_that_the_images_contradict(folder: Path, tmp_path: 
     late = whole.frame_pairs[1 : COUNT + 1]
     images, times_ns = [read_pair_image(pair, "right", whole.rig) for pair in late], [p.captured_at_ns for p in late]
     video_drives.write_frames(copy / "right.mp4", images, times_ns, "libx264", {"crf": "18"})
-    made = init(copy, "--start", start_of(whole))
-    assert "--right-offset: Seconds by which the right file begins" in str(made.exception), made.output
-    assert not (copy / "drive.yaml").exists()
-
-
-def test_init_names_all_that_is_missing_at_once(folder: Path, tmp_path: Path, sample: Drive) -> None:
-    """Where the mount is missing, too, which the search for the start needs."""
-    copy = copied(folder, tmp_path, "rig.yaml", "drive.csv")
-    WRITERS["opencv"](read_rig_yaml(folder / "rig.yaml"), copy / "stereo.yml")
-    video_drives.LOGS["GPX"].write(copy, video_drives.known_of(sample))
-    made = init(copy)
-    missing = [line.split(":")[0] for line in str(made.exception).splitlines()[1:]]
-    assert missing == ["  --sigma", "  --mount", "  --start"], made.exception
+    made = init(copy, f"images.start={start_of(whole)}")
+    assert "Seconds by which the right file begins" in missing(made)["images.right_offset_s"], made.output
 
 
 def test_a_start_without_a_fraction_of_a_second_is_uncertain(folder: Path, tmp_path: Path) -> None:
     """As people copy the time of creation from a video's container: half a second is metres on the road."""
     for start, sigma_s in (("2026-03-02 09:41:07Z", 0.29), ("2026-03-02 09:41:07.000Z", None)):
         copy = copied(folder, tmp_path / str(sigma_s))
-        made = init(copy, "--start", start, "--right-offset", "0")
+        made = init(copy, f"images.start={start}", "images.right_offset_s=0")
         assert made.exit_code == 0, made.exception
         assert ("its sigma is 0.29 s" in made.output) is (sigma_s is not None)
         assert read_drive(copy)[0].clock_sigma_s == sigma_s
@@ -740,17 +801,10 @@ def test_a_start_without_a_fraction_of_a_second_is_uncertain(folder: Path, tmp_p
             assert f"along the road becomes {along_m:.1f} m" in made.output and along_m > 3
 
 
-def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_behind(
-    folder: Path, tmp_path: Path
-) -> None:
-    copy = copied(folder, tmp_path, "rig.yaml")
-    WRITERS["opencv"](read_rig_yaml(folder / "rig.yaml"), copy / "stereo.yml")
-    files = {path.name: path.read_bytes() for path in copy.iterdir()}
-    made = init(copy, "--right-offset", "0", "--mount", "1,0,1")
-    assert made.exit_code != 0 and "--start: Time of the first left frame" in str(made.exception)
-    assert {path.name: path.read_bytes() for path in copy.iterdir()} == files, "nor the calibration that it found"
-    assert "time of creation" not in str(made.exception)
-    (copy / "rig.yaml").hardlink_to(folder / "rig.yaml")
+def test_init_names_a_start_that_the_images_do_not_show(folder: Path, tmp_path: Path) -> None:
+    copy = copied(folder, tmp_path)
+    made = init(copy, "images.right_offset_s=0")
+    assert "time of creation" not in missing(made)["images.start"]
     (copy / "left.mp4").unlink()
     with av.open(str(folder / "left.mp4")) as source, av.open(str(copy / "left.mp4"), "w") as container:
         container.metadata["creation_time"] = "2026-03-02T09:41:07Z"
@@ -759,30 +813,21 @@ def test_init_asks_for_a_start_that_the_images_do_not_show_and_leaves_nothing_be
             if packet.dts is not None:
                 packet.stream = stream
                 container.mux(packet)
-    made = init(copy, "--right-offset", "0")
-    assert "left.mp4 states 2026-03-02 09:41:07 UTC as its time of creation" in str(made.exception)
+    made = init(copy, "images.right_offset_s=0")
+    assert "left.mp4 states 2026-03-02 09:41:07 UTC as its time of creation" in missing(made)["images.start"]
     (copy / "left.mp4").unlink()
     (copy / "left.mp4").hardlink_to(folder / "left.mp4")
     rows = (copy / "drive.csv").read_text().splitlines()
     (copy / "drive.csv").unlink()
     (copy / "drive.csv").write_text("\n".join([*rows, rows[-1].replace("T09:", "T19:", 1)]))
-    made = init(copy, "--right-offset", "0")
-    assert "hours with the video) to search" in str(made.exception)
-    for option, value, says in (
-        ("--start", "2026-03-02 22:41:07.250", "the video is of another time; state --start with its offset"),
-        ("--mount", "1,07,-0,26,0,73", "07 looks like the end of a number with a decimal comma"),
-        ("--mount", "1,07;-0,26;0,73;x", "expected 3 to 6 numbers"),
-        ("--start", "noon", "--start: expected a time stamp"),
-        ("--date", "noon", "options of the trajectory: date"),
-        ("--time", "noon", "expected utc, gps or a zone"),
-        ("--layout", "noon", "noon"),
-    ):
-        made = init(copy, "--right-offset", "0", option, value)
-        assert isinstance(made.exception, ConetlError | SystemExit), (option, made.exception)
-        assert says in f"{made.exception}{made.output}", option
+    made = init(copy, "images.right_offset_s=0")
+    assert "hours with the video) to search" in missing(made)["images.start"]
+    made = init(copy, "images.start=2026-03-02 22:41:07.250")
+    assert "the video is of another time; state images.start with its offset" in str(made.exception)
+    assert "22:41" not in (copy / "drive.yaml").read_text()
 
 
-def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path, sample: Drive) -> None:
+def test_init_keeps_what_the_file_states(folder: Path, tmp_path: Path, sample: Drive) -> None:
     start = "2026-03-02 09:41:07Z"
     copy = copied(
         folder,
@@ -797,43 +842,39 @@ def test_init_with_force_keeps_what_the_file_states(folder: Path, tmp_path: Path
         made = init(copy, "--force", *options)
         assert made.exit_code == 0, made.output
         assert "kept from drive.yaml: " in made.output
-        assert "every" not in made.output or "--every" not in options
-        return dict(yaml.safe_load((copy / "drive.yaml").read_text()))
+        return dict(stated(yaml.safe_load((copy / "drive.yaml").read_text())))
 
     before = yaml.safe_load((copy / "drive.yaml").read_text())
-    after = renewed("--every", "3")
+    after = renewed("images.every=3")
     assert after.pop("drive_id") == "ring road" and after["images"].pop("every") == 3
     assert after["images"].pop("start") == "2026-03-02 09:41:07.000000000Z"
     assert after["images"] == {"left": "left.mp4", "right": "right.mp4", "right_offset_s": 0.0}
     assert (after["clock"], after["trajectory"]) == (before["clock"], before["trajectory"])
-    assert after["mount"] == before["mount"] | {"yaw_deg": 0.0, "roll_deg": 0.0}
+    assert after["mount"] == before["mount"]
+    assert renewed("mount.pitch_deg=5")["mount"] == before["mount"] | {"pitch_deg": 5.0}
     # A noted start needs no clock that was found, another mount none of the earlier angles.
-    after = renewed("--start", "2026-03-02 09:41:07.1Z", "--mount", "1,2,3")
+    after = renewed("images.start=2026-03-02 09:41:07.1Z", "mount={forward_m: 1, left_m: 2, up_m: 3}")
     assert "clock" not in after and after["mount"] == {"forward_m": 1.0, "left_m": 2.0, "up_m": 3.0}
-    # Exchanged files: the start is that of the file that is the left one now.
-    shifted = renewed("--right-offset", "0.1")["images"]
-    assert renewed("--left", "right.mp4", "--right", "left.mp4")["images"] == shifted | {
-        "start": "2026-03-02 09:41:07.200000000Z", "right_offset_s": -0.1, "left": "right.mp4", "right": "left.mp4",
-    }  # fmt: skip
-    assert (
-        renewed("--left", "left.mp4", "--right", "right.mp4", "--right-offset", "0")["images"]["right_offset_s"] == 0.0
-    )
+    # Times are those of the files that they were found for.
+    written = (copy / "drive.yaml").read_text()
+    assert "images.start" in missing(init(copy, "images.left=right.mp4", "images.right=left.mp4"))
+    (copy / "drive.yaml").write_text(written)
     (copy / "drive.csv").rename(copy / "other.csv")
-    after = renewed("--trajectory", "other.csv")
+    after = renewed("trajectory.file=other.csv")
     assert after["trajectory"] == {"file": "other.csv"} and after["images"]["every"] == 3
     (copy / "right.mp4").rename(copy / "r.mp4")
-    after = renewed("--right", "r.mp4", "--right-offset", "0", "--start", start)
+    after = renewed("images.right=r.mp4", "images.right_offset_s=0", f"images.start={start}")
     assert after["images"]["right"] == "r.mp4" and after["mount"]["up_m"] == 3.0
     # An answer to what the file left open changes nothing else.
     (copy / "drive.yaml").write_text(f"images: {{start: '{start}', right_offset_s: 0}}\nclock: {{offset_s: 0.01}}\n")
-    after = renewed("--right", "r.mp4", "--trajectory", "other.csv")
+    after = renewed("images.right=r.mp4", "trajectory.file=other.csv")
     assert after["images"]["start"] == "2026-03-02 09:41:07.010000000Z" and after["images"]["right_offset_s"] == 0.0
     (copy / "drive.yaml").write_text("images: [\n")
-    made = init(copy, "--force", "--right", "r.mp4")
+    made = init(copy, "--force", "images.right=r.mp4")
     assert "ignores this file and writes a new one" in made.output and "kept" not in made.output
     (copy / "drive.yaml").write_text("images: [\n")
-    options = ["--right", "r.mp4", "--start", start, "--right-offset", "0"]
-    made = CliRunner().invoke(app, ["init", str(copy), "--json", "--force", *options])
+    options = ["images.right=r.mp4", f"images.start={start}", "images.right_offset_s=0"]
+    made = init(copy, "--json", "--force", *options)
     assert made.exit_code == 0, made.stderr
     assert json.loads(made.stdout)["settings"]["images"]["right"] == "r.mp4"
     assert "ignores this file and writes a new one" in made.stderr
@@ -848,13 +889,18 @@ def test_init_knows_cameras_by_their_letter_and_calibrations_by_the_size_of_the_
     WRITERS["opencv"](rig, copy / "stereo.yml")
     for side, name in (("left", "Kamera_links.mp4"), ("right", "Kamera_rechts.mp4")):
         (copy / f"{side}.mp4").rename(copy / name)
-    options = ["--mount", "1,0,1", "--start", start_of(sample), "--right-offset", "0"]
-    assert "--left" not in str(init(copy, *options).exception)
+    options = [
+        "mount={forward_m: 1, left_m: 0, up_m: 1}",
+        f"images.start={start_of(sample)}",
+        "images.right_offset_s=0",
+    ]
+    assert "images.left" not in missing(init(copy, *options))
+    (copy / "drive.yaml").unlink()
     for side, name in (("links", "GX01_L.mp4"), ("rechts", "GX01_R.mp4")):
         (copy / f"Kamera_{side}.mp4").rename(copy / name)
     made = init(copy, *options)
     assert "calibration rig.yaml: for images of 960 x 322, these have 960 x 320" in made.output
-    assert "the cameras (stereo.yml)?" in str(made.exception) and "It replaces rig.yaml." in str(made.exception)
+    assert "Found: stereo.yml. It replaces rig.yaml" in missing(made)["rig"]
     made = init(copy, *options, "--rig", "stereo.yml")
     assert made.exit_code == 0, made.exception
     assert read_rig_yaml(copy / "rig.yaml").left.height_px == 320
@@ -868,10 +914,11 @@ def test_init_knows_cameras_by_their_letter_and_calibrations_by_the_size_of_the_
     (copy / "drive.yaml").unlink()
     (copy / "GX01_R.mp4").unlink()
     made = init(copy, *options)
-    assert "--layout: Where are" in str(made.exception) and "--rig" not in str(made.exception)
+    assert "images.layout" in missing(made) and "rig" not in missing(made)
     (copy / "GX01_L.mp4").unlink()
+    (copy / "drive.yaml").unlink()
     write_rig_yaml(rig.model_copy(update=wrong), copy / "rig.yaml")
-    made = init(copy, "--mount", "1,0,1")
+    made = init(copy, "mount={forward_m: 1, left_m: 0, up_m: 1}")
     assert "calibration rig.yaml: for images of 960 x 322, these have 960 x 320" in made.output
 
 
@@ -881,30 +928,16 @@ def test_init_says_which_pairs_have_a_pose(folder: Path, tmp_path: Path, sample:
     (copy / "drive.csv").unlink()
     (copy / "drive.csv").write_text("".join(rows[:-4]))
     start = start_of(sample)
-    made = init(copy, "--right-offset", "0", "--start", start)
+    made = init(copy, "images.right_offset_s=0", f"images.start={start}")
     assert made.exit_code == 0, made.output
     assert "12 of 16 frame pairs can be used." in made.output
     assert "pose missing: 4, the first: drive.csv ended 0." in made.output
     late = start.replace("2026", "2025")
-    made = init(copy, "--right-offset", "0", "--force", "--start", late)
+    made = init(copy, f"images.start={late}")
     assert "drive.csv covers 2026-03-02 09:41:07 to 2026-03-02 09:41:08 UTC" in str(made.exception)
-    made = init(copy, "--right-offset", "0", "--force", "--from", "900")
+    made = init(copy, "images.from_s=900")
     assert made.exit_code == 1 and "was written, but the drive cannot be read yet" in made.output, made.output
-    assert "kept from drive.yaml: images (left, right" in made.output
-
-
-def test_init_that_is_broken_off_at_a_question_can_be_run_again(folder: Path, tmp_path: Path) -> None:
-    """On a terminal, where an end of input stands for Ctrl-C."""
-    copy = copied(folder, tmp_path)
-    made = init_on_terminal(copy, [], "--trajectory", "drive.csv")
-    assert made.returncode != 0
-    assert "start at the same trigger" not in made.stdout and "Time of the first left frame" in made.stdout
-    assert made.stdout.count("trajectory drive.csv") == 1 and "images: {start" not in made.stdout
-    assert re.search(r"\d\d:\d\d:\d\d\.\d{3} UTC for", made.stdout), "precise enough to answer"
-    assert not (copy / "drive.yaml").exists()
-
-
-# --------------------------------------------------------------------------- files that a stranger may have made
+    assert "kept from drive.yaml: images, trajectory" in made.output
 
 
 def test_links_and_pipes_are_no_videos(folder: Path, tmp_path: Path) -> None:

@@ -144,10 +144,7 @@ def check_points(
     file: Annotated[
         Path, typer.Argument(help="Surveyed feet of cones: CSV, GeoJSON, GeoPackage, FlatGeobuf, GeoParquet.")
     ],
-    crs: Annotated[
-        str | None,
-        typer.Option(help="CRS of the file, if it states none, e.g. EPSG:25832 or EPSG:25832+7837."),
-    ] = None,
+    crs: ui.FileCrsOption = None,
     heights: Annotated[
         str | None, typer.Option(help="Heights of the file: ellipsoidal (default), or a system like EPSG:5773.")
     ] = None,
@@ -158,7 +155,7 @@ def check_points(
     within_m: Annotated[
         float, typer.Option(min=0.01, help="Match a cone to a point if it is at most this far away, in metres.")
     ] = 0.75,
-    as_of: Annotated[str | None, typer.Option(help="State of the road at this time.")] = None,
+    as_of: ui.AsOfOption = None,
     known_at: ui.KnownOption = None,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
@@ -231,10 +228,7 @@ def _print(checked: CheckedMap, name: str, srid: int) -> None:
 
 def picture(
     output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .png, .svg, .pdf.")],
-    at: Annotated[
-        str | None,
-        typer.Option("--as-of", "--at", help="State of the road at this time, e.g. 2026-03-02; default: latest."),
-    ] = None,
+    at: Annotated[str | None, typer.Option("--as-of", "--at", help=ui.AS_OF)] = None,
     known_at: ui.KnownOption = None,
     changes: Annotated[
         tuple[str, str] | None,

@@ -11,6 +11,8 @@ import typer
 from pydantic import ValidationError
 
 from conetl.cli.console import (
+    AsOfOption,
+    FileCrsOption,
     JsonOption,
     KnownOption,
     MapOption,
@@ -53,9 +55,7 @@ def export(
     what: Annotated[
         ExportContent, typer.Option(help="Current features, all versions, or the changes between two times.")
     ] = ExportContent.FEATURES,
-    as_of: Annotated[
-        str | None, typer.Option(help="State of the road at this time, e.g. 2026-03-02T10:00+01:00; default: latest.")
-    ] = None,
+    as_of: AsOfOption = None,
     known_at: KnownOption = None,
     since: Annotated[
         str | None,
@@ -72,8 +72,7 @@ def export(
         typer.Option(help="CRS of positions, and height system: EPSG:25832, EPSG:25832+7837; default: the map's."),
     ] = None,
     category: Annotated[
-        str | None,
-        typer.Option(help="Only objects of this class, e.g. traffic_cone or lane_marking; default: all."),
+        str | None, typer.Option(help="Only objects of this class, such as drum or lane_marking; default: all.")
     ] = None,
     feed: work_zones.FeedOption = None,
     publisher: work_zones.PublisherOption = None,
@@ -143,7 +142,7 @@ def _format_by_name(output: Path) -> str:
 
 def import_(
     file: Annotated[Path, typer.Argument(help="GeoJSON, CSV, GeoPackage, FlatGeobuf or GeoParquet file of points.")],
-    crs: Annotated[str | None, typer.Option(help="CRS of the file if it does not state one, e.g. EPSG:25832.")] = None,
+    crs: FileCrsOption = None,
     map_srid: Annotated[int | None, typer.Option(help="EPSG code of the map, if this import creates it.")] = None,
     surveyed_at: Annotated[
         str | None, typer.Option(help="Time of the survey; default: the latest last_seen_at.")

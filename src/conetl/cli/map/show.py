@@ -26,17 +26,12 @@ from conetl.pipeline.settings import read_settings
 
 
 def show(
-    as_of: Annotated[
-        str | None,
-        typer.Option(help="State of the road at this time, e.g. 2026-03-02 or 2026-03-02T10:00+01:00."),
-    ] = None,
+    as_of: ui.AsOfOption = None,
     known_at: ui.KnownOption = None,
     provisional: Annotated[
         bool, typer.Option("--provisional", help="Show the provisional cones of drives being recorded instead.")
     ] = False,
-    category: Annotated[
-        list[str] | None, typer.Option(help="Only objects of this class, such as drum; may be repeated.")
-    ] = None,
+    category: ui.ClassesOption = None,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:

@@ -8,7 +8,17 @@ from typing import Annotated
 
 import typer
 
-from conetl.cli.console import Columns, JsonOption, MapOption, counted, parse_instant, print_json, print_records, say
+from conetl.cli.console import (
+    AsOfOption,
+    Columns,
+    JsonOption,
+    MapOption,
+    counted,
+    parse_instant,
+    print_json,
+    print_records,
+    say,
+)
 from conetl.cli.database import open_map
 from conetl.exports.text_files import export_layout_geojson, finding_as_dict
 from conetl.files.documents import read_yaml_model
@@ -62,7 +72,7 @@ def check_layout_command(
     ] = layout_check.DEFAULT,
     rules: RulesOption = None,
     lanes: LanesOption = None,
-    as_of: Annotated[str | None, typer.Option(help="State of the road at this time.")] = None,
+    as_of: AsOfOption = None,
     output: Annotated[
         Path | None, typer.Option("--out", help="GeoJSON file to write, one feature per finding.")
     ] = None,

@@ -53,9 +53,7 @@ def detect(
         Path | None,
         typer.Option(help=f"Folder for annotated copies of the images: boxes from score {USED_SCORE}, feet, tips."),
     ] = None,
-    category: Annotated[
-        list[str] | None, typer.Option(help="Only this category, such as traffic_cone; may be repeated.")
-    ] = None,
+    category: ui.ClassesOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
     """Detect cones and all other classes of the model in images, and write the boxes as JSON.

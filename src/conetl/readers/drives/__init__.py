@@ -121,8 +121,8 @@ def _not_a_drive(path: Path) -> InputError:
         )
     if sum(child.is_dir() and bool(image_files(child)) for child in children) > 1:
         return InputError(
-            f"{path}: folders of images become a drive with 'conetl init {path}', which asks for what is missing and writes "
-            "drive.yaml"
+            f"{path}: folders of images become a drive with 'conetl init {path}', which writes drive.yaml and lists what is "
+            "missing"
         )
     return InputError(
         f"{path}: this is not a drive in KITTI's raw layout (image_02/data, image_03/data, oxts/data, calib_*.txt), a "

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, BaseModel, Field, model_validator
 
-from conetl.files.documents import library_errors, read_yaml_mapping, shown, validated
+from conetl.files.documents import library_errors, nested_model, read_yaml_mapping, shown, validated
 from conetl.files.names import printable
 from conetl.model.base import GeodeticPosition, Positive, Record
 from conetl.model.errors import InputError
 from conetl.model.rig import MAX_LEVER_ARM_M
 from conetl.perception.video import Layout
-from conetl.readers.trajectories.settings import TrajectoryFile, known_zone
+from conetl.readers.trajectories.settings import TrajectoryFile, known_zone, setting
 
 DRIVE_YAML = "drive.yaml"
 #: Poses recorded often are not interpolated over longer gaps.
@@ -36,11 +37,15 @@ class Sigmas(Record):
     The attitude defaults are those of the OXTS RT3003 data sheet (0.03, 0.03 and 0.1 degrees), increased for the boresight.
     """
 
-    horizontal_m: Positive | None = None
+    horizontal_m: Positive | None = setting(
+        "Accuracy of the positions, horizontally, in metres: RTK 0.02, corrected 0.5, single 3.", 0.02
+    )
     vertical_m: Positive | None = None
     """Default: 1.5 times the horizontal one."""
     roll_deg: Positive = 0.05
-    pitch_deg: Positive = 0.05
+    pitch_deg: Positive = setting(
+        "1 if the angles of the mount were estimated by eye; so are yaw_deg, roll_deg.", 1, default=0.05
+    )
     yaw_deg: Positive = 0.15
     image_px: Positive = 0.5
 
@@ -67,23 +72,36 @@ class Streams(Record):
 class Images(Record):
     """Stereo video, or folders of images, with a trajectory file beside them."""
 
-    left: str | None = Field(default=None, min_length=1)
-    """File or folder; with `layout` the file that holds both images. Default: the one with left in its name."""
-    right: str | None = Field(default=None, min_length=1)
-    layout: Layout | None = None
-    """Where left and right are in each frame of one file."""
-    start: str | None = Field(default=None, min_length=1)
-    """Time of the first left frame, like 2026-03-02 10:00:00.250, in `timestamps_timezone` or with an offset."""
-    timestamps: str | None = Field(default=None, min_length=1)
-    """File with the time of every left frame, one per line; then `right_timestamps` has those of the right ones."""
-    right_timestamps: str | None = Field(default=None, min_length=1)
-    right_offset_s: float | None = Field(default=None, ge=-3600, le=3600)
-    """What to add to the right file's times to have the left one's. Default: found from the motion in the images."""
-    every: int = Field(default=1, ge=1)
-    """Use every n-th pair."""
-    from_s: float = Field(default=0.0, ge=0, le=1e7)
-    to_s: float | None = Field(default=None, gt=0, le=1e7)
-    """Part of the left file that is used."""
+    left: str | None = setting("File or folder of the left camera.", "left.mp4", min_length=1)
+    """With `layout` the file that holds both images. Default: the one with left in its name."""
+    right: str | None = setting("File or folder of the right camera.", "right.mp4", min_length=1)
+    layout: Layout | None = setting(
+        "Where left and right are in each frame of one file: left-right, right-left, top-bottom or bottom-top.",
+        "left-right",
+    )
+    start: str | None = setting(
+        "Time of the first left frame, in UTC or with a UTC offset; to the second if not known better.",
+        "2026-03-02 11:00:00.250+01:00",
+        min_length=1,
+    )
+    """Without an offset in `timestamps_timezone`."""
+    timestamps: str | None = setting(
+        "File with the time of each left image, one per line (UTC, or nanoseconds since 1970), or the trajectory if it has one "
+        "record per image.",
+        "left.txt",
+        min_length=1,
+    )
+    right_timestamps: str | None = setting("The same for the right images, if they differ.", "right.txt", min_length=1)
+    right_offset_s: float | None = setting(
+        "Seconds by which the right file begins after the left one; 0 if both start at the same trigger.",
+        0,
+        ge=-3600,
+        le=3600,
+    )
+    """Default: found from the motion in the images."""
+    every: int = setting("Use every n-th frame pair.", 2, default=1, ge=1)
+    from_s: float = setting("Start at this second of the left file.", 10, default=0.0, ge=0, le=1e7)
+    to_s: float | None = setting("Stop at this second of the left file.", 70, gt=0, le=1e7)
 
     @model_validator(mode="after")
     def _check(self) -> Images:
@@ -95,22 +113,22 @@ class Images(Record):
 class Mount(Record):
     """The left camera on the body whose trajectory was recorded (an IMU, or the antenna), for a rig.yaml without its pose."""
 
-    forward_m: Metres
-    left_m: Metres
-    up_m: Metres
-    roll_deg: float = Field(default=0.0, ge=-180, le=180)
-    """Positive with the left side up."""
-    pitch_deg: float = Field(default=0.0, ge=-90, le=90)
-    """Positive where the camera looks down."""
-    yaw_deg: float = Field(default=0.0, ge=-180, le=180)
-    """Positive where it looks to the left."""
+    forward_m: Metres = setting("Metres forward.", 1.2, default=...)
+    left_m: Metres = setting("Metres to the left; negative: to the right.", 0.3, default=...)
+    up_m: Metres = setting("Metres up.", -0.2, default=...)
+    roll_deg: float = setting("Positive with the left side up.", 0.5, default=0.0, ge=-180, le=180)
+    pitch_deg: float = setting("Degrees by which it looks down; negative: up.", 3, default=0.0, ge=-90, le=90)
+    yaw_deg: float = setting("Degrees by which it looks to the left.", -1.5, default=0.0, ge=-180, le=180)
 
 
 class Clock(Record):
     """The clock of the images against that of the trajectory, where they are not the same."""
 
-    offset_s: Annotated[float, Field(ge=-1e9, le=1e9)] | Literal["estimate"] = "estimate"
-    """What to add to the times of the images to have those of the trajectory; `estimate`: found from turns and speeds."""
+    offset_s: Annotated[float, Field(ge=-1e9, le=1e9)] | Literal["estimate"] = setting(
+        "Seconds to add to the times of the images; estimate: find them from turns and speeds.",
+        "estimate",
+        default="estimate",
+    )
     sigma_s: float | None = Field(default=None, gt=0, le=10)
     """Sigma of the stated offset; default 0.01 s."""
     search_s: float = Field(default=30.0, gt=0, le=MAX_SEARCH_S)
@@ -137,25 +155,29 @@ class ControlPoints(Record):
 class DriveYaml(Record):
     """The whole file."""
 
-    drive_id: str | None = Field(default=None, min_length=1, max_length=200)
+    drive_id: str | None = setting("Default: the name of the folder.", "morning-run", min_length=1, max_length=200)
     rig_id: str | None = Field(default=None, min_length=1)
     pair: tuple[str, str] | None = None
     """Left and right of the cameras of a rig.yaml with more than two."""
     map_srid: int | None = Field(default=None, gt=0, lt=1_000_000)
-    timestamps_timezone: Annotated[str, AfterValidator(known_zone)] = "UTC"
-    """IANA name of the time stamps' zone."""
+    timestamps_timezone: Annotated[str, AfterValidator(known_zone)] = setting(
+        "Time zone of times of images without an offset.", "Europe/Berlin", default="UTC"
+    )
     cameras: Cameras = Cameras()
     calibration: str | None = Field(default=None, min_length=1)
     """KITTI calib_cam_to_cam.txt, relative to the drive folder and inside it; the other two are beside it."""
-    sigmas: Sigmas = Sigmas()
+    sigmas: Sigmas = Field(default=Sigmas(), description="Of the trajectory; they replace those of the log.")
     georeference: Georeference | None = None
     streams: Streams = Streams()
-    images: Images = Images()
-    mount: Mount | None = None
-    trajectory: TrajectoryFile = TrajectoryFile()
-    clock: Clock | None = None
+    images: Images = Field(default=Images(), description="The videos or folders of images.")
+    mount: Mount | None = setting(
+        "The left camera as seen from the antenna or IMU of the log: metres forward, left, up, and degrees of downward tilt.",
+        {"forward_m": 1.2, "left_m": 0.3, "up_m": -0.2, "pitch_deg": 3},
+    )
+    trajectory: TrajectoryFile = Field(default=TrajectoryFile(), description="The GNSS/INS log.")
+    clock: Clock | None = Field(default=None, description="Of the images relative to the trajectory.")
     """None: images and trajectory have one clock."""
-    control_points: ControlPoints | None = None
+    control_points: ControlPoints | None = setting("Surveyed cones that correct the poses.", "points.csv")
     pair_tolerance_ms: float = Field(default=5.0, gt=0, le=60_000)
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
     max_pose_gap_s: float | None = Field(default=None, gt=0, le=3600)
@@ -194,7 +216,23 @@ def read_drive_yaml(source: Path) -> DriveYaml:
     path = small_file(source, DRIVE_YAML)
     if not path.is_file():
         return DriveYaml()
-    return validated(read_yaml_mapping(path, "settings", " drive_id: morning-run"), DriveYaml, f"settings {path}")
+    content = read_yaml_mapping(path, "settings", " drive_id: morning-run")
+    return validated(stated(content), DriveYaml, f"settings {path}")
+
+
+def stated(values: Mapping[str, Any], model: type[BaseModel] = DriveYaml) -> dict[str, Any]:
+    """Settings without the keys that have no value, as `conetl init` writes those that are still needed.
+
+    Unknown keys stay: behind a decimal comma in {forward_m: 1,07} there is one.
+    """
+    kept = dict(values)
+    for key in values.keys() & model.model_fields.keys():
+        value, inner = values[key], nested_model(model.model_fields[key].annotation)
+        if inner is not None and isinstance(value, Mapping) and value:
+            kept[key] = value = stated(value, inner) or None
+        if value is None:
+            del kept[key]
+    return kept
 
 
 def names_images(source: Path) -> bool:

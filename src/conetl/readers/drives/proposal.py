@@ -2,152 +2,111 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from conetl.files.documents import input_errors, library_errors, shown, validated
+from conetl.files.documents import validated
 from conetl.geometry import rig as rigs
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.rig import SIDES, Rig, Side
-from conetl.perception.video import LAYOUTS, VIDEO_SUFFIXES, video_facts
+from conetl.perception.video import VIDEO_SUFFIXES, video_facts
 from conetl.readers.drives import find_format, zed_recording
-from conetl.readers.drives.drive_yaml import DRIVE_YAML
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Mount
 from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
+from conetl.readers.drives.template import RIG, Missing
+from conetl.readers.drives.video_timing import stated_start
 from conetl.readers.rigs import CAM_TO_CAM, RIG_SUFFIXES, RIG_YAML, FoundRigs, find_rigs, read_given_rig
-from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format, unknown_heights
-from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M
+from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format
 from conetl.readers.trajectories.recorded import RecordedTrajectory
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.times import parse_timestamp
 
 _TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
 #: Assumptions about a table that does not state its time scale or heights.
 _TAKEN = {
-    "time": "times taken as UTC; if they are local or GPS times, state --time, like Europe/Berlin or gps",
-    "heights": "heights taken as ellipsoidal; if they are not, state --heights, like EPSG:7837",
+    "time": "times taken as UTC; if they are local or GPS times, set trajectory.time, like Europe/Berlin or gps",
+    "heights": "heights taken as ellipsoidal; if they are not, set trajectory.heights, like EPSG:7837",
 }
-#: No number of metres or degrees is written like 07 or -0, but what is behind a decimal comma is.
-_LEADING_ZERO = re.compile(r"-0|-?0\d+")
 #: Keys that a trajectory may need: the error of its reader says how to state them in drive.yaml.
-_UNSTATED = {
-    "columns": "Which columns contain what (name or number), like time=Zeit,lat=B,lon=L,height=H,roll=R,pitch=P,heading=K?",
-    "date": "On which day was it recorded, like 2026-03-02?",
-    "time": "In which time system are its times: utc, gps, or a time zone like Europe/Berlin?",
-    "crs": "In which coordinate reference system are its positions, like EPSG:25832?",
-    "heights": "In which system are its heights, like EPSG:5773?",
-}
-#: What those errors advise; `conetl init` asks instead.
+_UNSTATED = ("columns", "date", "time", "crs", "heights")
+#: What those errors advise, which a template has its own place for.
 _REMEDY = re.compile(r"(?:[:;.?]) (?:put|name them) (?=.*drive\.yaml)", re.IGNORECASE)
 #: What people call the file or folder of a camera.
 _SIDE_NAMES: Mapping[Side, tuple[str, ...]] = {"left": ("left", "links"), "right": ("right", "rechts")}
-#: Answer of heights that may be above the sea or the ellipsoid.
-_UNKNOWN = "unknown"
-#: Section and key of drive.yaml of what an option of `conetl init` answers; those of the mount are one answer.
-_KEYS = {
-    "left": ("images", "left"), "right": ("images", "right"), "layout": ("images", "layout"), "start": ("images", "start"),
-    "right-offset": ("images", "right_offset_s"), "timestamps": ("images", "timestamps"),
-    "right-timestamps": ("images", "right_timestamps"), "trajectory": ("trajectory", "file"), "date": ("trajectory", "date"),
-    "time": ("trajectory", "time"), "crs": ("trajectory", "crs"), "heights": ("trajectory", "heights"),
-    "sigma": ("sigmas", "horizontal_m"), "columns": ("trajectory", "columns"),
-}  # fmt: skip
-_MOUNT = ("forward_m", "left_m", "up_m", "pitch_deg", "yaw_deg", "roll_deg")
-
-
-class Question(NamedTuple):
-    """A setting that cannot be found in the folder."""
-
-    key: str
-    """Name of the option of `conetl init` that answers it."""
-    text: str
-    default: str | None = None
-    cause: str | None = None
-    """The reason for the question."""
+#: Keys that name a file or folder of the drive.
+FILE_KEYS = ("images.left", "images.right", "images.timestamps", "images.right_timestamps", "trajectory.file")
 
 
 class Proposal(NamedTuple):
     """What was found in a folder, what is missing, and the settings so far."""
 
     found: list[str]
-    questions: list[Question]
+    missing: list[Missing]
     settings: dict[str, Any]
     """Content of drive.yaml."""
     rig: Rig | None
     """To be written as rig.yaml; None where there is one."""
+    recorded: RecordedTrajectory | None
+    """The trajectory, where it can be read."""
 
 
-def propose(root: Path, answers: Mapping[str, str], *, asks: bool = False) -> Proposal:
-    """The settings of a drive folder. answers: by `Question.key`; questions that they answer are left out.
+def propose(root: Path, settings: Mapping[str, Any], rig_file: Path | None = None) -> Proposal:
+    """The settings of a drive folder: those that are given, and what the folder shows.
 
-    asks: also questions that nobody has to answer.
-
-    Raises InputError where there is nothing to make a drive of, or an answer does not fit.
+    settings: valid ones of `DriveYaml`; rig_file: the calibration to use. Raises InputError where there is nothing to make a
+    drive of, or a setting does not fit.
     """
-    proposal = Proposal([], [], {}, None)
-    size = _add_images(root, answers, proposal)
-    _add_trajectory(root, answers, proposal, asks=asks)
-    rig = _add_rig(root, answers, proposal, size)
-    return proposal._replace(rig=rig)
+    copied = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
+    proposal = Proposal([], [], copied, None, None)
+    size = _add_images(root, rig_file, proposal)
+    recorded = _add_trajectory(root, proposal)
+    rig = _add_rig(root, rig_file, proposal, size)
+    return proposal._replace(rig=rig, recorded=recorded)
 
 
-def still_valid(settings: Mapping[str, Any], given: Mapping[str, str]) -> dict[str, Any]:
-    """The settings of an earlier drive.yaml without those that new answers replace or make invalid."""
+def value_at(settings: Mapping[str, Any], key: str) -> Any:
+    """The value of a key like `images.left`; None where there is none."""
+    section, _, name = key.partition(".")
+    values = settings.get(section)
+    return values.get(name) if isinstance(values, Mapping) else None
 
-    def changes(*options: str) -> bool:
-        known = ((given[o], settings.get(_KEYS[o][0], {}).get(_KEYS[o][1])) for o in options if o in given)
-        return any(value is not None and str(value) != answer for answer, value in known)
+
+def still_valid(settings: Mapping[str, Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of an earlier drive.yaml without those that new ones make invalid."""
+
+    def changes(*keys: str) -> bool:
+        known = [(value_at(settings, key), value_at(given, key)) for key in keys]
+        return any(new is not None and old not in (None, new) for old, new in known)
 
     kept = {section: dict(value) if isinstance(value, Mapping) else value for section, value in settings.items()}
-    images = kept.get("images", {})
-    exchanged = (given.get("left"), given.get("right")) == (images.get("right"), images.get("left"))
-    if exchanged and {"start", "right_offset_s"} <= images.keys():  # the other file is the left one now
-        start_ns = parse_timestamp(images["start"]) + round(1e9 * images["right_offset_s"])
-        images |= {"start": f"{np.datetime64(start_ns, 'ns')}Z", "right_offset_s": 0.0 - images["right_offset_s"]}
-    elif changes("left", "right", "layout") or ("layout" in given and "right" in kept.get("images", {})):
-        kept["images"] = {key: v for key, v in kept.get("images", {}).items() if key in ("every", "from_s", "to_s")}
+    images, has_start = kept.get("images", {}), value_at(given, "images.start") is not None
+    becomes_one = value_at(given, "images.layout") is not None and "right" in images
+    if becomes_one or changes("images.left", "images.right", "images.layout"):
+        kept["images"] = images = {key: value for key, value in images.items() if key in ("every", "from_s", "to_s")}
         kept.pop("clock", None)
-    if changes("trajectory"):
-        for section in ("trajectory", "sigmas"):
-            kept.pop(section, None)
+    if changes("trajectory.file"):
         # The start was found with the other log, or noted by a clock like its own.
-        if kept.pop("clock", None) is not None:
-            kept.get("images", {}).pop("start", None)
-    if "start" in given:
+        if "clock" in kept:
+            images.pop("start", None)
+        kept = {section: value for section, value in kept.items() if section not in ("trajectory", "sigmas", "clock")}
+    if has_start:
         kept.pop("clock", None)
         for key in ("timestamps", "right_timestamps"):
-            kept.get("images", {}).pop(key, None)
-    if "mount" in given:
-        kept.pop("mount", None)
-    for section, key in (_KEYS[option] for option in given if option in _KEYS):
-        kept.get(section, {}).pop(key, None)
-    return {section: value for section, value in kept.items() if value != {}}
+            images.pop(key, None)
+    return kept
 
 
-def answers_in(settings: Mapping[str, Any]) -> dict[str, str]:
-    """The answers that are in settings of drive.yaml, by `Question.key`."""
-    found = {option: settings.get(section, {}).get(key) for option, (section, key) in _KEYS.items()}
-    if (mount := settings.get("mount")) is not None:
-        found["mount"] = ",".join(str(mount.get(key, 0.0)) for key in _MOUNT)
-    return {
-        option: json.dumps(value) if isinstance(value, dict) else str(value)
-        for option, value in found.items()
-        if value is not None
-    }
-
-
-def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> tuple[int, int] | None:
+def _add_images(root: Path, rig_file: Path | None, proposal: Proposal) -> tuple[int, int] | None:
     """Size of the images of one camera, where it is known."""
     videos = [root / name for name in names_in(root, VIDEO_SUFFIXES)]
     folders = [path for path in sorted(root.iterdir()) if path.is_dir() and image_files(path)]
-    images = _stated_images(root, answers)
-    proposal.settings["images"] = images
+    images = proposal.settings.setdefault("images", {})
+    _check_images(root, proposal.settings)
     sources = videos or folders
     if not sources:
         if (error := zed_recording(root)) is not None:
@@ -168,12 +127,11 @@ def _add_images(root: Path, answers: Mapping[str, str], proposal: Proposal) -> t
         proposal.found.extend(f"images in {folder.name}/: {len(image_files(folder)):,}" for folder in folders)
     if len(sources) == 1 or "layout" in images:
         images.setdefault("left", sources[0].name)
-        if videos and "layout" not in images and (layout := _layout_of(root, answers)) is not None:
+        if videos and "layout" not in images and (layout := _layout_of(root, rig_file)) is not None:
             images["layout"] = layout
-            proposal.found.append(f"{images['left']}: layout {layout}, by the size of the calibration (else: --layout)")
+            proposal.found.append(f"{images['left']}: layout {layout}, by the size of the calibration")
         if "layout" not in images:
-            text = "Where are left and right in each frame: left-right, right-left, top-bottom or bottom-top?"
-            proposal.questions.append(Question("layout", text, "left-right"))
+            proposal.missing.append(Missing("images.layout"))
     else:
         _add_sides([source.name for source in sources], proposal)
     if "left" not in images or (len(sources) == 1 and "layout" not in images):
@@ -199,16 +157,16 @@ def _add_sides(names: Sequence[str], proposal: Proposal) -> None:
         images[unknown[0]] = unused[0]
     else:
         for side in unknown[:1] if len(names) == 2 else unknown:
-            proposal.questions.append(Question(side, f"Which is the {side} camera ({', '.join(names)})?"))
+            proposal.missing.append(Missing(f"images.{side}", f"Found: {', '.join(names)}", names[0]))
 
 
-def _layout_of(root: Path, answers: Mapping[str, str]) -> str | None:
+def _layout_of(root: Path, rig_file: Path | None) -> str | None:
     """How both images lie in each frame of the only video, left or top first, if a calibration is for one half of the frame."""
 
     def fits(size: tuple[int, int]) -> bool:
-        if "rig" not in answers:
+        if rig_file is None:
             return bool(_rigs_in(root, size).fitting)
-        camera = read_given_rig(root / answers["rig"], size)[0].left
+        camera = read_given_rig(rig_file, size)[0].left
         return (camera.width_px, camera.height_px) == size
 
     facts = video_facts(root / names_in(root, VIDEO_SUFFIXES)[0])
@@ -226,91 +184,68 @@ def _of_side(names: Sequence[str], side: Side) -> list[str]:
     ]
 
 
-def _stated_images(root: Path, answers: Mapping[str, str]) -> dict[str, Any]:
-    """The settings of images that the answers state. Raises InputError."""
-    options = ("left", "right", "layout", "start", "timestamps", "right-timestamps")
-    images: dict[str, Any] = {_KEYS[option][1]: answers[option] for option in options if option in answers}
-    if "right-offset" in answers:
-        images["right_offset_s"] = _numbers("right-offset", answers["right-offset"], 1, 1)[0]
-    if images.get("layout", LAYOUTS[0]) not in LAYOUTS:
-        raise InputError(f"--layout {shown(images['layout'])}: expected one of {', '.join(LAYOUTS)}")
-    if "start" in images:
-        with input_errors("--start"):
-            parse_timestamp(images["start"])
-    for option in ("timestamps", "right-timestamps", *SIDES):
-        if option in answers and not (root / answers[option]).exists():
-            raise InputError(f"--{option} {answers[option]}: there is no such file or folder in {root}")
-    return images
+def _check_images(root: Path, settings: Mapping[str, Any]) -> None:
+    """Raise InputError for files that are not there, and for a start that cannot be read."""
+    for key in FILE_KEYS:
+        name = value_at(settings, key)
+        if name is not None and not (root / name).exists():
+            raise InputError(f"{key}: there is no file or folder {name} in {root}")
+    stated_start(DriveYaml.model_validate(settings), root)
 
 
-def _add_trajectory(root: Path, answers: Mapping[str, str], proposal: Proposal, *, asks: bool) -> None:
-    settings: dict[str, Any] = {}
-    candidates = find_trajectories(root)
-    if "trajectory" in answers:
-        settings["file"] = answers["trajectory"]
-    elif len(candidates) == 1:
+def _add_trajectory(root: Path, proposal: Proposal) -> RecordedTrajectory | None:
+    settings = proposal.settings.setdefault("trajectory", {})
+    candidates = find_trajectories(root) if "file" not in settings else []
+    if len(candidates) == 1:
         settings["file"] = candidates[0].relative_to(root).as_posix()
-    else:
+    elif "file" not in settings:
         names = ", ".join(path.relative_to(root).as_posix() for path in candidates) or "none was recognised"
         if not candidates and (tables := names_in(root, _TABLE_SUFFIXES)):
             names += f"; there is {', '.join(tables)}"
-        proposal.questions.append(Question("trajectory", f"Which file is the GNSS/INS trajectory ({names})?"))
-        return
-    given = {key: answers[key] for key in ("date", "time", "crs", "heights") if key in answers}
-    settings |= {key: value for key, value in given.items() if (key, value) != ("heights", _UNKNOWN)}
-    if "columns" in answers:
-        settings["columns"] = _columns(answers["columns"])
-    proposal.settings["trajectory"] = settings
+        proposal.missing.append(Missing("trajectory.file", f"Found: {names}"))
+        return None
     path = root / settings["file"]
     try:
-        recorded = _recorded(path, json.dumps(settings))
+        recorded = read_trajectory(path, validated(settings, TrajectoryFile, "trajectory"))
     except InputError as error:
-        asked = next((key for key in _UNSTATED if key not in answers and f"{{{key}: " in str(error)), None)
-        if asked is None and _may_be_columns(path, answers, str(error)):
-            asked = "columns"
-        if asked is None:
+        unstated = next((key for key in _UNSTATED if key not in settings and f"{{{key}: " in str(error)), None)
+        if unstated is None and _may_be_columns(path, settings, str(error)):
+            unstated = "columns"
+        if unstated is None:
             raise
-        cause = _REMEDY.split(str(error))[0]
-        proposal.questions.append(Question(asked, _UNSTATED[asked], cause=cause))
-        return
+        proposal.missing.append(Missing(f"trajectory.{unstated}", _REMEDY.split(str(error))[0]))
+        return None
     kind = trajectory_format(path) or "table"
     proposal.found.append(_described(recorded, kind))
     if kind == "table":
         proposal.found.extend(f"{recorded.name}: {text}" for key, text in _TAKEN.items() if key not in settings)
-    if asks and "heights" not in answers and unknown_heights(path, TrajectoryFile.model_validate(settings)):
-        text = (
-            f"Heights of {recorded.name}: EPSG:5773 if above sea level (EGM96), ellipsoidal, or unknown (sigma "
-            f"{UNSTATED_HEIGHT_SIGMA_M:g} m)?"
-        )
-        proposal.questions.append(Question("heights", text, default=_UNKNOWN))
-    if "sigma" in answers:
-        proposal.settings["sigmas"] = {"horizontal_m": _numbers("sigma", answers["sigma"], 1, 1)[0]}
-    elif not np.isfinite(recorded.sigma[:, :2]).any():
-        text = "How accurate are its positions, horizontally, in metres (RTK 0.02, corrected 0.5, single 3)?"
-        proposal.questions.append(Question("sigma", text))
+    stated_m = value_at(proposal.settings, "sigmas.horizontal_m")
+    if stated_m is None and not np.isfinite(recorded.sigma[:, :2]).any():
+        proposal.missing.append(Missing("sigmas.horizontal_m"))
+    return recorded
 
 
-def _may_be_columns(path: Path, answers: Mapping[str, str], error: str) -> bool:
-    """Whether other columns of a table may be the remedy of an error of its records, and not another answer that it names."""
-    named = any(answers[key] in error for key in _UNSTATED if key in answers)
+def _may_be_columns(path: Path, settings: Mapping[str, Any], error: str) -> bool:
+    """Whether other columns of a table may be the remedy of an error of its records, and not another setting that it names."""
+    named = any(str(settings[key]) in error for key in _UNSTATED if key in settings)
     is_table = path.is_file() and trajectory_format(path) in {None, "table"}
-    return "columns" not in answers and ": no usable pose: line " in error and is_table and not named
+    return "columns" not in settings and ": no usable pose: line " in error and is_table and not named
 
 
-def outside_log(root: Path, settings: Mapping[str, Any]) -> str | None:
-    """The error of a stated start with which no part of the video is within the time of the trajectory; None if it is right."""
-    images, log = settings["images"], settings["trajectory"]
-    path = root / images["left"]
-    if "start" not in images or "clock" in settings or path.is_dir():
-        return None
-    times_ns = _recorded(root / log["file"], json.dumps(log)).times_ns
-    start_ns = parse_timestamp(images["start"])
+def check_start(root: Path, settings: Mapping[str, Any], recorded: RecordedTrajectory) -> None:
+    """Raise InputError where no part of the video, by its stated start, is within the time of the trajectory."""
+    images, path = settings["images"], root / settings["images"]["left"]
+    start_ns = stated_start(DriveYaml.model_validate(settings), root)
+    if start_ns is None or "clock" in settings or path.is_dir():
+        return
+    times_ns = recorded.times_ns
     if start_ns <= times_ns[-1] and start_ns + 1e9 * video_facts(path).duration_s >= times_ns[0]:
-        return None
+        return
     first, last = (f"{utc_from_ns(int(t)):%Y-%m-%d %H:%M:%S}" for t in times_ns[[0, -1]])
-    return (
-        f"--start {images['start']}: {log['file']} covers {first} to {last} UTC, but the video is of another time; state --start "
-        "with its offset from UTC, like 2026-03-02 11:00:00.250+01:00, or the time zone of the log with --time"
+    raise InputError(
+        f"images.start {images['start']}: {settings['trajectory']['file']} covers {first} to {last} UTC, but the video is of "
+        "another time; state images.start with its offset from UTC, like 2026-03-02 11:00:00.250+01:00, or the time zone of the "
+        "log in trajectory.time"
     )
 
 
@@ -319,40 +254,25 @@ def stated_time(time_ns: int) -> str:
     return f"{utc_from_ns(time_ns):%Y-%m-%d %H:%M:%S}.{time_ns % 10**9:09d}Z"
 
 
-def suggested(root: Path, settings: Mapping[str, Any], key: str) -> tuple[str, str] | None:
-    """An answer to the question for `start` or `timestamps`, and the reason: the trajectory has a record per left image."""
-    images, log = settings["images"], settings["trajectory"]
-    left, recorded = root / images["left"], _recorded(root / log["file"], json.dumps(log))
-    times_ns = recorded.times_ns
+def suggested(
+    root: Path, settings: Mapping[str, Any], recorded: RecordedTrajectory, key: str
+) -> tuple[str, str] | None:
+    """A value for `images.start` or `images.timestamps`, and the reason: the trajectory has a record per left image."""
+    left, log = root / settings["images"]["left"], settings["trajectory"]["file"]
+    times_ns, count = recorded.times_ns, len(recorded.times_ns)
     if left.is_dir():
-        if key != "timestamps" or len(times_ns) != len(image_files(left)) or recorded.bad:
+        if key != "images.timestamps" or count != len(image_files(left)) or recorded.bad:
             return None
-        reason = f"{log['file']} has one record per image; if each states the time of its image, name this file"
-        return log["file"], reason
+        return log, f"{log} has one record per image; if each states the time of its image, name this file"
     facts, span_s = video_facts(left), float(times_ns[-1] - times_ns[0]) * 1e-9
-    count = len(times_ns)
-    if key != "start" or count != facts.frames or abs(span_s - facts.duration_s) > 2 * span_s / max(count - 1, 1):
+    if (
+        key != "images.start"
+        or count != facts.frames
+        or abs(span_s - facts.duration_s) > 2 * span_s / max(count - 1, 1)
+    ):
         return None
     start = stated_time(int(times_ns[0]))
-    return start, f"{log['file']} has one record per frame; if the first is of the first frame, that was at {start}"
-
-
-def _columns(text: str) -> dict[str, str | int]:
-    """Column by our name for it, of `time=Zeit,lat=2`, or of JSON. Raises InputError."""
-    if text.startswith("{"):
-        with library_errors(f"--columns {shown(text)}: this is not JSON", ValueError):
-            return dict(json.loads(text))
-    words = [word.partition("=") for word in text.split(",")]
-    if not all(name.strip() and column.strip() for name, _, column in words):
-        raise InputError(f"--columns {shown(text)}: expected names as in time=Zeit,lat=B,lon=L,height=H")
-    values = {name.strip(): column.strip() for name, _, column in words}
-    return {name: int(column) if column.isdecimal() else column for name, column in values.items()}
-
-
-@lru_cache(maxsize=1)
-def _recorded(path: Path, settings: str) -> RecordedTrajectory:
-    """The trajectory, read once for all answers. settings: of `TrajectoryFile`, as JSON. Raises InputError."""
-    return read_trajectory(path, validated(json.loads(settings), TrajectoryFile, "options of the trajectory"))
+    return start, f"{log} has one record per frame; if the first is of the first frame, that was at {start}"
 
 
 def _described(recorded: RecordedTrajectory, kind: str) -> str:
@@ -369,39 +289,33 @@ def _described(recorded: RecordedTrajectory, kind: str) -> str:
     )
 
 
-def _add_rig(root: Path, answers: Mapping[str, str], proposal: Proposal, size: tuple[int, int] | None) -> Rig | None:
+def _add_rig(root: Path, rig_file: Path | None, proposal: Proposal, size: tuple[int, int] | None) -> Rig | None:
     """The rig that has to be written; None where it is there, or is not known yet."""
-    if "rig" in answers:
-        path = root / answers["rig"]
+    if rig_file is not None:
+        path = rig_file
         rig, kind = read_given_rig(path, size)
     else:
         found, of_other_size, unread = _rigs_in(root, size)
         proposal.found.extend(of_other_size)
-        if unread and not found and size is None and proposal.questions:
+        if unread and not found and size is None and proposal.missing:
             return None  # one may fit once the size of the images is known
         if not found:
             proposal.found.extend(unread)
         replaces = (root / RIG_YAML).is_file() and RIG_YAML not in (path.name for path, _, _ in found)
         if len(found) != 1 or replaces:  # a file that somebody made is not replaced without being asked
-            names = ", ".join(path.name for path, _, _ in found) or "none was found that fits"
-            text = f"Which file is the calibration of the cameras ({names})?"
+            names = ", ".join(path.name for path, _, _ in found) or "none that fits"
+            cause = f"Found: {names}."
             if not found:
-                text += " 'conetl calibrate' makes one from images of a board."
-            proposal.questions.append(Question("rig", text + f" It replaces {RIG_YAML}." * replaces))
+                cause += " 'conetl calibrate' makes one from images of a board."
+            proposal.missing.append(Missing(RIG, cause + f" It replaces {RIG_YAML}." * replaces))
             return None
         path, rig, kind = found[0]
     image_size = f"{rig.left.width_px} x {rig.left.height_px}"
     proposal.found.append(f"calibration {path.name} ({kind}): {image_size}, baseline {rig.baseline_m:.3f} m")
-    if "mount" in answers:
-        values = _numbers("mount", answers["mount"], 3, 6)
-        proposal.settings["mount"] = dict(zip(_MOUNT, values, strict=False))
-        proposal.found.append(_mounted(values))
+    if "mount" in proposal.settings:
+        proposal.found.append(_mounted(Mount.model_validate(proposal.settings["mount"])))
     elif rigs.body_is_left_camera(rig):
-        text = (
-            "Left camera from the antenna or IMU of the log: metres forward, left (right is negative), up, then degrees of "
-            "downward tilt, like 1.2,0.3,-0.2,3"
-        )
-        proposal.questions.append(Question("mount", text))
+        proposal.missing.append(Missing("mount"))
     return None if path == root / RIG_YAML else rig
 
 
@@ -410,30 +324,12 @@ def _rigs_in(root: Path, size: tuple[int, int] | None) -> FoundRigs:
     return find_rigs([root / name for name in names if name != DRIVE_YAML], size)
 
 
-def _mounted(values: Sequence[float]) -> str:
+def _mounted(mount: Mount) -> str:
     """A mount in words: a sign the wrong way round is seen there."""
-    forward, left, up, pitch, yaw, roll = (*values, 0.0, 0.0, 0.0)[:6]
+    forward, left, up, pitch = mount.forward_m, mount.left_m, mount.up_m, mount.pitch_deg
     along, aside = "in front of" if forward >= 0 else "behind", "left of" if left >= 0 else "right of"
     over = "above" if up >= 0 else "below"
     place = f"{abs(forward):g} m {along}, {abs(left):g} m {aside} and {abs(up):g} m {over} the antenna or IMU"
-    turned = f", yaw {yaw:g}, roll {roll:g} degrees" if yaw or roll else ""
-    unstated = ", as no pitch is stated" if len(values) == 3 else ""
+    turned = f", yaw {mount.yaw_deg:g}, roll {mount.roll_deg:g} degrees" if mount.yaw_deg or mount.roll_deg else ""
+    unstated = "" if "pitch_deg" in mount.model_fields_set else ", as no pitch is stated"
     return f"left camera: {place}, looks {abs(pitch):g} degrees {'down' if pitch >= 0 else 'up'}{turned}{unstated}"
-
-
-def _numbers(key: str, text: str, least: int, most: int) -> list[float]:
-    """Numbers separated by commas, or by semicolons with decimal points or commas. Raises InputError."""
-    words = text.replace(",", ".").split(";") if ";" in text else text.split(",")
-    if most > 1 and (odd := next((word for word in words if _LEADING_ZERO.fullmatch(word.strip())), None)):
-        raise InputError(
-            f"--{key} {shown(text)}: {odd.strip()} looks like the end of a number with a decimal comma; write decimal points, or "
-            "semicolons between the numbers"
-        )
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        values = []
-    if not least <= len(values) <= most or not np.isfinite(values).all():
-        wanted = f"{least} to {most} numbers, separated by commas" if most > least else "a number"
-        raise InputError(f"--{key} '{text[:60]}': expected {wanted}")
-    return values

@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -51,8 +50,6 @@ _STATED_SIGMA_S = 0.01
 #: Offsets of two methods that differ by more sigmas contradict each other.
 _CONTRADICTS = 4.0
 _log = logging.getLogger(__name__)
-#: `conetl init` reads a drive again after each answer.
-_video_lag = lru_cache(maxsize=1)(find_video_lag)
 
 
 class CameraImages(NamedTuple):
@@ -80,8 +77,7 @@ class Timing(NamedTuple):
 
 
 class UnknownTimeError(InputError):
-    """The images do not show when they were taken. key: name of the option of `conetl init` that states it; remedy: what to
-    write into drive.yaml by hand."""
+    """The images do not show when they were taken. key: that of drive.yaml that states it; remedy: how to write it."""
 
     def __init__(self, key: str, root: Path, cause: str, remedy: str) -> None:
         super().__init__(f"{root}: {cause}. {remedy}")
@@ -147,7 +143,7 @@ def _unknown_start(root: Path, left: CameraImages, cause: str) -> UnknownTimeErr
             f". {left.name} states {stated} UTC as its time of creation, which may be that of its end, or in local time"
         )
     remedy = f"State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'"
-    return UnknownTimeError("start", root, cause, remedy)
+    return UnknownTimeError("images.start", root, cause, remedy)
 
 
 def _later(image: Image | None, offset_ns: int) -> Image | None:
@@ -189,7 +185,7 @@ def _listed(camera: CameraImages, name: str | None, source: Source, track: Sampl
     if name is None and (doubt or not has_times):
         found = f"{camera.paths[0].name} to {camera.paths[-1].name}"
         raise UnknownTimeError(
-            "timestamps",
+            "images.timestamps",
             source.root,
             f"the names of the images in {camera.name} ({found}) are not times"
             + (f" to a fraction of a second ({doubt})" if doubt else "")
@@ -285,12 +281,12 @@ def _right_offset_s(left: CameraImages, right: CameraImages, settings: Images) -
         return settings.right_offset_s
     assert left.video is not None and right.video is not None
     try:
-        lag = _video_lag(left.video, right.video)
+        lag = find_video_lag(left.video, right.video)
     except ImageFileError as error:
         raise InputError(str(error)) from error
     if lag is None:
         raise UnknownTimeError(
-            "right-offset",
+            "images.right_offset_s",
             left.video.path.parent,
             f"the time shift between {right.name} and {left.name} cannot be estimated from the images",
             f"Put 'images: {{right_offset_s: 0}}' into {DRIVE_YAML} if both begin with the same trigger, else what to add to the "

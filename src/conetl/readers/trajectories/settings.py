@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime
-from typing import Literal
+from typing import Any, Literal
 from zoneinfo import ZoneInfo
 
 from pydantic import Field, field_validator
@@ -12,6 +12,11 @@ from conetl.files.documents import shown
 from conetl.model.base import Record
 
 FormatName = Literal["rtklib", "sbet", "inertial_explorer", "nmea", "gpx", "oxts", "euroc", "tum", "table"]
+
+
+def setting(text: str, example: object, default: object = None, **limits: Any) -> Any:
+    """A key of drive.yaml that `conetl init` explains. text: what it means, in one sentence; limits: of pydantic's `Field`."""
+    return Field(default=default, description=text, examples=[example], **limits)
 
 
 def known_zone(name: str, what: str = "a time zone; expected a name such as UTC or Europe/Berlin") -> str:
@@ -26,23 +31,33 @@ def known_zone(name: str, what: str = "a time zone; expected a name such as UTC 
 class TrajectoryFile(Record):
     """How to read a trajectory file; every key is optional."""
 
-    file: str | None = Field(default=None, min_length=1, max_length=1000)
-    """Relative to the drive folder and inside it."""
+    file: str | None = setting(
+        "The GNSS/INS log: a file in the drive folder.", "rover.pos", min_length=1, max_length=1000
+    )
     format: FormatName | None = None
-    columns: dict[str, str | int] = Field(default={}, max_length=50)
-    """Tables: name or number (from 1) of the column in the file by our name for it (`tables.ROLES`)."""
+    columns: dict[str, str | int] = setting(
+        "Which columns of a table contain what, by their names or numbers from 1.",
+        {"time": "Zeit", "lat": "B", "lon": "L", "height": "H", "roll": "R", "pitch": "P", "heading": "K"},
+        default={},
+        max_length=50,
+    )
+    """By our names for them (`tables.ROLES`)."""
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
     """Tables: comma, semicolon, tab, or a space for any white space."""
     decimal: Literal[".", ","] | None = None
-    time: str | None = Field(default=None, max_length=100)
-    """utc, gps or the IANA name of a time zone."""
+    time: str | None = setting("Time system: utc, gps or a time zone.", "Europe/Berlin", max_length=100)
     week: int | None = Field(default=None, ge=0, lt=10_000)
     """GPS week, without rollover, of a file whose times are seconds of a week."""
-    date: datetime.date | None = None
-    """Day of the first record, where times are seconds of a week or of a day, or have no date."""
-    crs: str | None = Field(default=None, min_length=1, max_length=10_000)
-    heights: str | None = Field(default=None, min_length=1, max_length=10_000)
-    """`ellipsoidal`, a vertical CRS such as EPSG:5773, or the name of a geoid grid (.tif, .gtx)."""
+    date: datetime.date | None = setting("Day of the first record, if its time states none.", "2026-03-02")
+    crs: str | None = setting(
+        "Coordinate reference system of the positions.", "EPSG:25832", min_length=1, max_length=10_000
+    )
+    heights: str | None = setting(
+        "Heights: ellipsoidal, a vertical CRS (EPSG:5773: above sea level, EGM96), or a geoid grid (.tif, .gtx).",
+        "EPSG:5773",
+        min_length=1,
+        max_length=10_000,
+    )
     frame: str | None = Field(default=None, min_length=1, max_length=100)
     """Dynamic frame of the positions at the times of the records, such as ITRF2020 ..."""
     map_frame: str | None = Field(default=None, min_length=1, max_length=100)
