@@ -141,11 +141,11 @@ def attempt(
     samples.commit(conn, samples.added(samples.feature()), key="a")
     monkeypatch.setenv("CONETL_HOME", str(tmp_path / "home"))
     monkeypatch.setenv("CONETL_DATABASE_URL", database_url)
-    monkeypatch.setenv("PREFECT__RUNTIME__FLOW_RUN__ID", str(uuid4()))
     monkeypatch.setenv("PREFECT__RUNTIME__FLOW_RUN__RUN_COUNT", "1")
     monkeypatch.setattr(ingest_drive, "_describe_run", lambda *_: None)
 
     def receipt_of(work: Callable[..., Any]) -> dict[str, Any]:
+        monkeypatch.setenv("PREFECT__RUNTIME__FLOW_RUN__ID", str(uuid4()))
         monkeypatch.setattr(ingest_drive, "ingest", work)
         try:
             ingest_drive.ingest_drive.fn(drive)
