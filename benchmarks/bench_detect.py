@@ -31,13 +31,14 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from benchmarks.harness import ROOT, arguments_of, load, print_rows, write_json
+from benchmarks.harness import arguments_of, load, print_rows, write_json
 from benchmarks.rival_networks import INPUT_NAME, write_yolo11n, write_yolov3
 from conetl.model.errors import ModelFileError
 from conetl.model.feature_classes import CONE
 from conetl.perception.detector import MIN_SIDE_PX, Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_image
 from conetl.perception.model_card import shipped_model_path
+from tests.folders import SAMPLE
 
 Image = NDArray[np.uint8]
 Work = Callable[[], object]
@@ -90,15 +91,14 @@ class RecordingSession:
 
 def sample_image(width_px: int, height_px: int) -> tuple[Image, str]:
     """An image of the sample drives, cut to the shape and resized; and its name."""
-    drives = ROOT / "data" / "drives"
-    path = min(drives.glob("*/image_02/data/*"))
+    path = min(SAMPLE.glob("image_02/data/*"))
     image = read_image(path)
     height, width = image.shape[:2]
     scale = min(width / width_px, height / height_px)
     columns, rows = round(width_px * scale), round(height_px * scale)
     left, top = (width - columns) // 2, (height - rows) // 2
     resized = cv2.resize(image[top : top + rows, left : left + columns], (width_px, height_px))
-    return np.asarray(resized, np.uint8), f"{path.relative_to(drives)}, cut and resized"
+    return np.asarray(resized, np.uint8), f"{path.relative_to(SAMPLE.parent)}, cut and resized"
 
 
 def measure(what: str, size_px: tuple[int, int], works: Sequence[Work], runs: int, images: int = 1) -> Timing:

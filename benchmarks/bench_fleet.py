@@ -50,7 +50,7 @@ from conetl.model.params import IngestParams
 from conetl.perception.model_card import read_model_card
 from tests.integration.drives_of_days import Survey, merge
 from tests.integration.test_side_by_side import BORDER_M, at_once, drive_at
-from tests.synthetic.changing_road import FRAMES, HOUR_NS, RIG, Road, change, drive_boxes, random_road
+from tests.synthetic.changing_road import FRAMES, HOUR_NS, RIG, Boxes, Road, change, drive_boxes, random_road
 from tests.synthetic.world import ORIGIN_M, START_NS, fuse_logged, locate, make_path, shifted
 
 MAP_NAME, YOUNG_MAP = "fleet", "young"
@@ -102,7 +102,7 @@ def survey_of_trip(trip: Trip) -> Survey:
     start_ns = START_NS + trip.day * DAY_NS + trip.number * HOUR_NS
     gnss_m = np.array([*rng.normal(0, 0.2, 2), 0.0])
     logged: list[FramePair] = []
-    boxes = {}
+    boxes: Boxes = {}
     for zone in range(ZONES):
         first = zone * FRAMES
         pairs = [
@@ -114,7 +114,7 @@ def survey_of_trip(trip: Trip) -> Survey:
         cones = zone_on(trip.town, trip.street, zone, trip.day).cones()
         boxes |= drive_boxes(cones, pairs, figures, rng)
         there_m = (trip.town * TOWN_STEP_M + zone * ZONE_STEP_M, trip.street * STREET_STEP_M, 0.0)
-        logged += [shifted(pair, gnss_m + there_m) for pair in pairs]
+        logged += [shifted(pair, (gnss_m + there_m).tolist()) for pair in pairs]
     found, matches, positions = locate(boxes, logged, RIG)
     tracks, _ = fuse_logged(logged, RIG, found, matches, positions, params=params, evidence=evidence_of_model())
     name = f"{trip.town}_{trip.street}_{trip.day}_{trip.number}"
@@ -354,7 +354,7 @@ def month(url: str, days: int, scale: int, late: float) -> dict[str, object]:
             with settled(conn):
                 execute(conn, "vacuum full conetl.detection, conetl.stereo_match, conetl.position")
             archived_bytes = sum(sizes(conn).values())
-            late = commit(conn, survey_of_trip(Trip(100, 0, 0, 9)))  # the archived drives of its street come back
+            came_back = commit(conn, survey_of_trip(Trip(100, 0, 0, 9)))  # the archived drives of its street come back
             failed += [f"{audit.name} (archived)" for audit in run_audits(conn) if not audit.passed]
     # The first day of the young map finds nothing there.
     old = [one for day in by_day[-COMPARED_DAYS:] for one in day]
@@ -385,8 +385,8 @@ def month(url: str, days: int, scale: int, late: float) -> dict[str, object]:
         "bytes a sighting, archived: tables": archived_bytes / sightings,
         "bytes a sighting, archived: files": file_bytes / sightings,
         "s to archive": archive_s,
-        "archived drives that the oldest late drive brought back": late.replayed,
-        "s of processor for it": late.processor_s,
+        "archived drives that the oldest late drive brought back": came_back.replayed,
+        "s of processor for it": came_back.processor_s,
         **{f"ms of the map {name}": ms for name, ms in as_of.items()},
         "audits failed": ", ".join(failed) or "none",
         "load": load(),

@@ -136,7 +136,7 @@ def server_ms(conn: Connection, count: int) -> list[float]:
     """Milliseconds per box by the server: only planning and execution."""
     times = []
     for box in boxes(count):
-        parameters = dict(zip(("west_m", "south_m", "east_m", "north_m"), box, strict=True))
+        parameters: dict[str, object] = dict(zip(("west_m", "south_m", "east_m", "north_m"), box, strict=True))
         parameters |= {
             "srid": SRID,
             "map_name": MAP_NAME,

@@ -103,9 +103,8 @@ def main() -> None:
         beside: list[tuple[float, float]] = []
         if arguments.dask:
             address, of_dask = stack.enter_context(warm_workers(home, source, arguments.dask, params))
-            cluster = {"task_runner": "dask", "dask_address": address}
             for k in range(arguments.rounds):
-                by_dask = took(prefect_ingest, f"dask_{k}", **cluster)[0]
+                by_dask = took(prefect_ingest, f"dask_{k}", task_runner="dask", dask_address=address)[0]
                 beside.append((took(prefect_ingest, f"threads_{k}", without=of_dask)[0], by_dask))
         print(f"{arguments.pairs} pairs of {source.name}, refinement {params.trajectory.refine}, "
               f"{workers} detection tasks at a time, load {load():.1f}")  # fmt: skip
@@ -118,8 +117,8 @@ def main() -> None:
         print(f"cold against cold: {100 * (cold['prefect'][0] / cold['plain'][0] - 1):+.2f} %")
         print(f"once per command: start of the server {start_s:.1f} s; "
               + "; ".join(f"import of {name} {cpu_of_import(text):.1f} s" for name, text in IMPORTS.items()))  # fmt: skip
-        for times in beside:
-            threads, dask = (1000 * took_s / arguments.pairs for took_s in times)
+        for both in beside:
+            threads, dask = (1000 * took_s / arguments.pairs for took_s in both)
             print(f"from images by threads {threads:.1f} ms of processor time per pair, by {arguments.dask} workers of Dask "
                   f"{dask:.1f}: {100 * (dask / threads - 1):+.1f} %")  # fmt: skip
         figures = {"cold_s": cold, "warm_s": warm, "prefect_s": extra, "server_start_s": start_s}

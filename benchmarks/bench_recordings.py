@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from benchmarks.harness import KITTI, SAMPLE, arguments_of, print_rows, write_json
+from benchmarks.harness import arguments_of, print_rows, write_json
 from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import ConetlError
 from conetl.model.health import hold_reason
@@ -33,6 +33,7 @@ from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.drive_yaml import read_drive_yaml
 from conetl.readers.drives.video import preview
+from tests.folders import KITTI, SAMPLES
 from tests.unit.readers import trajectory_files as logs
 from tests.unit.readers.drive_formats import write_bag, write_ros1_bag
 from tests.video_drives import LOGS, frames_of, known_of, with_log, write_video_drive
@@ -45,7 +46,7 @@ VIDEOS: dict[str, dict[str, Any]] = {
         "layout": "left-right", "codec": "libx265", "options": {"crf": "18", "x265-params": "log-level=none"},
     },
 }  # fmt: skip
-BAGS = {"ROS 1 bag": write_ros1_bag, "ROS 2 bag": write_bag}
+BAGS: dict[str, Callable[..., Path]] = {"ROS 1 bag": write_ros1_bag, "ROS 2 bag": write_bag}
 CLOCK_ERRORS_S = (-20, -13.3, -5, 0, 5, 13.3, 20)
 FIGURES = ("largest m", "median m", "horizontal m", "in sigmas", "pairs", "s per pair", "throughput", "by the clock")
 
@@ -127,7 +128,7 @@ def every_second(t: logs.Known) -> logs.Known:
     """The records nearest to whole seconds since the first one."""
     age_s = (t.times_ns - t.times_ns[0]) * 1e-9
     rows = sorted({int(np.abs(age_s - second).argmin()) for second in range(int(age_s[-1]) + 1)})
-    return logs.Known(*(column[rows] for column in t))
+    return logs.Known._make(column[rows] for column in t)
 
 
 def corrected_s(analysed: AnalysedDrive) -> float:
@@ -225,7 +226,7 @@ def main() -> None:
     )
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    sources = [path for path in (*sorted(SAMPLE.parent.iterdir()), KITTI) if path.is_dir() and args.only in str(path)]
+    sources = [path for path in (*SAMPLES, KITTI) if path.is_dir() and args.only in str(path)]
     tables: dict[str, list[dict[str, object]]] = {}
     for source in sources:
         with TemporaryDirectory(prefix="conetl-recordings-", dir=args.folder) as folder:

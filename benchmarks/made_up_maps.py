@@ -313,11 +313,13 @@ def _path(first: int, count: int, start_ns: int) -> list[FramePair]:
     """A frame pair every 10 m beside the cones, road after road."""
     at = position_of(np.arange(first, first + count, max(1, round(FRAME_STEP_M / SPACING_M))))
     identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    pose = {"map_R_body": identity, "sigma_enu_m": (0.3, 0.3, 0.5), "sigma_rpy_rad": (0.001, 0.001, 0.002)}
     return [
         FramePair.model_construct(
             frame_index=k, left_path="", right_path="", captured_at_ns=start_ns + k * 500_000_000,
-            pose=Pose.model_construct(map_t_body_m=(x, y - 3.0, z), **pose),
+            pose=Pose.model_construct(
+                map_R_body=identity, map_t_body_m=(x, y - 3.0, z), sigma_enu_m=(0.3, 0.3, 0.5),
+                sigma_rpy_rad=(0.001, 0.001, 0.002),
+            ),
         )
         for k, (x, y, z) in enumerate(at.tolist())
     ]  # fmt: skip
