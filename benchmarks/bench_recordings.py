@@ -7,7 +7,7 @@ analysing with the first log of a container: later ones find the detections of t
 and the clock of images that is wrong by seconds. Run it more than once: libx264 does not write the same file in every run, and
 one far cone of the third sample drive moves by 1 to 2.5 cm between them.
 
-    python benchmarks/bench_recordings.py [--only TEXT] [--parts logs sparse clocks] [--folder FOLDER]
+    python benchmarks/bench_recordings.py [DRIVE ...] [--parts logs sparse clocks] [--containers 'ROS 2 bag'] [--folder FOLDER]
 """
 
 from __future__ import annotations
@@ -169,7 +169,9 @@ def clock_row(
     return {**row, **found, "held": "no"}
 
 
-def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str, dict[str, object]]]:
+def rows_of(
+    source: Path, folder: Path, parts: list[str], containers: list[str]
+) -> Iterator[tuple[str, dict[str, object]]]:
     """The rows of one drive, each with the part that it belongs to."""
     name = "KITTI 0005" if source == KITTI else source.name[:10]
     true = run(source, folder / "home images")
@@ -183,11 +185,13 @@ def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str,
                        **dict.fromkeys(FIGURES), "pairs": f"{len(drive.frame_pairs)}", "s per pair": true.per_pair_s,
                        "throughput": 1.0, "by the clock": 1.0, "held": hold_reason(true.analysed.health) or "no"}  # fmt: skip
         frames = frames_of(drive)
-        for kind, write in BAGS.items():
+        for kind, write in ((kind, write) for kind, write in BAGS.items() if kind in containers):
             root = write(folder / kind.replace(" ", ""), frames, drive.rig)
             names = {"drive": name, "container": kind, "log": "NavSatFix + Imu"}
             yield "logs", compared(names, root, folder / f"home {kind}", true, cold=True)
     for kind, how in VIDEOS.items():
+        if kind not in containers:
+            continue
         if "logs" not in parts and kind != "2 x H.264":
             continue
         videos = write_video_drive(folder / f"videos {kind}", drive, trajectory=False, **how)
@@ -217,20 +221,21 @@ def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str,
 
 def main() -> None:
     parser = arguments_of(__doc__)
-    parser.add_argument("--only", default="", help="only drives whose path holds this text")
+    parser.add_argument("drives", nargs="*", type=Path, metavar="DRIVE", help="default: the sample drives and KITTI")
     parser.add_argument(
         "--parts", nargs="+", choices=("logs", "sparse", "clocks"), default=["logs", "sparse", "clocks"]
     )
+    parser.add_argument("--containers", nargs="+", choices=[*BAGS, *VIDEOS], default=[*BAGS, *VIDEOS])
     parser.add_argument(
         "--folder", type=Path, help="where recordings are written (300 MB; default: a temporary folder)"
     )
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    sources = [path for path in (*SAMPLES, KITTI) if path.is_dir() and args.only in str(path)]
+    sources = args.drives or [path for path in (*SAMPLES, KITTI) if path.is_dir()]
     tables: dict[str, list[dict[str, object]]] = {}
     for source in sources:
         with TemporaryDirectory(prefix="conetl-recordings-", dir=args.folder) as folder:
-            for part, row in rows_of(source, Path(folder), args.parts):
+            for part, row in rows_of(source, Path(folder), args.parts, args.containers):
                 tables.setdefault(part, []).append(row)
                 print(*(f"{v:.3g}" if isinstance(v, float) else v for v in row.values()), sep=" | ", flush=True)
     titles = {
