@@ -37,17 +37,16 @@ import numpy as np
 import psutil
 
 from benchmarks.bench_kills import EMPTY
-from benchmarks.harness import arguments_of, load, own_cluster, print_rows, write_json
+from benchmarks.harness import arguments_of, evidence_of_model, load, own_cluster, print_rows, write_json
 from benchmarks.made_up_maps import DAY_NS
 from conetl.db.connection import Connection, connect, execute
 from conetl.db.map.map_store import find_map, read_features_as_of
 from conetl.db.retention import archive_drive, prunable_drives
 from conetl.db.schema import run_audits
-from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence
+from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.drive import Drive, FramePair
 from conetl.model.errors import DatabaseError
 from conetl.model.params import IngestParams
-from conetl.perception.model_card import read_model_card
 from tests.integration.drives_of_days import Survey, merge
 from tests.integration.test_side_by_side import BORDER_M, at_once, drive_at
 from tests.synthetic.changing_road import FRAMES, HOUR_NS, RIG, Boxes, Road, change, drive_boxes, random_road
@@ -72,14 +71,6 @@ class Trip:
     day: int
     number: int
     """Of the drives of that day on that street."""
-
-
-@cache
-def evidence_of_model() -> DetectorEvidence:
-    evidence = read_model_card(None).evidence
-    if evidence is None:
-        raise SystemExit("the sidecar of the shipped model has no evidence, which the simulation requires")
-    return evidence
 
 
 @cache

@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -29,6 +30,8 @@ from rich.table import Table
 from conetl.db.cluster.cluster import cluster_up
 from conetl.db.connection import connect
 from conetl.db.schema import migrate
+from conetl.model.detector_evidence import DetectorEvidence
+from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import prefect_environment
 from tests.clusters import remove_cluster
 from tests.command import free_port, until
@@ -88,6 +91,15 @@ def _answers(address: str) -> bool:
     with suppress(OSError), urlopen(f"{address}/", timeout=1):
         return True
     return False
+
+
+@cache
+def evidence_of_model() -> DetectorEvidence:
+    """What was measured of the shipped detector, by which simulations draw boxes."""
+    evidence = read_model_card(None).evidence
+    if evidence is None:
+        raise SystemExit("the sidecar of the shipped model has no evidence, which the simulation requires")
+    return evidence
 
 
 def best_ms(work: Callable[[], object], times: int = 30) -> float:
