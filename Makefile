@@ -98,7 +98,7 @@ bench-health: setup  ## run the health checks on simulated good drives: false al
 bench-mutants: setup  ## ingest faulty recordings: effect on the map, and whether the cause is named (ARGS='--only TEXT --failures' ...)
 	@$(BIN)/python benchmarks/bench_mutants.py $(ARGS)
 
-bench-recordings: setup  ## ingest the sample drives and KITTI as videos and bags with nine logs, and compare the cones (ARGS='--only TEXT' ...)
+bench-recordings: setup  ## ingest the sample drives and KITTI as videos and bags with nine logs, and compare the cones (ARGS='DRIVE --parts clocks' ...)
 	@$(BIN)/python benchmarks/bench_recordings.py $(ARGS)
 
 fuzz: setup     ## run all readers on mutated files: no crash, at most 2 s and 1 GB (ARGS='--cases 10000 --reader kitti')

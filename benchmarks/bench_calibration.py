@@ -9,7 +9,7 @@ should be within 1.96 of its stated sigmas in 95 of 100 splits. Splits of few pa
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,9 @@ from benchmarks.harness import arguments_of, write_json
 from conetl.geometry.calibration.stereo_bundle import BoardView
 from conetl.geometry.calibration.stereo_calibration import StereoCalibration, calibrate_stereo
 from conetl.geometry.calibration.tables import rms_px
+from conetl.model.rig import Side
 from conetl.perception.boards.boards import Board, parse_board
-from conetl.perception.boards.images import find_boards, pairs_even_odd, pairs_in_folders, start_values
+from conetl.perception.boards.images import Size, find_boards, pairs_even_odd, pairs_in_folders, start_values
 
 
 def baseline_mm(found: StereoCalibration) -> tuple[float, float]:
@@ -30,7 +31,7 @@ def baseline_mm(found: StereoCalibration) -> tuple[float, float]:
 
 
 def half_of(
-    whole: StereoCalibration, views: Sequence[BoardView], pairs: set[int], board: Board, sizes: dict
+    whole: StereoCalibration, views: Sequence[BoardView], pairs: set[int], board: Board, sizes: Mapping[Side, Size]
 ) -> tuple[float, float]:
     """Baseline and sigma (mm) from some of the pairs."""
     own = [view for view in views if view.pair_index in pairs]

@@ -11,17 +11,13 @@ from __future__ import annotations
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 
-from benchmarks.harness import arguments_of, print_rows, write_json
-from conetl.perception.model_card import read_model_card
+from benchmarks.harness import arguments_of, evidence_of_model, print_rows, write_json
 from tests.synthetic.changing_road import HIDDEN, Score, simulate
 
 
 def one_road(days_and_seed: tuple[int, int]) -> Score:
-    evidence = read_model_card(None).evidence
-    if evidence is None:
-        raise SystemExit("the sidecar of the shipped model has no evidence, which the simulation requires")
     days, seed = days_and_seed
-    return simulate(days, evidence, seed=seed)
+    return simulate(days, evidence_of_model(), seed=seed)
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Time to detect the cones of one image, beside well-known networks on the same machine.
 
-    .venv/bin/python benchmarks/bench_detect.py [--quick] [--json FILE] [--model FILE] [--images FOLDER]
+    .venv/bin/python benchmarks/bench_detect.py [--runs 12] [--json FILE] [--model FILE] [--images FOLDER]
 
 Rows: the complete detection (`conetl.perception.detector.detect_image`) of cones and of all classes, its network alone on the
 tensor of the full-size pass and on the tensors of all passes, and two rivals with random weights (`rival_networks.py`), network
@@ -31,13 +31,14 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from benchmarks.harness import ROOT, arguments_of, load, print_rows, write_json
+from benchmarks.harness import arguments_of, load, print_rows, write_json
 from benchmarks.rival_networks import INPUT_NAME, write_yolo11n, write_yolov3
 from conetl.model.errors import ModelFileError
 from conetl.model.feature_classes import CONE
 from conetl.perception.detector import MIN_SIDE_PX, Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError, read_image
 from conetl.perception.model_card import shipped_model_path
+from tests.folders import SAMPLE
 
 Image = NDArray[np.uint8]
 Work = Callable[[], object]
@@ -46,8 +47,6 @@ Work = Callable[[], object]
 SIZES_PX = ((1242, 375), (640, 640))
 SCORE_THRESHOLD = 0.3
 WARM_UPS = 2
-RUNS = 12
-QUICK_RUNS = 3
 #: Threads with a smaller share of a core were disturbed by other programs.
 LEAST_SHARE = 0.9
 WHOLE, ALONE, ALL_PASSES = "conetl whole", "conetl network", "conetl network, all passes"
@@ -90,15 +89,14 @@ class RecordingSession:
 
 def sample_image(width_px: int, height_px: int) -> tuple[Image, str]:
     """An image of the sample drives, cut to the shape and resized; and its name."""
-    drives = ROOT / "data" / "drives"
-    path = min(drives.glob("*/image_02/data/*"))
+    path = min(SAMPLE.glob("image_02/data/*"))
     image = read_image(path)
     height, width = image.shape[:2]
     scale = min(width / width_px, height / height_px)
     columns, rows = round(width_px * scale), round(height_px * scale)
     left, top = (width - columns) // 2, (height - rows) // 2
     resized = cv2.resize(image[top : top + rows, left : left + columns], (width_px, height_px))
-    return np.asarray(resized, np.uint8), f"{path.relative_to(drives)}, cut and resized"
+    return np.asarray(resized, np.uint8), f"{path.relative_to(SAMPLE.parent)}, cut and resized"
 
 
 def measure(what: str, size_px: tuple[int, int], works: Sequence[Work], runs: int, images: int = 1) -> Timing:
@@ -106,7 +104,7 @@ def measure(what: str, size_px: tuple[int, int], works: Sequence[Work], runs: in
     barrier = threading.Barrier(len(works))
 
     def worker(work: Work) -> tuple[list[float], float]:
-        for _ in range(WARM_UPS):
+        for _ in range(min(WARM_UPS, runs)):
             work()
         barrier.wait()
         cpu_start_s, ticks = time.thread_time(), [time.perf_counter()]
@@ -278,7 +276,7 @@ def run(model_path: Path, runs: int, threads: int, pictures: Path | None) -> dic
 
 def main() -> None:
     parser = arguments_of(__doc__)
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_RUNS} runs per row instead of {RUNS}")
+    parser.add_argument("--runs", type=int, default=12, help="per row and thread, after at most two to warm up")
     parser.add_argument("--images", type=Path, metavar="FOLDER", help="measure conetl on images of your own")
     parser.add_argument("--model", type=Path, metavar="FILE", help="another conetl model than the shipped one")
     options = parser.parse_args()
@@ -286,7 +284,7 @@ def main() -> None:
     if options.images is not None and not options.images.is_dir():
         parser.error(f"--images {options.images}: not a folder")
     try:
-        report = run(options.model or shipped_model_path(), QUICK_RUNS if options.quick else RUNS, 2, options.images)
+        report = run(options.model or shipped_model_path(), options.runs, 2, options.images)
     except (ModelFileError, ImageFileError) as error:
         parser.error(str(error))
     print_report(report)

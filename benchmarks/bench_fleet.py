@@ -37,25 +37,24 @@ import numpy as np
 import psutil
 
 from benchmarks.bench_kills import EMPTY
-from benchmarks.harness import arguments_of, load, own_cluster, print_rows, write_json
+from benchmarks.harness import arguments_of, evidence_of_model, load, own_cluster, print_rows, write_json
 from benchmarks.made_up_maps import DAY_NS
 from conetl.db.connection import Connection, connect, execute
 from conetl.db.map.map_store import find_map, read_features_as_of
 from conetl.db.retention import archive_drive, prunable_drives
 from conetl.db.schema import run_audits
-from conetl.model.detector_evidence import AbsenceFigures, DetectorEvidence
+from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.drive import Drive, FramePair
 from conetl.model.errors import DatabaseError
 from conetl.model.params import IngestParams
-from conetl.perception.model_card import read_model_card
 from tests.integration.drives_of_days import Survey, merge
 from tests.integration.test_side_by_side import BORDER_M, at_once, drive_at
-from tests.synthetic.changing_road import FRAMES, HOUR_NS, RIG, Road, change, drive_boxes, random_road
+from tests.synthetic.changing_road import FRAMES, HOUR_NS, RIG, Boxes, Road, change, drive_boxes, random_road
 from tests.synthetic.world import ORIGIN_M, START_NS, fuse_logged, locate, make_path, shifted
 
 MAP_NAME, YOUNG_MAP = "fleet", "young"
 COMPARED_DAYS = 4
-"""First and last days of the month: of these, all but the first are compared."""
+"""First and last days of the month, or a quarter of it: of these, all but the first are compared."""
 VEHICLES, DRIVES_A_DAY = 200, 4
 """Of the whole fleet, and of each vehicle."""
 STREETS_A_TOWN = 2
@@ -72,14 +71,6 @@ class Trip:
     day: int
     number: int
     """Of the drives of that day on that street."""
-
-
-@cache
-def evidence_of_model() -> DetectorEvidence:
-    evidence = read_model_card(None).evidence
-    if evidence is None:
-        raise SystemExit("the sidecar of the shipped model has no evidence, which the simulation requires")
-    return evidence
 
 
 @cache
@@ -102,7 +93,7 @@ def survey_of_trip(trip: Trip) -> Survey:
     start_ns = START_NS + trip.day * DAY_NS + trip.number * HOUR_NS
     gnss_m = np.array([*rng.normal(0, 0.2, 2), 0.0])
     logged: list[FramePair] = []
-    boxes = {}
+    boxes: Boxes = {}
     for zone in range(ZONES):
         first = zone * FRAMES
         pairs = [
@@ -114,7 +105,7 @@ def survey_of_trip(trip: Trip) -> Survey:
         cones = zone_on(trip.town, trip.street, zone, trip.day).cones()
         boxes |= drive_boxes(cones, pairs, figures, rng)
         there_m = (trip.town * TOWN_STEP_M + zone * ZONE_STEP_M, trip.street * STREET_STEP_M, 0.0)
-        logged += [shifted(pair, gnss_m + there_m) for pair in pairs]
+        logged += [shifted(pair, (gnss_m + there_m).tolist()) for pair in pairs]
     found, matches, positions = locate(boxes, logged, RIG)
     tracks, _ = fuse_logged(logged, RIG, found, matches, positions, params=params, evidence=evidence_of_model())
     name = f"{trip.town}_{trip.street}_{trip.day}_{trip.number}"
@@ -304,19 +295,19 @@ def trips_of_month(days: int, scale: int, late: float) -> list[list[Trip]]:
 
 def month(url: str, days: int, scale: int, late: float) -> dict[str, object]:
     """Play the month, and measure the map at its end."""
-    arriving = trips_of_month(days, scale, late)
+    arriving, compared_days = trips_of_month(days, scale, late), min(COMPARED_DAYS, days // 4)
     begun = datetime.now(UTC)
     grown: list[int] = []
     by_day: list[list[Commit]] = []
     with closing(connect(url)) as conn, ProcessPoolExecutor(1) as ahead:
         surveys = ahead.map(survey_of_trip, [trip for trips in arriving for trip in trips], chunksize=4)
-        again = ahead.map(survey_of_trip, [trip for trips in arriving[:COMPARED_DAYS] for trip in trips], chunksize=4)
+        again = ahead.map(survey_of_trip, [trip for trips in arriving[:compared_days] for trip in trips], chunksize=4)
         young: list[Commit] = []
         for day, trips in enumerate(arriving):
             by_day.append([])
             for _ in trips:
                 by_day[-1].append(commit(conn, next(surveys)))
-                if day >= days - COMPARED_DAYS and (survey := next(again, None)) is not None:
+                if day >= days - compared_days and (survey := next(again, None)) is not None:
                     young.append(commit(conn, survey, YOUNG_MAP))
             grown.append(sum(sizes(conn).values()))
             if day % 5 == 4:
@@ -354,10 +345,10 @@ def month(url: str, days: int, scale: int, late: float) -> dict[str, object]:
             with settled(conn):
                 execute(conn, "vacuum full conetl.detection, conetl.stereo_match, conetl.position")
             archived_bytes = sum(sizes(conn).values())
-            late = commit(conn, survey_of_trip(Trip(100, 0, 0, 9)))  # the archived drives of its street come back
+            came_back = commit(conn, survey_of_trip(Trip(100, 0, 0, 9)))  # the archived drives of its street come back
             failed += [f"{audit.name} (archived)" for audit in run_audits(conn) if not audit.passed]
     # The first day of the young map finds nothing there.
-    old = [one for day in by_day[-COMPARED_DAYS:] for one in day]
+    old = [one for day in by_day[-compared_days:] for one in day]
     compared = zip(young, old, strict=False)
     first, last = np.median(
         [
@@ -368,25 +359,25 @@ def month(url: str, days: int, scale: int, late: float) -> dict[str, object]:
     return {
         "drives": len(commits),
         "sightings": sightings,
-        "ms of processor a commit, days 2 to 4, played beside the last": 1000 * first[0],
-        "ms of processor a commit, last 3 days": 1000 * last[0],
+        f"ms of processor a commit, days 2 to {compared_days}, played beside the last": 1000 * first[0],
+        f"ms of processor a commit, last {compared_days - 1} days": 1000 * last[0],
         "last / first": last[0] / first[0],
-        "ms a commit, days 2 to 4, played beside the last": 1000 * first[1],
-        "ms a commit, last 3 days": 1000 * last[1],
+        f"ms a commit, days 2 to {compared_days}, played beside the last": 1000 * first[1],
+        f"ms a commit, last {compared_days - 1} days": 1000 * last[1],
         "late drives": len(replays),
         "drives compared again for one": np.mean([one.replayed for one in replays]) if replays else 0,
         "ms of processor a late commit": 1000 * np.median([one.processor_s for one in replays]) if replays else 0,
         "MB a day, first half": (grown[days // 2] - grown[0]) / (days // 2) / 1e6,
-        "MB a day, second half": (grown[-1 - COMPARED_DAYS] - grown[days // 2])
-        / (days - 1 - COMPARED_DAYS - days // 2)
+        "MB a day, second half": (grown[-1 - compared_days] - grown[days // 2])
+        / (days - 1 - compared_days - days // 2)
         / 1e6,
         "vacuum s": vacuum_s,
         "bytes a sighting": sum(bytes_of.values()) / sightings,
         "bytes a sighting, archived: tables": archived_bytes / sightings,
         "bytes a sighting, archived: files": file_bytes / sightings,
         "s to archive": archive_s,
-        "archived drives that the oldest late drive brought back": late.replayed,
-        "s of processor for it": late.processor_s,
+        "archived drives that the oldest late drive brought back": came_back.replayed,
+        "s of processor for it": came_back.processor_s,
         **{f"ms of the map {name}": ms for name, ms in as_of.items()},
         "audits failed": ", ".join(failed) or "none",
         "load": load(),
@@ -413,12 +404,14 @@ def main() -> None:
     add = parser.add_argument
     add("--writers", type=int, default=8)
     add("--drives", type=int, default=6, help="that each writer commits")
-    add("--days", type=int, default=30)
+    add("--days", type=int, default=30, help="of the month, at least 8")
     add("--scale", type=int, default=100, help="1:N of the fleet and its towns")
     add("--late", type=float, default=0.05, help="share of drives that arrive a day late")
     add("--pairs", type=int, default=1000, help="random pairs of drives that are merged at once")
     add("--only", choices=["writers", "pairs", "month"])
     options = parser.parse_args()
+    if options.days < 8:
+        parser.error(f"--days {options.days}: expected 8 or more")
     n, drives = options.writers, options.drives
     logging.getLogger("conetl").setLevel(logging.ERROR)  # no warnings about sessions that wait
     figures: dict[str, object] = {}

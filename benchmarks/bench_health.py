@@ -19,7 +19,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks.harness import KITTI, SAMPLE, arguments_of, print_rows, write_json
+from benchmarks.harness import arguments_of, print_rows, write_json
 from conetl.geometry.consistency import Nees
 from conetl.model.health import Verdict, hold_reason
 from conetl.pipeline import analysis, odometry
@@ -27,6 +27,7 @@ from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from conetl.tracking import drive_refinement
 from conetl.tracking.clock import MAX_SIGMA_S
+from tests.folders import KITTI, SAMPLE
 from tests.synthetic.good_drives import checked, clock_of, draw_calibration, draw_drive, position_nees
 from tests.synthetic.odometry import pose_errors
 
@@ -38,7 +39,9 @@ Row = dict[str, object]
 def false_alarms(drives: int, seed: int) -> list[Row]:
     """Verdicts on good drives and calibrations, and positions before and after the refinement."""
     verdicts: Counter[Verdict] = Counter()
-    logged, refined_m, held, corrected = [], [], 0, 0
+    logged_m: list[float] = []
+    refined_m: list[float] = []
+    held = corrected = 0
     for number in range(seed, seed + drives):
         drive = draw_drive(np.random.default_rng(number))
         refined, checks = checked(drive)
@@ -49,9 +52,9 @@ def false_alarms(drives: int, seed: int) -> list[Row]:
         verdicts.update(check.verdict for check in of_calibration)
         if reason is not None:
             print(f"held: seed {number}, {drive.kind}: {reason}")
-        for pairs, found in ((drive.logged, logged), (refined.frame_pairs, refined_m)):
+        for pairs, found in ((drive.logged, logged_m), (refined.frame_pairs, refined_m)):
             found.append(float(np.sqrt((pose_errors(list(pairs), drive.truth)[:, :3] ** 2).sum(axis=1).mean())))
-    share = np.array(refined_m) / np.array(logged)
+    share = np.array(refined_m) / np.array(logged_m)
     return [
         {
             "drives": drives, "held": held, "clocks corrected": corrected,

@@ -14,9 +14,13 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from benchmarks.harness import Peak, arguments_of, load, own_home, processor_s, write_json
+
+Result = TypeVar("Result")
 
 
 def decode_and_run(drive: Path, workers: int) -> Callable[[], None]:
@@ -84,10 +88,10 @@ def main() -> None:
         stack.enter_context(prefect_server(home))
         figures: dict[str, dict[str, float]] = {}
 
-        def take(name: str, run: Callable[[], object]) -> None:
+        def take(name: str, run: Callable[[], Result]) -> Result:
             cpu, wall, load_before = processor_s(os.getpid(), database), time.monotonic(), load()
             with Peak() as peak:
-                run()
+                result = run()
             cpu, wall = processor_s(os.getpid(), database) - cpu, time.monotonic() - wall
             figures[name] = {
                 "processor_ms_a_pair": 1e3 * cpu / pairs, "pairs_a_second_by_the_clock": pairs / wall,
@@ -95,6 +99,7 @@ def main() -> None:
                 "peak_own_mb": peak.own_bytes / 1e6, "load": max(load_before, load()),
             }  # fmt: skip
             print(f"{name:28}" + "".join(f"{value:12.1f}" for value in figures[name].values()), flush=True)
+            return result
 
         columns = ("ms CPU/pair", "pairs/s", "idle cores", "peak MB", "own MB", "load")
         print(
@@ -118,21 +123,17 @@ def main() -> None:
             for old in settings_in(home).results_folder.iterdir():
                 old.unlink()
             before = job.database_bytes(settings)
-            take(name, lambda settings=settings, params=params: prefect_ingest(drive, settings, params))
+            take(name, partial(prefect_ingest, drive, settings, params))
             share = figures["decode + network"]["processor_ms_a_pair"] / figures[name]["processor_ms_a_pair"]
             stored = sum(path.stat().st_size for path in settings.results_folder.iterdir())
             grown = job.database_bytes(settings) - before
             print(f"  {share:.2f} of decode + network alone; {stored / 1e3 / pairs:.1f} kB of results and "
                   f"{grown / 1e3 / pairs:.1f} kB in the database")  # fmt: skip
             if arguments.stages:
-                spent: dict[str, float] = {}
                 for old in settings.results_folder.iterdir():
                     old.unlink()
                 again = settings_in(home, f"{settings.map_name}_stages")
-                take(
-                    "  the same without Prefect",
-                    lambda s=again, q=params, spent=spent: spent.update(plain_ingest(drive, s, q)),
-                )
+                spent = take("  the same without Prefect", partial(plain_ingest, drive, again, params))
                 for task, seconds in sorted(spent.items(), key=lambda item: -item[1]):
                     print(f"    {task:20} {1e3 * seconds / pairs:8.2f} ms a pair")
         write_json(arguments.json, figures)

@@ -81,8 +81,8 @@ def ingest(drives: list[Path], home: Path, *, kill_after_s: float | None = None)
         return False, time.monotonic() - start
     status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
     if status != 0:
-        log = (home / "ingest.log").read_text()[-3000:]
-        raise SystemExit(f"{log}\nthe ingest of {drives} failed with exit code {status}")
+        said = (home / "ingest.log").read_text()[-3000:]
+        raise SystemExit(f"{said}\nthe ingest of {drives} failed with exit code {status}")
     return True, time.monotonic() - start
 
 

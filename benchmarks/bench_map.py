@@ -136,7 +136,7 @@ def server_ms(conn: Connection, count: int) -> list[float]:
     """Milliseconds per box by the server: only planning and execution."""
     times = []
     for box in boxes(count):
-        parameters = dict(zip(("west_m", "south_m", "east_m", "north_m"), box, strict=True))
+        parameters: dict[str, object] = dict(zip(("west_m", "south_m", "east_m", "north_m"), box, strict=True))
         parameters |= {
             "srid": SRID,
             "map_name": MAP_NAME,
@@ -155,7 +155,7 @@ def server_ms(conn: Connection, count: int) -> list[float]:
 def main() -> None:
     parser = arguments_of(__doc__)
     add, flag = parser.add_argument, "store_true"
-    add("--sizes", type=int, nargs="+", default=[100_000, 1_000_000], help="features, multiples of 100,000")
+    add("--sizes", type=int, nargs="+", default=[100_000, 1_000_000], help="features")
     add("--sightings", type=int, default=100_000, help="cones that the drive passes")
     add("--no-history", action=flag, help="one row per feature instead of three")
     add("--audits", action=flag, help="run all audits on the map after the merge")

@@ -38,7 +38,8 @@ from conetl.pipeline.commit import commit
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.ingest import raise_if_doubtful
 from conetl.pipeline.settings import Settings
-from tests.mutants.table import FIRST, FOLDERS, GOOD, KITTI, RECORDINGS, SECOND, STREET, STREET_AGAIN, WrongRecording
+from tests.folders import KITTI
+from tests.mutants.table import FIRST, FOLDERS, GOOD, RECORDINGS, SECOND, STREET, STREET_AGAIN, WrongRecording
 
 Floats = NDArray[np.float64]
 CHI2, SIGMAS, PHANTOM_M, SAME_M = 18.4, 4.3, 1.0, 0.5

@@ -32,10 +32,10 @@ IMPORTS = {
 }
 
 
-def cpu_of_import(statement: str) -> float:
-    """Processor time of a Python process with this statement, the best of three."""
+def cpu_of_import(statement: str, rounds: int) -> float:
+    """Processor time of a Python process with this statement, the best of several."""
     took = []
-    for _ in range(3):
+    for _ in range(rounds):
         before = os.times()
         subprocess.run([sys.executable, "-c", statement], check=True)
         after = os.times()
@@ -61,7 +61,7 @@ def main() -> None:
     parser = arguments_of(__doc__)
     parser.add_argument("--pairs", type=int, default=1000)
     parser.add_argument("--drive", type=Path)
-    parser.add_argument("--rounds", type=int, default=3, help="warm rounds of each variant")
+    parser.add_argument("--rounds", type=int, default=3, help="warm rounds of each variant, and imports")
     parser.add_argument("--chunk-pairs", type=int, help="frame pairs per task")
     parser.add_argument("--no-refine", action="store_true")
     parser.add_argument("--dask", type=int, metavar="WORKERS")
@@ -103,9 +103,8 @@ def main() -> None:
         beside: list[tuple[float, float]] = []
         if arguments.dask:
             address, of_dask = stack.enter_context(warm_workers(home, source, arguments.dask, params))
-            cluster = {"task_runner": "dask", "dask_address": address}
             for k in range(arguments.rounds):
-                by_dask = took(prefect_ingest, f"dask_{k}", **cluster)[0]
+                by_dask = took(prefect_ingest, f"dask_{k}", task_runner="dask", dask_address=address)[0]
                 beside.append((took(prefect_ingest, f"threads_{k}", without=of_dask)[0], by_dask))
         print(f"{arguments.pairs} pairs of {source.name}, refinement {params.trajectory.refine}, "
               f"{workers} detection tasks at a time, load {load():.1f}")  # fmt: skip
@@ -116,10 +115,11 @@ def main() -> None:
         extra = statistics.median(warm["prefect"]) - statistics.median(warm["plain"])
         print(f"Prefect costs {extra:.2f} s: {100 * extra / cold['plain'][0]:.2f} % of the run without Prefect")
         print(f"cold against cold: {100 * (cold['prefect'][0] / cold['plain'][0] - 1):+.2f} %")
+        imports = {name: cpu_of_import(text, arguments.rounds) for name, text in IMPORTS.items()}
         print(f"once per command: start of the server {start_s:.1f} s; "
-              + "; ".join(f"import of {name} {cpu_of_import(text):.1f} s" for name, text in IMPORTS.items()))  # fmt: skip
-        for times in beside:
-            threads, dask = (1000 * took_s / arguments.pairs for took_s in times)
+              + "; ".join(f"import of {name} {took_s:.1f} s" for name, took_s in imports.items()))  # fmt: skip
+        for both in beside:
+            threads, dask = (1000 * took_s / arguments.pairs for took_s in both)
             print(f"from images by threads {threads:.1f} ms of processor time per pair, by {arguments.dask} workers of Dask "
                   f"{dask:.1f}: {100 * (dask / threads - 1):+.1f} %")  # fmt: skip
         figures = {"cold_s": cold, "warm_s": warm, "prefect_s": extra, "server_start_s": start_s}

@@ -7,14 +7,14 @@ analysing with the first log of a container: later ones find the detections of t
 and the clock of images that is wrong by seconds. Run it more than once: libx264 does not write the same file in every run, and
 one far cone of the third sample drive moves by 1 to 2.5 cm between them.
 
-    python benchmarks/bench_recordings.py [--only TEXT] [--parts logs sparse clocks] [--folder FOLDER]
+    python benchmarks/bench_recordings.py [DRIVE ...] [--parts logs sparse clocks] [--containers 'ROS 2 bag'] [--folder FOLDER]
 """
 
 from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from benchmarks.harness import KITTI, SAMPLE, arguments_of, print_rows, write_json
+from benchmarks.harness import arguments_of, print_rows, write_json
 from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import ConetlError
 from conetl.model.health import hold_reason
@@ -33,6 +33,7 @@ from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.drive_yaml import read_drive_yaml
 from conetl.readers.drives.video import preview
+from tests.folders import KITTI, SAMPLES
 from tests.unit.readers import trajectory_files as logs
 from tests.unit.readers.drive_formats import write_bag, write_ros1_bag
 from tests.video_drives import LOGS, frames_of, known_of, with_log, write_video_drive
@@ -45,7 +46,7 @@ VIDEOS: dict[str, dict[str, Any]] = {
         "layout": "left-right", "codec": "libx265", "options": {"crf": "18", "x265-params": "log-level=none"},
     },
 }  # fmt: skip
-BAGS = {"ROS 1 bag": write_ros1_bag, "ROS 2 bag": write_bag}
+BAGS: dict[str, Callable[..., Path]] = {"ROS 1 bag": write_ros1_bag, "ROS 2 bag": write_bag}
 CLOCK_ERRORS_S = (-20, -13.3, -5, 0, 5, 13.3, 20)
 FIGURES = ("largest m", "median m", "horizontal m", "in sigmas", "pairs", "s per pair", "throughput", "by the clock")
 
@@ -127,7 +128,7 @@ def every_second(t: logs.Known) -> logs.Known:
     """The records nearest to whole seconds since the first one."""
     age_s = (t.times_ns - t.times_ns[0]) * 1e-9
     rows = sorted({int(np.abs(age_s - second).argmin()) for second in range(int(age_s[-1]) + 1)})
-    return logs.Known(*(column[rows] for column in t))
+    return logs.Known._make(column[rows] for column in t)
 
 
 def corrected_s(analysed: AnalysedDrive) -> float:
@@ -168,7 +169,9 @@ def clock_row(
     return {**row, **found, "held": "no"}
 
 
-def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str, dict[str, object]]]:
+def rows_of(
+    source: Path, folder: Path, parts: list[str], containers: list[str]
+) -> Iterator[tuple[str, dict[str, object]]]:
     """The rows of one drive, each with the part that it belongs to."""
     name = "KITTI 0005" if source == KITTI else source.name[:10]
     true = run(source, folder / "home images")
@@ -182,11 +185,13 @@ def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str,
                        **dict.fromkeys(FIGURES), "pairs": f"{len(drive.frame_pairs)}", "s per pair": true.per_pair_s,
                        "throughput": 1.0, "by the clock": 1.0, "held": hold_reason(true.analysed.health) or "no"}  # fmt: skip
         frames = frames_of(drive)
-        for kind, write in BAGS.items():
+        for kind, write in ((kind, write) for kind, write in BAGS.items() if kind in containers):
             root = write(folder / kind.replace(" ", ""), frames, drive.rig)
             names = {"drive": name, "container": kind, "log": "NavSatFix + Imu"}
             yield "logs", compared(names, root, folder / f"home {kind}", true, cold=True)
     for kind, how in VIDEOS.items():
+        if kind not in containers:
+            continue
         if "logs" not in parts and kind != "2 x H.264":
             continue
         videos = write_video_drive(folder / f"videos {kind}", drive, trajectory=False, **how)
@@ -216,20 +221,21 @@ def rows_of(source: Path, folder: Path, parts: list[str]) -> Iterator[tuple[str,
 
 def main() -> None:
     parser = arguments_of(__doc__)
-    parser.add_argument("--only", default="", help="only drives whose path holds this text")
+    parser.add_argument("drives", nargs="*", type=Path, metavar="DRIVE", help="default: the sample drives and KITTI")
     parser.add_argument(
         "--parts", nargs="+", choices=("logs", "sparse", "clocks"), default=["logs", "sparse", "clocks"]
     )
+    parser.add_argument("--containers", nargs="+", choices=[*BAGS, *VIDEOS], default=[*BAGS, *VIDEOS])
     parser.add_argument(
         "--folder", type=Path, help="where recordings are written (300 MB; default: a temporary folder)"
     )
     args = parser.parse_args()
     cv2.setNumThreads(1)
-    sources = [path for path in (*sorted(SAMPLE.parent.iterdir()), KITTI) if path.is_dir() and args.only in str(path)]
+    sources = args.drives or [path for path in (*SAMPLES, KITTI) if path.is_dir()]
     tables: dict[str, list[dict[str, object]]] = {}
     for source in sources:
         with TemporaryDirectory(prefix="conetl-recordings-", dir=args.folder) as folder:
-            for part, row in rows_of(source, Path(folder), args.parts):
+            for part, row in rows_of(source, Path(folder), args.parts, args.containers):
                 tables.setdefault(part, []).append(row)
                 print(*(f"{v:.3g}" if isinstance(v, float) else v for v in row.values()), sep=" | ", flush=True)
     titles = {

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -62,7 +63,12 @@ def part_positions(
 
 
 def report(
-    name: str, pairs: list[FramePair], drive: Drive, groups: list, matches: list, params: IngestParams
+    name: str,
+    pairs: list[FramePair],
+    drive: Drive,
+    groups: Sequence[Sequence[tuple[int, int]]],
+    matches: Sequence[StereoMatch],
+    params: IngestParams,
 ) -> dict[str, object]:
     positions = {
         (p.frame_index, p.match_index): p for p in locate_positions(matches, pairs, drive.rig, params.position)[0]

@@ -19,8 +19,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.harness import CONETL, KITTI, arguments_of, best_ms, load, write_json
+from benchmarks.harness import CONETL, arguments_of, best_ms, load, write_json
 from conetl.readers.recording import ArrivingKitti, open_arriving
+from tests.folders import KITTI
 
 _PIECE = 65_536
 

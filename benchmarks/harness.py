@@ -10,15 +10,15 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -30,13 +30,12 @@ from rich.table import Table
 from conetl.db.cluster.cluster import cluster_up
 from conetl.db.connection import connect
 from conetl.db.schema import migrate
+from conetl.model.detector_evidence import DetectorEvidence
+from conetl.perception.model_card import read_model_card
 from conetl.pipeline.settings import prefect_environment
 from tests.clusters import remove_cluster
+from tests.command import free_port, until
 
-ROOT = Path(__file__).resolve().parents[1]
-SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
-KITTI = SHARED / "kitti_2011_09_26_drive_0005_sync"
-SAMPLE = ROOT / "data" / "drives" / "2026-03-02_taper_pass1"
 #: The command line in a process of its own.
 CONETL = (sys.executable, "-m", "conetl")
 
@@ -76,24 +75,31 @@ def own_cluster(home: Path | None = None, *, folder: Path | None = None) -> Iter
 @contextmanager
 def served_view(home: Path, url: str, map_name: str, *options: str) -> Iterator[tuple[str, int]]:
     """`conetl view` on a free port: its address without a slash at the end, and the process id."""
-    with closing(socket.create_server(("127.0.0.1", 0))) as free:
-        port = free.getsockname()[1]
+    port = free_port()
     environment = os.environ | {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": url, "CONETL_MAP_NAME": map_name}
     command = [*CONETL, "view", "--port", str(port), "--no-login", *options]
     address = f"http://127.0.0.1:{port}"
     with subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
-            for _ in range(600):
-                try:
-                    urlopen(f"{address}/", timeout=1).close()
-                    break
-                except OSError:
-                    time.sleep(0.1)
-            else:
-                raise SystemExit("the server did not start within a minute")
+            until(lambda: _answers(address), "the start of the server", every_s=0.1)
             yield address, process.pid
         finally:
             process.send_signal(signal.SIGINT)
+
+
+def _answers(address: str) -> bool:
+    with suppress(OSError), urlopen(f"{address}/", timeout=1):
+        return True
+    return False
+
+
+@cache
+def evidence_of_model() -> DetectorEvidence:
+    """What was measured of the shipped detector, by which simulations draw boxes."""
+    evidence = read_model_card(None).evidence
+    if evidence is None:
+        raise SystemExit("the sidecar of the shipped model has no evidence, which the simulation requires")
+    return evidence
 
 
 def best_ms(work: Callable[[], object], times: int = 30) -> float:

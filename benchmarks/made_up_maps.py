@@ -57,7 +57,7 @@ def position_of(numbers: np.ndarray) -> np.ndarray:
 
 
 def load_roads(conn: Connection, count: int, *, history: bool = True) -> None:
-    """Fill an empty, migrated database with a map of `count` features (a multiple of 100,000)."""
+    """Fill an empty, migrated database with a map of `count` features."""
     with _without_indexes(conn):
         [row] = execute(
             conn,
@@ -65,7 +65,7 @@ def load_roads(conn: Connection, count: int, *, history: bool = True) -> None:
             {"name": MAP_NAME, "srid": SRID},
         )
         for start in range(0, count, BLOCK):
-            _load_block(conn, row["map_id"], start, history)
+            _load_block(conn, row["map_id"], start, min(BLOCK, count - start), history)
     conn.commit()
     _analyse(conn)
 
@@ -86,11 +86,11 @@ def _analyse(conn: Connection) -> None:
     conn.autocommit = False
 
 
-def _load_block(conn: Connection, map_id: int, start: int, history: bool) -> None:
-    """The features from `start` on: founded by one drive, with history confirmed by the next."""
-    at = position_of(np.array([start, start + BLOCK - 1]))
+def _load_block(conn: Connection, map_id: int, start: int, count: int, history: bool) -> None:
+    """`count` features from `start` on: founded by one drive, with history confirmed by the next."""
+    at = position_of(np.array([start, start + count - 1]))
     box = f"{at[0, 0] - 100} {at[0, 1] - 60}, {WEST_M + ROAD_CONES * SPACING_M + 100} {at[1, 1] + 60}"
-    values = {"map_id": map_id, "srid": SRID, "start": start, "stop": start + BLOCK - 1, "box": f"BOX({box})"}
+    values = {"map_id": map_id, "srid": SRID, "start": start, "stop": start + count - 1, "box": f"BOX({box})"}
     values["reconcile"] = RECONCILE
     days = []
     for day in (0, 1):
@@ -101,8 +101,8 @@ def _load_block(conn: Connection, map_id: int, start: int, history: bool) -> Non
             "changeset": uuid5(NAMESPACE_URL, f"changeset {key}"),
             "from_ns": FOUNDED_NS + day * DAY_NS,
             "committed_s": FOUNDED_NS / 1e9 + day * 86400 + 43200 + start / BLOCK / 1000,
-            "added": BLOCK if day == 0 else 0,
-            "confirmed": BLOCK if day == 1 else 0,
+            "added": count if day == 0 else 0,
+            "confirmed": count if day == 1 else 0,
         }
         days.append(values | day_values)
         for sql in (_DRIVE, _CHANGESET) if day == 0 or history else ():
@@ -313,11 +313,13 @@ def _path(first: int, count: int, start_ns: int) -> list[FramePair]:
     """A frame pair every 10 m beside the cones, road after road."""
     at = position_of(np.arange(first, first + count, max(1, round(FRAME_STEP_M / SPACING_M))))
     identity = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    pose = {"map_R_body": identity, "sigma_enu_m": (0.3, 0.3, 0.5), "sigma_rpy_rad": (0.001, 0.001, 0.002)}
     return [
         FramePair.model_construct(
             frame_index=k, left_path="", right_path="", captured_at_ns=start_ns + k * 500_000_000,
-            pose=Pose.model_construct(map_t_body_m=(x, y - 3.0, z), **pose),
+            pose=Pose.model_construct(
+                map_R_body=identity, map_t_body_m=(x, y - 3.0, z), sigma_enu_m=(0.3, 0.3, 0.5),
+                sigma_rpy_rad=(0.001, 0.001, 0.002),
+            ),
         )
         for k, (x, y, z) in enumerate(at.tolist())
     ]  # fmt: skip

@@ -14,7 +14,6 @@ from typing import Any
 
 import psutil
 
-from benchmarks.harness import KITTI, SAMPLE
 from conetl.db.cluster.cluster import cluster_up
 from conetl.db.connection import connect, execute
 from conetl.model.ingest_report import DriveOnHoldError
@@ -24,6 +23,7 @@ from conetl.pipeline.ingest import ingest
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import read_header
 from tests.clusters import remove_cluster
+from tests.folders import KITTI, SAMPLE
 
 
 def source_drive(given: Path | None) -> Path:
@@ -58,8 +58,7 @@ def make_long_drive(source: Path, folder: Path, pairs: int, *, start: datetime |
 def database_pid(settings: Settings) -> int:
     """Process id of the private cluster, which is started if necessary."""
     with closing(connect(cluster_up(settings.home))) as conn:
-        backend = execute(conn, "select pg_backend_pid() as pid")[0]["pid"]
-        return psutil.Process(backend).ppid()
+        return int(psutil.Process(conn.info.backend_pid).ppid())
 
 
 def database_bytes(settings: Settings) -> int:
@@ -95,10 +94,8 @@ class TimedExecutor(ThreadExecutor):
 
 def plain_ingest(drive: Path, settings: Settings, params: IngestParams) -> dict[str, float]:
     """Ingest without Prefect; processor seconds of each step."""
-    with (
-        TimedExecutor(settings.workers) as executor,
-        suppress(DriveOnHoldError),
-    ):  # the same images all over contradict GNSS
+    executor = TimedExecutor(settings.workers)
+    with executor, suppress(DriveOnHoldError):  # the same images all over contradict GNSS
         ingest(drive, params, settings, executor=executor)
     return executor.spent_s
 

@@ -6,7 +6,6 @@ import html
 import re
 from typing import Any
 
-import click
 import typer
 from typer.cli import get_docs_for_click
 
@@ -31,7 +30,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if page.file.src_uri != "reference/cli.md":
         return markdown
     command = typer.main.get_command(app)
-    with click.Context(command, info_name="conetl") as context:
+    with (context := typer.Context(command, info_name="conetl")):
         text = get_docs_for_click(obj=command, ctx=context, name="conetl")
     return (
         markdown

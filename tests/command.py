@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import importlib
 import os
 import socket
 import subprocess
@@ -54,12 +55,14 @@ def environment_of(**variables: object) -> dict[str, str]:
 
 
 def conetl(
-    *arguments: object, before: str = "", cwd: Path = ROOT, **variables: object
+    *arguments: object, before: str = "", cwd: Path = ROOT, module: str = "conetl.cli", **variables: object
 ) -> subprocess.CompletedProcess[str]:
-    """Run one command. before: Python that runs first. variables: as for `environment_of`."""
+    """Run one command. before: Python that runs first. module: whose `main` runs. variables: as for `environment_of`."""
     words = ["conetl", *map(str, arguments)]
     with TemporaryDirectory() as said:
-        process = _FORKS.Process(target=_command, args=(words, before, cwd, environment_of(**variables), Path(said)))
+        process = _FORKS.Process(
+            target=_command, args=(words, before, cwd, module, environment_of(**variables), Path(said))
+        )
         process.start()
         process.join(600)
         if process.exitcode is None:
@@ -69,10 +72,8 @@ def conetl(
         return subprocess.CompletedProcess(words, process.exitcode, out, err)
 
 
-def _command(words: list[str], before: str, cwd: Path, environment: dict[str, str], said: Path) -> None:
+def _command(words: list[str], before: str, cwd: Path, module: str, environment: dict[str, str], said: Path) -> None:
     """What a new interpreter would do, in a process that was just forked."""
-    from conetl.cli import main
-
     os.environ.clear()
     os.environ.update(environment)
     os.chdir(cwd)
@@ -81,6 +82,6 @@ def _command(words: list[str], before: str, cwd: Path, environment: dict[str, st
     sys.argv = words
     try:
         exec(before, {})
-        main()
+        importlib.import_module(module).main()
     finally:
         atexit._run_exitfuncs()  # which processes of `multiprocessing` leave out

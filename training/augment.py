@@ -5,13 +5,14 @@ Objects are (N, 9) as in `dataset.py`, fades (M, 5) [x0, y0, x1, y1, sum of 2**c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import cv2
 import numpy as np
-from classes import ALL_CLASSES, CLASSES
-from dataset import Image
-from drawn_objects import CutOut
+
+from training.classes import ALL_CLASSES, CLASSES
+from training.dataset import Image
+from training.drawn_objects import CutOut
 
 MIN_CONE_PX = 7.0  # below this a labelled cone is neither taught nor forbidden
 # How far the sides of a source's boxes are believed; renders and cut-outs are exact, hand-drawn boxes leave a margin.
@@ -31,6 +32,8 @@ LARGE_PX = (180.0, 480.0)
 #: Things that stand on the road, in rows.
 STANDING = ("traffic_cone", "tubular_marker", "drum", "vertical_panel", "barricade")
 Sample = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+#: An image and its `pyramid`.
+Layered = tuple[Image, list[np.ndarray]]
 
 
 def pyramid(image: np.ndarray) -> list[np.ndarray]:
@@ -174,7 +177,8 @@ def paste_row(
     horizon, aside = rng.uniform(0.1, 0.5) * rows, rng.uniform(0.0, 1.0) * columns
     near_px = float(np.exp(rng.uniform(np.log(25), np.log(220))))
     foot, x = horizon + near_px * rng.uniform(1.0, 3.0), rng.uniform(0.0, 1.0) * columns
-    spacing, found = rng.uniform(0.3, 1.2), []
+    spacing = rng.uniform(0.3, 1.2)
+    found: list[np.ndarray] = []
     for number in reversed(range(int(rng.integers(2, 7)))):
         share = 1 / (1 + spacing * number) * rng.uniform(0.96, 1.04)
         place = aside + (x - aside) * share, horizon + (foot - horizon) * share
@@ -455,13 +459,14 @@ def relight(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         noise, amount = np.concatenate((noise, noise[::-1]))[: image.shape[0]], rng.uniform(0.01, 0.14)
         image = cv2.addWeighted(image[: len(noise)], 1.0, noise, amount, -127 * amount)
     if rng.random() < 0.4:
-        image = cv2.imdecode(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 95))])[1], 1)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(35, 95))]
+        image = np.asarray(cv2.imdecode(cv2.imencode(".jpg", image, quality)[1], cv2.IMREAD_COLOR))
     return image
 
 
 def make_sample(
-    pick,
-    backgrounds: list[tuple[Image, list[np.ndarray]]],
+    pick: Callable[[np.random.Generator], Layered],
+    backgrounds: list[Layered],
     cutouts: dict[str, list[CutOut]],
     size: int,
     rng: np.random.Generator,

@@ -1,6 +1,6 @@
 """What the scores of a model mean: calibration, P(detect | height, hidden), false boxes; into its sidecar.
 
-    python training/calibrate_scores.py MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES [--clips DIR]]
+    python -m training.calibrate_scores MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES [--clips DIR]]
         [--labelled DIR] [--cone-free DIR] [--json OUT] [--write]
 
 Run it after `quantise.py`, on images that took no part in training. `--left-out` names sources and clips as for `train.py`:
@@ -16,22 +16,15 @@ import argparse
 import dataclasses
 import json
 import re
-import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import isotonic_regression, least_squares, minimize, minimize_scalar
 from scipy.stats import chi2
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
-
-from classes import CLASSES
-from dataset import Image, read_cones, read_left_out, read_renders
-from evaluate import at_score, left_out_clips, of_class
-from looks import LEAST_SCORE, MATCH_IOU, SCALES, Looks, look_at_pictures
-from reliability import expected_calibration_error, write_reliability_figure
 
 from conetl.model.detector_evidence import (
     UNMEASURED,
@@ -48,6 +41,11 @@ from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams
 from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.model_card import read_model_card
+from training.classes import CLASSES
+from training.dataset import Image, read_cones, read_left_out, read_renders
+from training.evaluate import at_score, left_out_clips, of_class
+from training.looks import LEAST_SCORE, MATCH_IOU, SCALES, Looks, look_at_pictures
+from training.reliability import expected_calibration_error, write_reliability_figure
 
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 REFERENCE = 0.3
@@ -137,7 +135,9 @@ def log_loss(probabilities: np.ndarray, truth: np.ndarray) -> float:
     return float(-np.where(truth, np.log(p), np.log1p(-p)).mean())
 
 
-def compare_calibrations(looks: Looks, folds: np.ndarray) -> tuple[ScoreCalibration, dict[str, np.ndarray], dict]:
+def compare_calibrations(
+    looks: Looks, folds: np.ndarray
+) -> tuple[ScoreCalibration, dict[str, np.ndarray], dict[str, Any]]:
     """The better kind fitted on all boxes, the held-out probabilities of each kind, and their figures."""
     picture, _, scores, truth = (np.array(column) for column in zip(*looks.boxes, strict=True))
     fits = {"platt": fit_platt, "beta": fit_beta, "isotonic": fit_isotonic}  # by their number of parameters
@@ -146,7 +146,7 @@ def compare_calibrations(looks: Looks, folds: np.ndarray) -> tuple[ScoreCalibrat
         test = folds[picture] == fold
         for name, fit in fits.items():
             held_out[name][test] = apply(fit(scores[~test], truth[~test]), scores[test])
-    figures: dict = {}
+    figures: dict[str, Any] = {}
     for least in (LEAST_SCORE, REFERENCE):
         chosen = scores >= least
         figures[f"boxes from score {least}"] = {"boxes": int(chosen.sum()), "on a cone": int(truth[chosen].sum())} | {
@@ -165,7 +165,7 @@ def compare_calibrations(looks: Looks, folds: np.ndarray) -> tuple[ScoreCalibrat
     return fits[best](scores, truth), held_out, figures
 
 
-def detection_tables(looks: Looks) -> tuple[list, list]:
+def detection_tables(looks: Looks) -> tuple[list[list[int]], list[list[list[float]]]]:
     """Cones looked at, by height and hidden band, and P(box >= threshold) by threshold, height and hidden band.
 
     Beta prior of PRIOR_LOOKS looks around a logistic regression on log height and hidden share: cells with few looks lean on
@@ -295,13 +295,13 @@ def by_half_octaves(octaves: np.ndarray, products: np.ndarray) -> list[float]:
     return [round(float(part.mean()), 2) for part in parts if len(part)]
 
 
-def correlation_over_octaves(octaves: np.ndarray, products: np.ndarray) -> ImageCorrelation:
+def correlation_over_octaves(octaves: NDArray[np.float64], products: NDArray[np.float64]) -> ImageCorrelation:
     """Least squares on the products of all pairs of looks."""
-    near, share, decay = least_squares(
-        lambda p: p[0] * (p[1] + (1 - p[1]) * np.exp(-octaves / p[2])) - products,
-        (0.8, 0.5, 0.5),
-        bounds=((0.05, 0.0, 0.1), (0.98, 1.0, 3.0)),
-    ).x
+
+    def residuals(p: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(p[0] * (p[1] + (1 - p[1]) * np.exp(-octaves / p[2])) - products)
+
+    near, share, decay = least_squares(residuals, (0.8, 0.5, 0.5), bounds=((0.05, 0.0, 0.1), (0.98, 1.0, 3.0))).x
     return ImageCorrelation(
         near=round(float(near), 3), far=round(float(near * share), 3), decay_octaves=round(float(decay), 3)
     )
@@ -325,7 +325,9 @@ def fit_joint_scale(ratios: dict[str, list[np.ndarray]], evidence: DetectorEvide
     return round(float(minimize_scalar(loss, bounds=(0.2, 4.0), method="bounded").x), 3)
 
 
-def measure(looks: Looks, folds: np.ndarray, sha256: str) -> tuple[DetectorEvidence, dict[str, np.ndarray], dict]:
+def measure(
+    looks: Looks, folds: np.ndarray, sha256: str
+) -> tuple[DetectorEvidence, dict[str, np.ndarray], dict[str, Any]]:
     calibration, held_out, figures = compare_calibrations(looks, folds)
     counts, detected = detection_tables(looks)
     lookalikes, again = found_again(looks)
@@ -357,13 +359,13 @@ def measure(looks: Looks, folds: np.ndarray, sha256: str) -> tuple[DetectorEvide
     return DetectorEvidence.model_validate(values), held_out, figures
 
 
-def sidecar_text(card: dict) -> str:
+def sidecar_text(card: dict[str, Any]) -> str:
     """JSON with one line for each innermost list."""
     text = json.dumps(card, indent=2)
     return re.sub(r"\[\s+([^\[\]{}]*?)\s+\]", lambda m: "[" + re.sub(r",\s+", ", ", m[1]) + "]", text) + "\n"
 
 
-def model_card_text(evidence: DetectorEvidence, figures: dict) -> str:
+def model_card_text(evidence: DetectorEvidence, figures: dict[str, Any]) -> str:
     """The tables for the model card, in Markdown."""
     lines = ["| apparent height px | " + " | ".join(f"hidden {h}" for h in ("0-12 %", "12-37 %", "37-62 %")) + " |"]
     lines.append("|---" * 4 + "|")

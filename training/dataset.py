@@ -16,8 +16,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from classes import CLASSES, IGNORED, NOTHING
-from drawn_objects import CutOut
+
+from training.classes import CLASSES, IGNORED, NOTHING
+from training.drawn_objects import CutOut
 
 #: Sources of which only some classes are labelled; of the others all are, or none are there.
 CONES_ONLY = frozenset({"traffic_cone"})

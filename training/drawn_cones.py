@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from drawn_objects import CutOut
+
+from training.drawn_objects import CutOut
 
 #: BGR. Oranges and reds, then lime, yellow and blue.
 BODY_COLOURS = (
@@ -127,8 +128,8 @@ def add_top(picture: np.ndarray, tip: np.ndarray, colour: np.ndarray, slim: bool
         size = (int(TALL_PX * rng.uniform(0.03, 0.06)), int(TALL_PX * rng.uniform(0.04, 0.08)))
         cv2.ellipse(picture, at, size, 0, 0, 360, (*colour.tolist(), 255.0), int(rng.integers(5, 11)))
     elif rng.random() < 0.06:
-        size = int(TALL_PX * rng.uniform(0.05, 0.1))
-        cv2.circle(picture, (at[0], at[1] - size // 2), size, (30.0, rng.uniform(120, 200), 240.0, 255.0), -1)
+        radius = int(TALL_PX * rng.uniform(0.05, 0.1))
+        cv2.circle(picture, (at[0], at[1] - radius // 2), radius, (30.0, rng.uniform(120, 200), 240.0, 255.0), -1)
 
 
 def lying(solid: np.ndarray, rng: np.random.Generator) -> np.ndarray:

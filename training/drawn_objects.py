@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 Colour = tuple[float, ...]
 #: Longer side of a drawing in pixels.
@@ -56,10 +57,12 @@ def _stripes(width: int, height: int, first: Colour, second: Colour, rng: np.ran
     slope = rng.choice((-1.0, 1.0)) * rng.uniform(0.8, 1.2) if rng.random() < 0.92 else 0.0
     period = max(min(width, height) * rng.uniform(0.9, 1.9), 6.0)
     share = ((u + slope * v) / period + rng.uniform()) % 1.0
-    return np.where((share < rng.uniform(0.42, 0.58))[..., None], np.float32(first), np.float32(second))
+    return np.where(
+        (share < rng.uniform(0.42, 0.58))[..., None], np.array(first, np.float32), np.array(second, np.float32)
+    )
 
 
-def _shaded(canvas: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _shaded(canvas: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
     """Dirt and uneven light over what is drawn."""
     rows, columns = canvas.shape[:2]
     light = rng.uniform(0.55, 1.15) + rng.uniform(-0.2, 0.2) * np.linspace(-1, 1, columns)[None, :]
@@ -242,14 +245,14 @@ def _symbol(plate: np.ndarray, colour: Colour, rng: np.random.Generator) -> None
     elif kind < 0.8:
         angle = rng.choice((0, np.pi / 2, -np.pi / 2, np.pi, 0.7, -0.7))
         way = 0.3 * min(rows, columns) * np.array((np.sin(angle), -np.cos(angle)))
-        ends = (np.round((columns / 2, rows / 2) + sign * way).astype(int).tolist() for sign in (-1, 1))
+        start, end = (np.round((columns / 2, rows / 2) + sign * way).astype(int).tolist() for sign in (-1, 1))
         thick = max(round(min(rows, columns) * rng.uniform(0.05, 0.12)), 2)
-        cv2.arrowedLine(drawn, *ends, 255, thick, cv2.LINE_AA, tipLength=0.45)
+        cv2.arrowedLine(drawn, start, end, 255, thick, cv2.LINE_AA, tipLength=0.45)
     else:
         points = rng.normal(0.5, 0.13, (int(rng.integers(3, 7)), 1, 2)) * (columns, rows)
         cv2.polylines(drawn, [points.astype(np.int32)], False, 255, max(round(rows * 0.06), 2), cv2.LINE_AA)
     share = drawn[..., None] / np.float32(255)
-    plate[..., :3] = share * np.float32(colour) + (1 - share) * plate[..., :3]
+    plate[..., :3] = share * np.array(colour, np.float32) + (1 - share) * plate[..., :3]
 
 
 def _plate(
@@ -293,10 +296,10 @@ DIAMOND = np.array([(0.5, 0), (1, 0.5), (0.5, 1), (0, 0.5)])
 TRIANGLE = np.array([(0.5, 0), (1, 1), (0, 1)])
 
 
-def _polygon(corners: int) -> np.ndarray:
+def _polygon(corners: int) -> NDArray[np.float64]:
     angle = (np.arange(corners) + 0.5) * 2 * np.pi / corners
     points = np.column_stack((np.sin(angle), np.cos(angle)))
-    return (points - points.min(0)) / (points.max(0) - points.min(0))
+    return np.asarray((points - points.min(0)) / (points.max(0) - points.min(0)))
 
 
 def _man_at_work(plate: np.ndarray, rng: np.random.Generator) -> None:
@@ -320,7 +323,7 @@ def _man_at_work(plate: np.ndarray, rng: np.random.Generator) -> None:
         cv2.line(drawn, at(*one), at(*other), 255, max(round(width * thick), 1), cv2.LINE_AA)
     cv2.ellipse(drawn, at(0.75, 0.8), (round(0.45 * wide), round(0.45 * wide)), 0, 180, 360, 255, -1, cv2.LINE_AA)
     share = drawn[..., None] / np.float32(255)
-    plate[..., :3] = share * np.float32(BLACK) + (1 - share) * plate[..., :3]
+    plate[..., :3] = share * np.array(BLACK, np.float32) + (1 - share) * plate[..., :3]
 
 
 def _work_zone_sign(rng: np.random.Generator) -> CutOut:

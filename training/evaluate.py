@@ -1,6 +1,6 @@
 """Average precision of a model on labelled images (pycocotools), by source and by cone height, through conetl's own detector.
 
-    python training/evaluate.py MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES [--clips DIR]] [--labelled DIR]
+    python -m training.evaluate MODEL.onnx --cones DIR [--more-cones DIR --left-out NAMES [--clips DIR]] [--labelled DIR]
         [--json OUT.json]
 
 `--left-out` names the sources and clips of `--more-cones` that `train.py --leave-out` kept aside: they are judged one by one and
@@ -18,22 +18,20 @@ import contextlib
 import dataclasses
 import io
 import json
-import sys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
-
-from classes import CLASSES
-from dataset import Image, read_cones, read_labelled_clips, read_left_out, read_renders
-from looks import MATCH_IOU, unlabelled_places
-
 from conetl.perception.decoding import intersection_over_union
 from conetl.perception.detector import detect_image, load_detector
+from training.classes import CLASSES
+from training.dataset import Image, read_cones, read_labelled_clips, read_left_out, read_renders
+from training.looks import MATCH_IOU, unlabelled_places
 
 SPLIT = ("rf_traffic_cones", "fs_onboard", "css_safety_cone")
 SCORES = (0.3, 0.5)
@@ -55,7 +53,7 @@ def coco_tables(
 ) -> dict[str, dict[str, float]]:
     """AP50, AP75, AP50:95 by range of heights: COCO's areas are replaced by squared heights."""
     truth = COCO()
-    annotations = []
+    annotations: list[dict[str, Any]] = []
     for image_id, picture in enumerate(pictures):
         for x0, y0, x1, y1 in picture.boxes[:, :4].tolist():
             box = {"bbox": [x0, y0, x1 - x0, y1 - y0], "area": (y1 - y0) ** 2, "iscrowd": 0}
@@ -145,7 +143,7 @@ def judge(pictures: list[Image], found: list[np.ndarray]) -> dict[str, dict[str,
     return tables
 
 
-def off_unlabelled(picture: Image, found: np.ndarray, places: dict[str, np.ndarray]) -> np.ndarray:
+def off_unlabelled(picture: Image, found: NDArray[np.float64], places: dict[str, np.ndarray]) -> np.ndarray:
     """Boxes (N, 5 or more) x, y, w, h, score of an image without those on an unlabelled cone and on no labelled one.
 
     On one: as `calibrate_scores.py` asks of a box that is to be right, not that it touches it only.
@@ -157,7 +155,7 @@ def off_unlabelled(picture: Image, found: np.ndarray, places: dict[str, np.ndarr
 
     unlabelled = places.get(picture.name, np.zeros((0, 4)))
     kept = [on_one_of(box, picture.boxes) or not on_one_of(box, unlabelled) for box in found]
-    return found[np.array(kept, bool)]
+    return found[np.flatnonzero(kept)]
 
 
 def of_class(picture: Image, found: np.ndarray, number: int) -> tuple[Image, np.ndarray]:
@@ -246,7 +244,7 @@ def main() -> None:
         ]
         for source, images in of_all_classes.items()
     }
-    tables = {}
+    tables: dict[str, dict[str, dict[str, float]]] = {}
     for source, images in of_all_classes.items():
         tables |= judge_classes(source, images, found_in[source]) if images else {}
     clips: dict[str, list[tuple[Image, np.ndarray]]] = {}
@@ -254,8 +252,8 @@ def main() -> None:
         clips.setdefault(picture.name.rsplit("_", 1)[0], []).append(of_class(picture, boxes, 0))
     for clip, pairs in clips.items():
         tables[f"clip {clip}: {CLASSES[0]}"] = judge(*map(list, zip(*pairs, strict=True)))
-    for group, (chosen, boxes) in sorted(judged.items()):
-        tables[group] = judge([pictures[k] for k in chosen], [boxes[k] for k in chosen])
+    for group, (chosen, found_here) in sorted(judged.items()):
+        tables[group] = judge([pictures[k] for k in chosen], [found_here[k] for k in chosen])
     for group, table in tables.items():
         for label, row in table.items():
             print(f"{group:25s} {label:15s} " + " ".join(f"{name} {value}" for name, value in row.items()))

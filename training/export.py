@@ -1,6 +1,6 @@
 """Export a checkpoint to ONNX with its sidecar, and check that the runtime gives what PyTorch gave.
 
-    python training/export.py RUN/last.pt --out RUN/conetl-road-10.onnx --version 10.0
+    python -m training.export RUN/last.pt --out RUN/conetl-road-10.onnx --version 10.0
 
 The exported network takes images of one size as they lie in memory, (P, H, W, 3) BGR 0 to 255: what would have to be done to
 them before is folded into the first convolution.
@@ -18,10 +18,11 @@ import numpy as np
 import onnx
 import onnxruntime
 import torch
-from classes import CLASSES
-from network import BINS, STRIDES, ConeNet, fuse_batch_norms
 from torch import Tensor, nn
 from torch.nn import functional
+
+from training.classes import CLASSES
+from training.network import BINS, STRIDES, ConeNet, fuse_batch_norms
 
 #: Cells a stride whose boxes are computed: more than the cones of any image cover.
 BEST_CELLS = (512, 256, 128, 64)

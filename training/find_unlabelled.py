@@ -1,6 +1,6 @@
 """What an earlier detector finds in the training images where no label is.
 
-    python training/find_unlabelled.py MODEL.onnx --cones DIR --more-cones DIR --clips DIR --leave-out NAMES --out unlabelled.json
+    python -m training.find_unlabelled MODEL.onnx --cones DIR --more-cones DIR --clips DIR --leave-out NAMES --out unlabelled.json
 
 Of `cones`, where labels are missing, such a box is either a cone without a label or a thing that looks like one: training neither
 teaches nor forbids a cone there (`train.py --unlabelled`), which is narrower than giving up the whole band of far cones
@@ -12,19 +12,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
-
-from classes import CLASSES
-from dataset import Image, read_cones, read_labelled_clips, read_more_cones
-
 from conetl.perception.decoding import intersection_over_union
 from conetl.perception.detector import Detector, detect_image, load_detector
+from training.classes import CLASSES
+from training.dataset import Image, read_cones, read_labelled_clips, read_more_cones
 
 SCALES = (0.6, 1.0, 2.0)  #: at which false boxes are looked for
 
@@ -33,7 +29,7 @@ def boxes_without_label(
     detector: Detector, picture: Image, scale: float, score: float, margin_px: float
 ) -> list[list[float]]:
     """Boxes [x0, y0, x1, y1] px of the classes that are labelled in an image, where no label and no fade is."""
-    image = picture.image if scale == 1 else cv2.resize(picture.image, None, fx=scale, fy=scale)
+    image = picture.image if scale == 1 else np.asarray(cv2.resize(picture.image, None, fx=scale, fy=scale), np.uint8)
     known, found = np.concatenate((picture.boxes[:, :4], picture.fade)), []
     wanted = [name for name in CLASSES if name in picture.taught]
     for x, y, width, height in detect_image(detector, image, score_threshold=score, categories=wanted)[:, :4] / scale:

@@ -1,8 +1,8 @@
 """Label the work-zone clips by eye: key boxes of objects, the frames between them filled in, images to look at it all.
 
-    python training/label_clips.py look KEYS/columbus.csv --clips DIR --frame 67 [--within 360 200 560 310] --out look.png
-    python training/label_clips.py sheet KEYS/columbus.csv --clips DIR --out SHEETS
-    python training/label_clips.py write KEYS/*.csv --clips DIR --out training/labels
+    python -m training.label_clips look KEYS/columbus.csv --clips DIR --frame 67 [--within 360 200 560 310] --out look.png
+    python -m training.label_clips sheet KEYS/columbus.csv --clips DIR --out SHEETS
+    python -m training.label_clips write KEYS/*.csv --clips DIR --out training/labels
 
 A file of keys has a line `object,class,frame,x0,y0,x1,y1` a box, in pixels; what follows a # is a remark. One object has one
 number in its clip. Between two of its keys every labelled frame gets a box: a standing thing is approached at constant speed,
@@ -20,12 +20,15 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from classes import CLASSES, IGNORED, NOTHING
+from numpy.typing import NDArray
 
+from training.classes import CLASSES, IGNORED, NOTHING
+
+Floats = NDArray[np.float64]
 EVERY, FIRST = 15, 7  # labelled frames: half a second apart, as the cones of `roadwork_clips_us`
 MIN_CORRELATION = 0.55
 COLOURS = {
-    name: tuple(int(v) for v in cv2.cvtColor(np.uint8([[[22 * k, 255, 255]]]), cv2.COLOR_HSV2BGR)[0, 0])
+    name: tuple(int(v) for v in cv2.cvtColor(np.array([[[22 * k, 255, 255]]], np.uint8), cv2.COLOR_HSV2BGR)[0, 0])
     for k, name in enumerate(CLASSES)
 } | {IGNORED: (160, 160, 160)}
 PER_ROW, ROWS, CELL_PX = 12, 8, 110
@@ -93,7 +96,7 @@ def fill(keys: list[Labelled], frames: dict[int, np.ndarray]) -> list[Labelled]:
     return sorted(labels, key=lambda label: (label.frame, label.number))
 
 
-def between(before: np.ndarray, after: np.ndarray, share: float) -> np.ndarray:
+def between(before: Floats, after: Floats, share: float) -> Floats:
     """The box of a standing thing approached at constant speed: 1/height is linear in time, places are linear in height."""
     low, high = before[3] - before[1], after[3] - after[1]
     height = 1 / ((1 - share) / low + share / high)
@@ -138,10 +141,10 @@ def look(image: np.ndarray, labels: list[Labelled], within: tuple[float, ...]) -
     size = round(scale * (x1 - x0)), round(scale * (y1 - y0))
     shown = cv2.warpAffine(image, matrix, size, flags=cv2.INTER_CUBIC)
     for label in labels:
-        corners = np.round((label.box.reshape(2, 2) - (x0, y0)) * scale).astype(int).tolist()
-        cv2.rectangle(shown, *corners, COLOURS[label.category], 1)
+        low, high = np.round((label.box.reshape(2, 2) - (x0, y0)) * scale).astype(int).tolist()
+        cv2.rectangle(shown, low, high, COLOURS[label.category], 1)
         text = f"{label.number}{'~' if label.filled else ''} {label.category[:2]}"
-        cv2.putText(shown, text, (corners[0][0], corners[0][1] - 2), 0, 0.4, COLOURS[label.category], 1)
+        cv2.putText(shown, text, (low[0], low[1] - 2), 0, 0.4, COLOURS[label.category], 1)
     shown = cv2.copyMakeBorder(shown, 16, 0, 34, 0, cv2.BORDER_CONSTANT)
     step = next(step for step, least in ((50, 0), (20, 3), (10, 6), (5, 12))[::-1] if scale >= least)
     for value in np.arange(np.ceil(x0 / step) * step, x1, step):
@@ -164,8 +167,8 @@ def sheets(labels: list[Labelled], frames: dict[int, np.ndarray]) -> list[np.nda
         matrix = np.column_stack((np.eye(2) * scale, CELL_PX / 2 - scale * middle))
         method = cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
         cell = cv2.warpAffine(frames[label.frame], matrix, (CELL_PX, CELL_PX), flags=method)
-        corners = np.round((label.box.reshape(2, 2) - middle) * scale + CELL_PX / 2).astype(int).tolist()
-        cv2.rectangle(cell, *corners, COLOURS[label.category], 1)
+        low, high = np.round((label.box.reshape(2, 2) - middle) * scale + CELL_PX / 2).astype(int).tolist()
+        cv2.rectangle(cell, low, high, COLOURS[label.category], 1)
         cell = cv2.copyMakeBorder(cell, 14, 2, 2, 2, cv2.BORDER_CONSTANT)
         text = f"{label.frame}:{label.number}{'~' if label.filled else ''} {label.category[:5]}"
         cv2.putText(cell, text, (1, 11), 0, 0.38, COLOURS[label.category], 1)

@@ -1,6 +1,6 @@
 """How far boxes lie from labels, and what average precision that leaves: how much of it is the labels' own scatter.
 
-    python training/label_scatter.py MODEL.onnx --cones DIR
+    python -m training.label_scatter MODEL.onnx --cones DIR
 
 Prints, by source, how the sides of boxes scatter about those of the labels, in shares of a cone's height (1.48 times the median
 absolute deviation, which a few wild labels do not move), and how the ratio of width to height scatters among labels and among
@@ -13,19 +13,16 @@ finds every cone and nothing else, where its boxes and the labels differ by so m
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "src"))
-
-from dataset import Image, read_cones
-from evaluate import coco_tables
+from numpy.typing import NDArray
 
 from conetl.perception.decoding import intersection_over_union
 from conetl.perception.detector import detect_image, load_detector
+from training.dataset import Image, read_cones
+from training.evaluate import coco_tables
 
 FROM_PX = 20.0
 SAME_CONE_IOU = 0.5
@@ -62,7 +59,7 @@ def pairs_of(picture: Image, found: np.ndarray) -> list[tuple[np.ndarray, np.nda
     return pairs
 
 
-def colour_box(image: np.ndarray, around: np.ndarray) -> np.ndarray | None:
+def colour_box(image: np.ndarray, around: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Box (4,) x0, y0, x1, y1 of what differs in colour from the surroundings of `around` (4,); None where that is not clear."""
     margin = COLOUR_AROUND * (around[3] - around[1])
     x0, y0, x1, y1 = np.round(around + np.array((-margin, -margin, margin, margin))).astype(int)
@@ -83,7 +80,7 @@ def colour_box(image: np.ndarray, around: np.ndarray) -> np.ndarray | None:
     left, top, width, height = stats[1 + stats[1:, 4].argmax(), :4]
     if min(left, top) < 2 or left + width > coloured.shape[1] - 2 or top + height > coloured.shape[0] - 2:
         return None
-    return np.array((left, top, left + width, top + height)) / COLOUR_SCALE + (x0, y0, x0, y0)
+    return np.asarray(np.array((left, top, left + width, top + height)) / COLOUR_SCALE + (x0, y0, x0, y0))
 
 
 def triples_of(picture: Image, pairs: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from dataset import Image
+from numpy.typing import NDArray
 
 from conetl.perception.decoding import intersection_over_union
+from training.dataset import Image
 
 #: Scores below this are not looked at: nothing in the pipeline does.
 LEAST_SCORE = 0.05
@@ -156,7 +157,7 @@ def hidden_share(box: np.ndarray, nearer: np.ndarray) -> float:
     return float(inside.mean())
 
 
-def _countable(found: np.ndarray, picture: Image, places: dict[str, np.ndarray], exact: bool) -> np.ndarray:
+def _countable(found: NDArray[np.float64], picture: Image, places: dict[str, np.ndarray], exact: bool) -> np.ndarray:
     """Boxes that can be judged: not cut by the image's edge, not where an unlabelled cone stands or may stand."""
     rows, columns = picture.image.shape[:2]
     good = (found[:, :2] >= EDGE_PX).all(1) & (found[:, 2] <= columns - EDGE_PX) & (found[:, 3] <= rows - EDGE_PX)
@@ -164,7 +165,7 @@ def _countable(found: np.ndarray, picture: Image, places: dict[str, np.ndarray],
         good &= found[:, 3] - found[:, 1] >= LABELLED_FROM_PX
     for place in places.get(picture.name, np.zeros((0, 4))):
         good &= intersection_over_union(place, found[:, :4]) < NEAR_IOU
-    return found[good]
+    return found[np.flatnonzero(good)]
 
 
 def _add_boxes(looks: Looks, number: int, cones: np.ndarray, found: np.ndarray) -> None:

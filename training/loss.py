@@ -6,10 +6,11 @@ Boxes are [x0, y0, x1, y1] in pixels. `points` (A, 2) are the cells' centres in 
 from __future__ import annotations
 
 import torch
-from classes import ALL_CLASSES, CLASSES
-from network import BINS, STRIDES
 from torch import Tensor
 from torch.nn import functional
+
+from training.classes import ALL_CLASSES, CLASSES
+from training.network import BINS, STRIDES
 
 CANDIDATES = 9
 

@@ -13,9 +13,10 @@ from collections.abc import Sequence
 from typing import TypeGuard
 
 import torch
-from classes import CLASSES
 from torch import Tensor, nn
 from torch.nn import functional
+
+from training.classes import CLASSES
 
 STRIDES = (4, 8, 16, 32)
 BINS = 16

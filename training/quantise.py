@@ -1,6 +1,6 @@
 """fp32 network -> int8 (QDQ, static), with the ranges seen on training images.
 
-    python training/quantise.py RUN/conetl-road-10.onnx --cones DIR --renders DIR --out data/models/conetl-road-10.onnx
+    python -m training.quantise RUN/conetl-road-10.onnx --cones DIR --renders DIR --out data/models/conetl-road-10.onnx
 
 Weights per channel, and in 7 bits: processors without VNNI add two 8-bit products in 16 bits and would overflow. The last layers
 stay fp32, as the sides of boxes suffer most from rounding. The quantised network takes the image's bytes as they are.
@@ -17,10 +17,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import onnx
-from dataset import read_cones, read_renders
 from onnx import GraphProto, TensorProto, numpy_helper
 from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
+
+from training.dataset import read_cones, read_renders
 
 # The output layers work on a few cells; one 8-bit scale for logits and offsets would round the offsets to nothing. The scores
 # that choose the cells may be rounded.
@@ -68,7 +69,7 @@ def take_bytes(graph: GraphProto) -> None:
     """The network's input becomes 8-bit, which it is at a scale of 1: the step that rounds it goes."""
     rounding = next(node for node in graph.node if node.op_type == "QuantizeLinear" and node.name.startswith("/stem/"))
     constants = {constant.name: numpy_helper.to_array(constant) for constant in graph.initializer}
-    if (constants[rounding.input[1]], constants[rounding.input[2]]) != (1.0, 0):
+    if [constants[name].item() for name in rounding.input[1:3]] != [1, 0]:
         raise SystemExit("the pictures that gave the ranges do not reach from 0 to 255: take more of them")
     rewire(graph, rounding.output[0], rounding.input[0])
     graph.node.remove(rounding)

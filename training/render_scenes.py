@@ -1,6 +1,6 @@
 """Labelled training images from conetl's renderer: random road scenes with exact, occlusion-aware boxes.
 
-    python training/render_scenes.py OUT --count 400 --seed 1
+    python -m training.render_scenes OUT --count 400 --seed 1
 
 writes OUT/images/*.jpg and OUT/labels/*.txt: `class cx cy w h foot_x foot_y tip_x tip_y`, shares of width and height. The foot
 is the centre of the base on the ground, the tip the top of the body, both also where something hides them; signs and boards have
@@ -15,17 +15,17 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-from classes import CLASSES
 
 from conetl.model.rig import Camera
 from conetl.reports.camera_images import jpeg
 from conetl.simulation.meshes import Mesh
-from conetl.simulation.parts import CLASSED_KINDS, cone_parts, true_shape
+from conetl.simulation.parts import BUILDERS, CLASSED_KINDS, cone_parts, true_shape
 from conetl.simulation.scenario import Colour, Cone, Road, RoadMarking, RoadObject, World, street_markings
-from conetl.simulation.scene import BUILDERS, build_scene, develop, exposure_gain, load_mitsuba, render
+from conetl.simulation.scene import build_scene, develop, exposure_gain, load_mitsuba, render
+from training.classes import CLASSES
 
 VIEWS_PER_SCENE = 3
 MIN_HEIGHT_PX = 7.0
@@ -103,29 +103,30 @@ class Labelled(NamedTuple):
 def labelled_things(world: World, eye: np.ndarray) -> Iterator[Labelled]:
     """All objects of a world that have a class, as seen from `eye` (3,): signs and boards only from their front."""
     for number, cone in enumerate(world.cones):
-        plate, body = cone_parts(cone, 1000 * world.texture_seed + number)
-        foot = plate.mesh.vertices.mean(axis=0) if cone.fallen else np.array([cone.x_m, cone.y_m, 0.0])
+        base, body = cone_parts(cone, 1000 * world.texture_seed + number)
+        foot = base.mesh.vertices.mean(axis=0) if cone.fallen else np.array([cone.x_m, cone.y_m, 0.0])
         fewer = body.mesh._replace(vertices=body.mesh.vertices[::3])
-        yield Labelled("traffic_cone", [plate.mesh, fewer], np.array([foot, body.mesh.vertices[-1]]))
+        yield Labelled("traffic_cone", [base.mesh, fewer], np.array([foot, body.mesh.vertices[-1]]))
     for number, item in enumerate(world.objects):
         parts = BUILDERS[item.kind](item, 1000 * world.texture_seed + 500 + number)
         if item.kind in ("round_sign", "triangle_sign"):  # a post first, then the plate
-            category, plate = "traffic_sign", parts[1].mesh
+            category, plates = "traffic_sign", parts[1:2]
         elif item.kind in CLASSED_KINDS:
             shape = true_shape(item)
-            category, plate = shape.category, parts[0].mesh if shape.foot_m > 0 else None
+            category, plates = shape.category, parts[:1] if shape.foot_m > 0 else []
         else:
             continue
-        if plate is None:
+        if not plates:
             ends = np.array([(item.x_m, item.y_m, 0.0), (item.x_m, item.y_m, item.height_m)])
             yield Labelled(category, [part.mesh for part in parts], ends)
             continue
+        plate = plates[0].mesh
         towards = eye - plate.vertices.mean(axis=0)
         if -(towards[:2] @ (math.cos(item.yaw_rad), math.sin(item.yaw_rad))) > 0.2 * np.linalg.norm(towards):
             yield Labelled(category, [plate], np.full((2, 3), np.nan))
 
 
-def object_boxes(scene: object, world: World, camera: Camera, road_SE3_camera: np.ndarray) -> list[tuple[float, ...]]:
+def object_boxes(scene: Any, world: World, camera: Camera, road_SE3_camera: np.ndarray) -> list[tuple[float, ...]]:
     """[class, x0, y0, x1, y1, foot x, foot y, tip x, tip y] from the edge of the image, in pixels, an object.
 
     The box holds the visible part. A vertex is hidden where the ray to it meets something that is not the object itself.
@@ -146,7 +147,7 @@ def object_boxes(scene: object, world: World, camera: Camera, road_SE3_camera: n
             continue
         centre = points.mean(axis=0)
         reach = np.linalg.norm(points - centre, axis=1).max() * 1.02
-        seen = inside.copy()
+        seen = np.array(inside)
         for k in np.flatnonzero(inside):
             step = points[k] - eye
             far = float(np.linalg.norm(step))

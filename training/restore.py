@@ -1,7 +1,7 @@
 """A checkpoint to train on from, out of the shipped int8 network: for images of one's own, without a training from scratch.
 
-    python training/restore.py data/models/conetl-road-10.onnx --cones DIR --out RUN/start.pt
-    python training/train.py --start RUN/start.pt ...
+    python -m training.restore data/models/conetl-road-10.onnx --cones DIR --out RUN/start.pt
+    python -m training.train --start RUN/start.pt ...
 
 Weights are the 8-bit ones, as floats. The shipped network has its batch norms folded into its convolutions; here each of them
 is given the mean and variance that its convolution has on training images, and the gain and offset that undo them, so that
@@ -12,18 +12,20 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import onnx
 import torch
-from dataset import read_cones
-from network import BINS, ConeNet, has_batch_norm
 from numpy.typing import NDArray
 from onnx import numpy_helper
 from torch import Tensor, nn
 
-Constants = dict[str, NDArray[np.generic]]
+from training.dataset import read_cones
+from training.network import BINS, ConeNet, has_batch_norm
+
+Constants = dict[str, NDArray[Any]]
 
 
 def weight_of(constants: Constants, name: str) -> NDArray[np.float32]:
@@ -49,7 +51,7 @@ def unpacked_stem(
     channels = len(packed) // 2
     columns = packed.reshape(2, channels, 4, 3, 3, 2)[0]  # channel; pixel, colour; row, column
     taps = [columns[:, (tap - 1) % 4, :, :, (4 + tap - 1) // 4] for tap in range(3)]
-    return np.stack(taps, -1)[:, ::-1] * 255.0, bias[:channels]
+    return np.stack(taps, -1)[:, ::-1] * np.float32(255), bias[:channels]
 
 
 def blocks_of(network: ConeNet) -> dict[str, nn.Sequential]:

@@ -8,10 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import torch
-from loss import flatten_maps
-from network import STRIDES, Detector, SplitBlock, conv, doubled
 from torch import Tensor, nn
 from torch.nn import functional
+
+from training.loss import flatten_maps
+from training.network import STRIDES, Detector, SplitBlock, conv, doubled
 
 WIDTH = 128
 
@@ -49,7 +50,8 @@ def trained_teacher(checkpoint: Path) -> Teacher:
     """The teacher that a run of `train.py` has trained; it learns no more."""
     teacher = Teacher()
     teacher.load_state_dict(torch.load(checkpoint, map_location="cpu", weights_only=True)["teacher"]["average"])
-    return teacher.eval()
+    teacher.eval()
+    return teacher
 
 
 def distillation_loss(taught: list[Tensor], teaching: list[Tensor]) -> Tensor:

@@ -1,12 +1,12 @@
 """Train the detector for a given number of minutes, whatever the machine.
 
-    python training/train.py --cones DIR --clips DIR --renders DIR --minutes 75 --out RUN
+    python -m training.train --cones DIR --clips DIR --renders DIR --minutes 75 --out RUN
 
 Writes RUN/last.pt every two minutes (weights, their moving average, optimiser, step) and RUN/log.txt. `--resume RUN/last.pt`
 goes on from there. Renders that appear in DIR while it trains are taken in as they come.
 
 Two processes of one thread each get more done than one of two:
-`torchrun --nproc-per-node 2 -- training/train.py --threads 1 ...`; each then has batches of its own.
+`torchrun --nproc-per-node 2 -m training.train --threads 1 ...`; each then has batches of its own.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import json
 import math
 import os
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,16 +26,17 @@ import cv2
 import numpy as np
 import torch
 import torch.distributed as dist
-from augment import Sample, make_sample, pyramid
-from dataset import cut_out_cones, read_cones, read_labelled_clips, read_more_cones, read_renders
-from drawn_cones import draw_cone
-from drawn_objects import DRAW, draw_object
-from loss import detection_loss
-from network import ConeNet, Detector
-from teacher import Teacher, distillation_loss, trained_teacher
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import DataLoader, IterableDataset
+
+from training.augment import Layered, Sample, make_sample, pyramid
+from training.dataset import cut_out_cones, read_cones, read_labelled_clips, read_more_cones, read_renders
+from training.drawn_cones import draw_cone
+from training.drawn_objects import DRAW, draw_object
+from training.loss import detection_loss
+from training.network import ConeNet, Detector
+from training.teacher import Teacher, distillation_loss, trained_teacher
 
 SHARES = {
     "rf_traffic_cones": 0.17,
@@ -100,12 +102,12 @@ class Batches(IterableDataset):
             new = read_renders(Path(self.args.renders), known)
             self.by_source["renders"] += [(p, pyramid(p.image)) for p in new]
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[tuple[Tensor, ...]]:
         cv2.setNumThreads(0)
         info = torch.utils.data.get_worker_info()
         rng = np.random.default_rng((self.args.seed, info.id if info else 0, self.args.start_step, self.args.rank))
 
-        def pick(rng: np.random.Generator):
+        def pick(rng: np.random.Generator) -> Layered:
             names = [name for name in SHARES if self.by_source[name]]
             shares = np.array([SHARES[name] for name in names])
             if "renders" in names:  # a handful of renders is not repeated as often as a thousand
@@ -201,8 +203,8 @@ class Learner:
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 10.0)
         self.optimiser.step()
         decay = 0.9988 * (1 - math.exp(-(step + 1) / 500))
-        pairs = zip(self.average.state_dict().values(), self.network.state_dict().values(), strict=True)
-        pairs = [(kept, value) for kept, value in pairs if kept.dtype.is_floating_point]
+        states = zip(self.average.state_dict().values(), self.network.state_dict().values(), strict=True)
+        pairs = [(kept, value) for kept, value in states if kept.dtype.is_floating_point]
         with torch.no_grad():
             torch._foreach_lerp_([kept for kept, _ in pairs], [value for _, value in pairs], 1 - decay)
 
@@ -298,7 +300,7 @@ def main() -> None:
         rate = args.rate * warm * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
         images, *truth = (part.to(device, non_blocking=True) for part in next(loader))
         images = images.permute(0, 3, 1, 2).flip(1).float() / 255  # RGB, channels last in memory
-        losses = {}
+        losses: dict[str, Tensor] = {}
         for name, learner in learners.items():
             learner.network.train()
             maps = maps_of(learner.network, images, args.bf16)

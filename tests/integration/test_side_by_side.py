@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from functools import cache
@@ -19,7 +20,7 @@ from conetl.db.map.replay_store import REGION_M, affected_drives, lock_neighbour
 from conetl.model.errors import DatabaseError
 from conetl.model.params import IngestParams
 from conetl.pipeline.replay import influence_m
-from tests.integration.drives_of_days import failed_audits, key_of, merge, survey_of, valid_time_map
+from tests.integration.drives_of_days import Survey, failed_audits, key_of, merge, survey_of, valid_time_map
 from tests.synthetic.road import HOUR_NS
 from tests.synthetic.world import ORIGIN_M, START_NS, Cone
 
@@ -137,10 +138,10 @@ def test_instants_of_changesets_rise_as_readers_see_them(conn, impatient):
     assert merge(impatient, drive_at(3 * REGION_M, 1)) is not None
 
 
-def at_once(url, surveys):
+def at_once(url: str, surveys: Sequence[Survey]) -> int:
     """Merge each in a session of its own, all at once; how many were new."""
 
-    def one(survey):
+    def one(survey: Survey) -> bool:
         with closing(connect(url)) as conn:
             return merge(conn, survey) is not None
 

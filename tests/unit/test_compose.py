@@ -127,6 +127,11 @@ def test_runs_survive_a_restart_of_the_database_behind_prefect() -> None:
         assert COMPOSE["services"][name]["environment"]["PREFECT_CLIENT_RETRY_EXTRA_CODES"] == "500"
 
 
+def test_workers_have_time_to_end() -> None:
+    for name in ("desk", "drives"):
+        assert COMPOSE["services"][name]["stop_grace_period"] == "2m"
+
+
 def test_forms_describe_what_a_person_may_set() -> None:
     for deployment in PREFECT["deployments"]:
         module, function = deployment["entrypoint"].rsplit(".", 1)

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +14,7 @@ import kubernetes_validate
 import pytest
 import yaml
 
+from conetl.files.storage import as_path
 from conetl.pipeline.settings import Settings
 from flows.register import JOB_TEMPLATE
 from tests.folders import ROOT
@@ -113,9 +118,11 @@ def test_probes_and_services_name_ports_and_pods_that_exist(objects: list[dict[s
                 <= found["spec"]["template"]["metadata"]["labels"].items()
             )
         selector = (
-            found["spec"].get("selector" if found["kind"] == "Service" else "podSelector") if "spec" in found else None
+            found["spec"].get("podSelector" if found["kind"] == "NetworkPolicy" else "selector")
+            if "spec" in found
+            else None
         )
-        if found["kind"] in ("Service", "NetworkPolicy"):
+        if found["kind"] in ("Service", "NetworkPolicy", "PodDisruptionBudget"):
             wanted = selector.get("matchLabels", selector)
             assert any(wanted.items() <= of_pod.items() for of_pod in labels), found["metadata"]["name"]
 
@@ -148,3 +155,69 @@ def test_drives_have_one_pool_and_its_jobs_the_image_of_the_others() -> None:
     assert {c["image"] for c in containers(*jobs, job_of_a_drive(jobs))} - {image} == {
         "docker.io/prefecthq/prefect:3.8.8-python3.11-kubernetes"
     }
+
+
+def named(objects: list[dict[str, Any]], kind: str, name: str) -> dict[str, Any]:
+    (found,) = (o for o in objects if (o["kind"], o["metadata"].get("name")) == (kind, name))
+    return found
+
+
+def test_pods_reach_what_their_settings_name() -> None:
+    """Database, object storage of AWS and of MinIO as docs/how-to/runners.md names it, a Dask scheduler, Prefect."""
+    rules = named(render(BASE), "NetworkPolicy", "conetl")["spec"]["egress"]
+    anywhere = {port["port"] for rule in rules if "to" not in rule for port in rule["ports"]}
+    text = (ROOT / "docs/how-to/runners.md").read_text(encoding="utf-8")
+    minio = re.findall(r"AWS_ENDPOINT_URL=https://[\w.]+:(\d+)", text)
+    dask = re.findall(r"CONETL_DASK_ADDRESS=tcp://[\w.]+:(\d+)", text)
+    assert len(minio) > 0
+    assert len(dask) > 0
+    assert {53, 443, 5432, *map(int, (*minio, *dask))} <= anywhere
+    address = named(render(BASE), "ConfigMap", "conetl")["data"]["PREFECT_API_URL"]
+    (inside,) = (rule for rule in rules if "to" in rule)
+    assert [f":{port['port']}/" in address for port in inside["ports"]] == [True]
+
+
+def test_prefect_is_called_by_pods_of_conetl_and_by_an_ingress_controller_alone() -> None:
+    objects = render(BASE)
+    assert "ingress" not in named(objects, "NetworkPolicy", "conetl")["spec"], "nothing enters other pods"
+    (rule,) = named(objects, "NetworkPolicy", "prefect")["spec"]["ingress"]
+    own, controller = rule["from"]
+    assert own == {"podSelector": {"matchLabels": {"system": "conetl"}}}
+    assert set(controller) == {"namespaceSelector"}, "all pods of that namespace"
+    (service,) = named(objects, "Service", "prefect")["spec"]["ports"]
+    (container,) = named(objects, "Deployment", "prefect")["spec"]["template"]["spec"]["containers"]
+    ports = {port["name"]: port["containerPort"] for port in container["ports"]}
+    assert [port["port"] for port in rule["ports"]] == [ports[service["targetPort"]]]
+
+
+def test_workers_end_after_their_runs_and_drains_evict_one_at_a_time(objects: list[dict[str, Any]]) -> None:
+    for name, least_s in (("desk", 600), ("drives", 3600)):
+        pod = named(objects, "Deployment", name)["spec"]["template"]["spec"]
+        assert pod["terminationGracePeriodSeconds"] >= least_s
+        assert pod["containers"][0]["lifecycle"]["preStop"]
+    budget = named(objects, "PodDisruptionBudget", "drives")["spec"]
+    assert budget["maxUnavailable"] == 1
+    assert budget["selector"] == named(objects, "Deployment", "drives")["spec"]["selector"]
+
+
+def test_the_hook_before_a_stop_waits_for_the_process_of_a_run() -> None:
+    pod = named(render(BASE), "Deployment", "drives")["spec"]["template"]["spec"]
+    *shell, script = pod["containers"][0]["lifecycle"]["preStop"]["exec"]["command"]
+    run = [sys.executable, "-c", "import time; time.sleep(30)", "prefect.engine"]
+    with subprocess.Popen(run) as process:
+        # Of this machine's processes only that one and the hook's own, which must not take itself for a run.
+        own = script.replace("/proc/[0-9]*/cmdline", f"/proc/{process.pid}/cmdline /proc/$$/cmdline")
+        assert own != script
+        with subprocess.Popen([*shell, own]) as hook:
+            time.sleep(1.5)
+            assert hook.poll() is None
+            process.kill()
+            process.wait()
+            assert hook.wait(20) == 0
+
+
+def test_workers_may_be_allowed_to_read_object_storage() -> None:
+    for name in ("compose.yaml", "deploy/kubernetes/settings.yaml", "docs/how-to/deploy.md"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        (roots, *_) = re.findall(r"/drives,s3://[\w/]+", text)
+        Settings(drive_roots=roots).require_readable(as_path("s3://bucket/drives/2026-03-02"))

@@ -3,27 +3,18 @@
 from __future__ import annotations
 
 import csv
-import importlib
-import sys
-from types import ModuleType
 
 import numpy as np
-import pytest
 
 from tests.folders import ROOT
+from training import classes
+from training import drawn_objects as drawn
+from training.label_clips import between
 
 TRAINING = ROOT / "training"
 
 
-@pytest.fixture(scope="module")
-def script() -> object:
-    sys.path.insert(0, str(TRAINING))
-    yield importlib.import_module
-    sys.path.remove(str(TRAINING))
-
-
-def test_labels_of_the_clips_are_well_formed(script: object) -> None:
-    classes: ModuleType = script("classes")  # type: ignore[operator]
+def test_labels_of_the_clips_are_well_formed() -> None:
     frames: set[tuple[str, str]] = set()
     for path in TRAINING.glob("labels/*.csv"):
         with path.open() as lines:
@@ -40,8 +31,7 @@ def test_labels_of_the_clips_are_well_formed(script: object) -> None:
     assert len(frames) >= 400
 
 
-def test_between_two_keys_a_standing_object_is_approached_at_constant_speed(script: object) -> None:
-    between = script("label_clips").between  # type: ignore[operator]
+def test_between_two_keys_a_standing_object_is_approached_at_constant_speed() -> None:
     focal, aside, height, eye = 600.0, 2.0, 0.7, 1.3
 
     def seen(ahead_m: float) -> np.ndarray:
@@ -54,8 +44,7 @@ def test_between_two_keys_a_standing_object_is_approached_at_constant_speed(scri
     np.testing.assert_allclose(between(seen(9.0), seen(9.0), 0.5), seen(9.0), atol=1e-9)
 
 
-def test_boxes_of_drawn_objects_hold_what_is_drawn(script: object) -> None:
-    drawn: ModuleType = script("drawn_objects")  # type: ignore[operator]
+def test_boxes_of_drawn_objects_hold_what_is_drawn() -> None:
     rng = np.random.default_rng(8)
     for name in drawn.DRAW:
         for _ in range(10):

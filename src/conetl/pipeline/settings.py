@@ -50,7 +50,7 @@ class Settings(BaseSettings):
     drop_folder: Path | None = None
     """Folder in which new drives arrive, for the deployment `ingest-drop-folder`; default: `inbox` in `home`."""
     drive_roots: str = ""
-    """Folders below which workers may read drives, separated by commas; default: everywhere."""
+    """Folders below which workers may read drives, also s3://bucket/, separated by commas; default: everywhere."""
     drop_quiet_minutes: float = Field(default=10.0, ge=0)
     """A drive without the file COMPLETE counts as complete if nothing in it has changed for this long."""
     prefect_database_url: SecretStr | None = None
@@ -98,7 +98,7 @@ class Settings(BaseSettings):
         """Raise InputError for a drive or folder of drives outside of `drive_roots`; links are followed first."""
         roots = [as_path(root.strip()) for root in self.drive_roots.split(",") if root.strip()]
         real, *real_roots = (item if is_remote(item) else item.resolve() for item in (path, *roots))
-        if roots and not any(root == real or root in real.parents for root in real_roots):
+        if roots and (".." in real.parts or not any(root == real or root in real.parents for root in real_roots)):
             raise InputError(
                 f"{path} lies outside of the folders that workers may read ({', '.join(map(str, roots))}): set "
                 "CONETL_DRIVE_ROOTS for `conetl up`, or ingest it with `conetl ingest` or `conetl backfill --here`"

@@ -17,6 +17,7 @@ import pytest
 from pydantic import SecretStr
 
 from conetl.files import home as homes
+from conetl.files.storage import as_path
 from conetl.model.errors import DatabaseError, InputError, ServiceError
 from conetl.pipeline.settings import Settings, prefect_login
 from conetl.services.processes import require_access, unavailable
@@ -144,8 +145,11 @@ def test_workers_read_drives_below_the_configured_folders_only(tmp_path: Path, m
     (tmp_path / "drives" / "link").symlink_to(outside)
     settings = Settings(drive_roots=f"{tmp_path / 'drives'}, s3://bucket/drives")
     settings.require_readable(inside)
+    settings.require_readable(as_path("s3://bucket/drives/a"))
+    Settings(drive_roots="/drives, s3://bucket/").require_readable(as_path("s3://bucket/a"))
     Settings().require_readable(outside)
-    for path in (outside, tmp_path / "drives" / "link", tmp_path / "drives" / ".." / "drives2", Path("/")):
+    objects = map(as_path, ("s3://bucket/drives2/a", "s3://bucket/drives/../a", "s3://bucket2/drives/a"))
+    for path in (outside, tmp_path / "drives" / "link", tmp_path / "drives" / ".." / "drives2", Path("/"), *objects):
         with pytest.raises(InputError, match="CONETL_DRIVE_ROOTS"):
             settings.require_readable(path)
     monkeypatch.setenv("CONETL_DRIVE_ROOTS", str(inside))
