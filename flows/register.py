@@ -90,14 +90,14 @@ def ensure_deployments() -> bool:
     return True
 
 
-def _ensure_automations(block: str | None) -> None:
+def _ensure_automations(block: str) -> None:
     """Create the automations of `automations.yaml`, or bring them up to date; one that a person has paused stays so.
 
-    block: of Prefect, as type/name, which sends the notifications; None: the automations do nothing but write an event.
+    block: of Prefect, as type/name, which sends the notifications; empty: the automations do nothing but write an event.
     """
     with client() as api:
         action: dict[str, Any] = {"type": "do-nothing"}
-        if block is not None:
+        if block:
             type_slug, _, name = block.partition("/")
             try:
                 found = api.read_block_document_by_name(name, type_slug)

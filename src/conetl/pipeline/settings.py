@@ -57,7 +57,7 @@ class Settings(BaseSettings):
     """Database of the Prefect server that `conetl up` starts; default: `prefect` on the server of the map."""
     drives_pool: str = "conetl"
     """Prefect's work pool of the deployment `ingest-drive`; by default drives run as processes."""
-    notification_block: str | None = None
+    notification_block: str = ""
     """Prefect's block that sends the notifications of the automations, as type/name, such as slack-webhook/operations."""
     prefect_hosts: str = ""
     """Other host names of the Prefect server, such as that of a proxy, separated by commas."""
