@@ -20,7 +20,7 @@ from conetl.files.names import as_markdown
 from conetl.model.arrays import Image
 from conetl.model.drive import DriveRecords
 from conetl.model.errors import StorageError
-from conetl.model.ingest_report import ChangeLine, IngestReport
+from conetl.model.ingest_report import ChangeLine, CommitReport
 from conetl.model.rig import SIDES
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
@@ -83,12 +83,12 @@ def publish_drive(committed: CommittedDrive, settings: Settings, database: MapDa
 
 
 @step("publish what is pending", "publish {report.drive_id}")
-def publish_pending(report: IngestReport, settings: Settings, database: MapDatabase) -> None:
+def publish_pending(report: CommitReport, settings: Settings, database: MapDatabase) -> None:
     """Publish what an earlier run left pending of a drive that is on the map."""
     catch_up(report, settings, database, send_events)
 
 
-def send_events(report: IngestReport, vanished: Sequence[dict[str, Any]]) -> None:
+def send_events(report: CommitReport, vanished: Sequence[dict[str, Any]]) -> None:
     """One event for the changeset, another one where the drive is on hold; and one for each cone that vanished, to count them.
 
     The ids of the events follow from the changeset: one that is sent twice is stored once.
@@ -199,7 +199,7 @@ def _change_row(line: ChangeLine) -> dict[str, Any]:
     }
 
 
-def summary_rows(report: IngestReport) -> list[dict[str, Any]]:
+def summary_rows(report: CommitReport) -> list[dict[str, Any]]:
     """The figures of one ingest, a row each."""
     rows: list[dict[str, Any]] = [
         {"what": name.replace("_", " "), "count": getattr(report, name)}

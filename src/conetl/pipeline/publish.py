@@ -22,7 +22,7 @@ from conetl.db.map.results import CommittedChangeset
 from conetl.exports.text_files import export_geojson
 from conetl.files.home import make_home
 from conetl.model.errors import ConetlError
-from conetl.model.ingest_report import IngestReport
+from conetl.model.ingest_report import CommitReport
 from conetl.pipeline.commit import CommittedDrive, report_of
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import step
@@ -32,7 +32,7 @@ from conetl.reports.drive_page import write_drive_page
 
 _log = logging.getLogger(__name__)
 #: Sends the report of a changeset and the cones that it removed (`removed_by_changeset`); returns when they are sent.
-Notify = Callable[[IngestReport, Sequence[dict[str, Any]]], None]
+Notify = Callable[[CommitReport, Sequence[dict[str, Any]]], None]
 
 
 class PublishedFiles(NamedTuple):
@@ -96,7 +96,7 @@ def publish_decision(conn: Connection, decided: DecisionOutcome, settings: Setti
     return None
 
 
-def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:
+def notify(report: CommitReport, database: MapDatabase, send: Notify) -> None:
     """Send the report of a changeset unless that was done before, and record it."""
     with database.connection() as conn:
         if receipts.is_published(conn, report.changeset_id):
@@ -105,7 +105,7 @@ def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:
         receipts.mark_published(conn, report.changeset_id)
 
 
-def catch_up(report: IngestReport, settings: Settings, database: MapDatabase, send: Notify) -> None:
+def catch_up(report: CommitReport, settings: Settings, database: MapDatabase, send: Notify) -> None:
     """Complete what the run that committed a drive left pending: write the map's file and the drive's report, then notify."""
     with database.connection() as conn:
         if receipts.is_published(conn, report.changeset_id):

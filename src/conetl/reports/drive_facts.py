@@ -73,10 +73,6 @@ class DriveFacts:
         """`cone`, or `object` where the drive evaluated other classes, too."""
         return "object" if {one["category"] for one in self.changes} - {CONE} else "cone"
 
-    @property
-    def lost_pairs(self) -> int:
-        return int(self.header["expected_frame_count"]) - len(self.frame_pairs)
-
 
 def find_drive(conn: Connection, name: str, *, map_name: str) -> CommittedChangeset:
     """The changeset with a number or a drive's id; of several analyses of a drive the valid one, or the latest.
