@@ -6,8 +6,20 @@
 -- A drive that was committed on hold changed the map when it was released: its counts and effective_at are from then.
 select
     c.changeset_no, c.changeset_id, d.drive_id, d.kind, c.drive_uuid, c.idempotency_key, c.params_sha256, c.model_sha256,
-    c.code_version, c.committed_at, coalesce(e.at, c.committed_at) as effective_at,
-    coalesce(e.change_counts, c.change_counts) as change_counts,
+    c.code_version, c.committed_at, e.at as effective_at,
+    case when e.at = c.committed_at then c.change_counts else (
+        select '{"points": {}, "lines": {}}' || jsonb_object_agg(p.part, p.counts)
+        from (
+            select k.part, jsonb_object_agg(k.kind, k.n) as counts
+            from (
+                select case when x.of_line then 'lines' else 'points' end as part, x.kind, count(*) as n
+                from conetl.delta x
+                where x.changeset_id = c.changeset_id and upper_inf(x.system_period)
+                group by part, x.kind
+            ) k
+            group by k.part
+        ) p
+    ) end as change_counts,
     c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.marking_count, c.rejection_count,
     d.captured_from_ns, d.captured_to_ns, d.content_sha256, d.expected_frame_count, m.srid as map_srid,
     h.reason is null and exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
@@ -15,21 +27,8 @@ select
 from conetl.changeset c
 join conetl.map m using (map_id)
 join conetl.drive d using (drive_uuid)
-left join conetl.on_hold h on h.changeset_id = c.changeset_id
-cross join lateral (
-    select min(p.at) as at, '{"points": {}, "lines": {}}' || jsonb_object_agg(p.part, p.counts) as change_counts
-    from (
-        select k.part, min(k.at) as at, jsonb_object_agg(k.kind, k.n) as counts
-        from (
-            select case when x.of_line then 'lines' else 'points' end as part, x.kind, count(*) as n, min(lower(x.system_period)) as at
-            from conetl.delta x
-            where x.changeset_id = c.changeset_id and upper_inf(x.system_period)
-            and exists (select from conetl.hold k where k.changeset_id = c.changeset_id and lower(k.system_period) = c.committed_at)
-            group by part, x.kind
-        ) k
-        group by k.part
-    ) p
-) e
+join conetl.effect e using (changeset_id)
+left join conetl.on_hold h using (changeset_id)
 where m.map_name = %(map_name)s and (%(idempotency_key)s::text is null or c.idempotency_key = %(idempotency_key)s)
 order by c.changeset_no desc;
 
@@ -48,12 +47,7 @@ select
 from conetl.changeset c
 join conetl.map m using (map_id)
 join conetl.delta x using (changeset_id)
-cross join lateral (
-    select coalesce(min(lower(k.system_period)), c.committed_at) as at
-    from conetl.delta k
-    where k.changeset_id = c.changeset_id and upper_inf(k.system_period)
-    and exists (select from conetl.hold h where h.changeset_id = c.changeset_id and lower(h.system_period) = c.committed_at)
-) e
+join conetl.effect e using (changeset_id)
 join lateral conetl.state_after(x.cell, x.feature_id, x.new_version, x.changeset_id, e.at) n on true
 left join lateral conetl.state_after(
     case when x.kind = 'moved' then x.cell end, x.feature_id, x.old_version, x.changeset_id, e.at

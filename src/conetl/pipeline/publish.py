@@ -68,13 +68,15 @@ def publish(
     return PublishedFiles(geojson, plan_view, page)
 
 
-def renew_pages(conn: Connection, changeset_ids: Collection[UUID], settings: Settings) -> None:
-    """Rewrite existing QA reports of drives, for example after one went on hold or was released. Raises InputError if one cannot
-    be written.
+def renew_pages(
+    conn: Connection, changeset_ids: Collection[UUID], settings: Settings, *, missing: UUID | None = None
+) -> None:
+    """Rewrite existing QA reports of drives, for example after one went on hold or was released. missing: the changeset whose
+    report is written in any case. Raises InputError if one cannot be written.
     """
-    for one in list_changesets(conn, map_name=settings.map_name) if changeset_ids else ():
+    for one in list_changesets(conn, map_name=settings.map_name) if changeset_ids or missing else ():
         is_written = settings.drive_report_path(one.drive_id, one.changeset_no).is_file()
-        if one.changeset_id in changeset_ids and is_written:
+        if one.changeset_id == missing or (one.changeset_id in changeset_ids and is_written):
             _write_page(conn, one, settings)
 
 
@@ -111,13 +113,8 @@ def catch_up(report: CommitReport, settings: Settings, database: MapDatabase, se
         if receipts.is_published(conn, report.changeset_id):
             return
         _write_map(conn, settings)
-        for known in list_changesets(conn, map_name=settings.map_name):
-            if known.changeset_id == report.changeset_id:
-                _write_page(conn, known, settings)
-        changed = {
-            event.changeset_id for event in hold_events(conn, map_name=settings.map_name, since=report.committed_at)
-        }
-        renew_pages(conn, changed - {report.changeset_id}, settings)
+        events = hold_events(conn, map_name=settings.map_name, since=report.committed_at)
+        renew_pages(conn, [event.changeset_id for event in events], settings, missing=report.changeset_id)
     notify(report, database, send)
 
 

@@ -25,7 +25,7 @@ from conetl.model.rig import SIDES, Rig
 from conetl.perception.images import ImageFileError
 from conetl.reports import figures
 from conetl.reports.camera_images import SURROUNDINGS, ImageMissingError, crop_jpeg, image_file
-from conetl.reports.drive_facts import DriveFacts, Row, read_drive_facts
+from conetl.reports.drive_facts import MAX_ILLUSTRATED, DriveFacts, Row, read_drive_facts
 from conetl.reports.figures import counted_by_kind
 from conetl.reports.html import data_uri, render, write_page
 from conetl.reports.map_picture import PlanContent, draw_plan
@@ -38,8 +38,6 @@ _DOUBTFUL = 0.9
 _MAX_CONFIRMED = 400
 _NORMAL_TRAJECTORIES = {"refined", "switched_off"}
 _NORMAL_CALIBRATIONS = {"insignificant", "no_estimate", "switched_off"}
-#: Changes with images on one page; the table lists all.
-MAX_ILLUSTRATED = 120
 _UNREAD = "The sightings cannot be read"
 
 

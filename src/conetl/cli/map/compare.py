@@ -20,7 +20,6 @@ from conetl.db.map.map_store import Bbox, list_changesets, read_changes, read_fe
 from conetl.db.map.results import MapInstant
 from conetl.exports.kind_marks import STANDING, kinds_text
 from conetl.exports.text_files import export_diff_geojson
-from conetl.model.base import TICK, utc_from_ns
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
@@ -128,7 +127,7 @@ def instants_of(
         elif known_at == ui.THEN:
             found.append(MapInstant(None, changeset.effective_at))
         else:
-            found.append(MapInstant(utc_from_ns(changeset.captured_to_ns) + TICK, ui.parse_instant(known_at)))
+            found.append(MapInstant(changeset.valid_at, ui.parse_instant(known_at)))
     begin, end = found
     for earlier, later in ((begin.valid_at, end.valid_at), (begin.known_at, end.known_at)):
         if earlier is not None and later is not None and earlier > later:

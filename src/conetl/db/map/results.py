@@ -9,7 +9,7 @@ from datetime import datetime
 from typing import Any, Literal
 from uuid import UUID
 
-from conetl.model.base import Record
+from conetl.model.base import TICK, Record, utc_from_ns
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import Classification, Delta, DeltaKind, FeatureVersion, Location, MapFeature
 
@@ -89,6 +89,11 @@ class CommittedChangeset(ChangesetFacts):
     content_sha256: str
     expected_frame_count: int
     map_srid: int
+
+    @property
+    def valid_at(self) -> datetime:
+        """An instant just after the drive: the map of this instant includes all changes by the drive."""
+        return utc_from_ns(self.captured_to_ns) + TICK
 
     @property
     def lost_pairs(self) -> int:
