@@ -30,7 +30,7 @@ from conetl.db.map.map_store import read_current_features
 from conetl.evaluation.truth import read_truth_cones
 from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import EXIT_DONE, ConetlError
-from conetl.model.ingest_report import DriveOnHoldError
+from conetl.model.ingest_report import DriveOnHoldError, IngestReport
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
 from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
 from conetl.pipeline.analysis import AnalysedDrive, analyse
@@ -147,7 +147,7 @@ class Bench:
             outcome = replace(
                 outcome, counts=" ".join(f"{n} {kind.value}" for kind, n in committed.report.counts.items() if n)
             )
-            raise_if_doubtful(committed.report, analysed)
+            raise_if_doubtful(IngestReport(**vars(committed.report), seconds=0.0), analysed)
         except ConetlError as error:
             said = error.report.on_hold if isinstance(error, DriveOnHoldError) else None  # without what all holds say
             outcome = replace(outcome, exit=error.exit_code, said=said or str(error))

@@ -101,8 +101,8 @@ def _load_block(conn: Connection, map_id: int, start: int, count: int, history: 
             "changeset": uuid5(NAMESPACE_URL, f"changeset {key}"),
             "from_ns": FOUNDED_NS + day * DAY_NS,
             "committed_s": FOUNDED_NS / 1e9 + day * 86400 + 43200 + start / BLOCK / 1000,
-            "added": count if day == 0 else 0,
-            "confirmed": count if day == 1 else 0,
+            "kind": ("added", "confirmed")[day],
+            "count": count,
         }
         days.append(values | day_values)
         for sql in (_DRIVE, _CHANGESET) if day == 0 or history else ():
@@ -128,11 +128,11 @@ _CLOSURES = (
     """,
     """
     insert into conetl.changeset (changeset_id, map_id, changeset_no, drive_uuid, idempotency_key, params_sha256, model_sha256, code_version,
-        committed_at, added_count, confirmed_count, moved_count, removed_count, frame_pair_count, detection_count, match_count,
-        position_count, track_count, marking_count, rejection_count, missed_count, height_changed_count, split_count, merged_count)
+        committed_at, change_counts, frame_pair_count, detection_count, match_count, position_count, track_count, marking_count,
+        rejection_count)
     select md5(%(map)s || 'changeset' || d)::uuid, m.map_id, d + 1, md5(%(map)s || 'drive' || d)::uuid,
         encode(sha256((%(map)s || 'key' || d)::bytea), 'hex'), '', '', '0', timestamptz '2026-03-01T20:00Z' + d * interval '1 day',
-        0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
+        '{"points": {}, "lines": {}}', 0, 0, 0, 0, 0, 0, 0
     from conetl.map m, generate_series(0, %(versions)s - 1) d
     where m.map_name = %(map)s
     """,
@@ -183,12 +183,11 @@ select %(drive)s, %(map_id)s, %(srid)s, %(key)s, '', %(key)s, '{}', %(from_ns)s,
     ST_SetSRID(%(box)s::box2d::geometry, %(srid)s)"""
 _CHANGESET = """
 insert into conetl.changeset (changeset_id, map_id, changeset_no, drive_uuid, idempotency_key, params_sha256, model_sha256, code_version,
-    committed_at, added_count, confirmed_count, moved_count, removed_count, frame_pair_count, detection_count, match_count,
-    position_count, track_count, marking_count, rejection_count,
-    missed_count, height_changed_count, split_count, merged_count)
+    committed_at, change_counts, frame_pair_count, detection_count, match_count, position_count, track_count, marking_count,
+    rejection_count)
 values (%(changeset)s, %(map_id)s,
-    (select coalesce(max(c.changeset_no), 0) + 1 from conetl.changeset c where c.map_id = %(map_id)s), %(drive)s, %(key)s, '', '', 'bench', to_timestamp(%(committed_s)s), %(added)s, %(confirmed)s,
-    0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)"""
+    (select coalesce(max(c.changeset_no), 0) + 1 from conetl.changeset c where c.map_id = %(map_id)s), %(drive)s, %(key)s, '', '', 'bench', to_timestamp(%(committed_s)s),
+    jsonb_build_object('points', jsonb_build_object(%(kind)s, %(count)s), 'lines', '{}'::jsonb), 0, 0, 0, 0, 0, 0, 0)"""
 _FEATURES = f"""
 insert into conetl.feature (feature_id, map_id, srid, created_by, cell)
 select {_ID}, %(map_id)s, %(srid)s, %(changeset)s, {_CELL} from generate_series(%(start)s, %(stop)s) i"""

@@ -20,7 +20,7 @@ from conetl.files.names import as_markdown
 from conetl.model.arrays import Image
 from conetl.model.drive import DriveRecords
 from conetl.model.errors import StorageError
-from conetl.model.ingest_report import ChangeLine, IngestReport
+from conetl.model.ingest_report import ChangeLine, CommitReport
 from conetl.model.rig import SIDES
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
@@ -78,7 +78,7 @@ def publish_drive(committed: CommittedDrive, settings: Settings, database: MapDa
     total = sum(report.rejections.values())
     reasons = [{"reason": reason.replace("_", " "), "records": count} for reason, count in report.rejections.items()]
     tables = {
-        "summary": (summary_rows(report), f"Drive {drive}: {report.status}"),
+        "summary": (_summary_rows(report), f"Drive {drive}: {report.status}"),
         "changes": ([_change_row(line) for line in report.changes], f"Changes by drive {drive}"),
         "health": ([check.model_dump(mode="json") for check in report.health], f"Health checks of drive {drive}"),
         "rejections": (reasons, f"{total} records of drive {drive} were rejected"),
@@ -91,12 +91,12 @@ def publish_drive(committed: CommittedDrive, settings: Settings, database: MapDa
 
 
 @step("publish what is pending", "publish {report.drive_id}")
-def publish_pending(report: IngestReport, settings: Settings, database: MapDatabase) -> None:
+def publish_pending(report: CommitReport, settings: Settings, database: MapDatabase) -> None:
     """Publish what an earlier run left pending of a drive that is on the map."""
     catch_up(report, settings, database, send_events)
 
 
-def send_events(report: IngestReport, vanished: Sequence[dict[str, Any]]) -> None:
+def send_events(report: CommitReport, vanished: Sequence[dict[str, Any]]) -> None:
     """One event for the changeset, another one where the drive is on hold; and one for each cone that vanished, to count them.
 
     The ids of the events follow from the changeset: one that is sent twice is stored once.
@@ -205,31 +205,14 @@ def _show_worst_frames(records: DriveRecords, *, whole: bool) -> None:
 
 def _change_row(line: ChangeLine) -> dict[str, Any]:
     """One change, rounded to what is meant."""
-    east_m, north_m, height_m = line.xyz_m
-    return {
-        "change": kind_label(line.kind),
-        "feature": str(line.feature_id),
-        "category": line.category,
-        "easting_m": round(east_m, 3),
-        "northing_m": round(north_m, 3),
-        "height_m": round(height_m, 3),
-        "object_height_m": round(line.object_height_m, 2),
-        "sigma_horizontal_m": round(line.sigma_horizontal_m, 3),
-        "sigma_height_m": round(line.sigma_height_m, 3),
-        "existence_probability": round(line.existence_probability, 3),
-        "observations": line.observation_count,
-        "shift_m": None if line.shift_m is None else round(line.shift_m, 3),
-    }
+    position = dict(zip(("easting_m", "northing_m", "ellipsoidal_height_m"), line.xyz_m, strict=True))
+    row = {"change": kind_label(line.kind), **position, **line.model_dump(mode="json", exclude={"kind", "xyz_m"})}
+    return {name: round(value, 3) if isinstance(value, float) else value for name, value in row.items()}
 
 
-def summary_rows(report: IngestReport) -> list[dict[str, Any]]:
+def _summary_rows(report: CommitReport) -> list[dict[str, Any]]:
     """The figures of one ingest, a row each."""
-    rows: list[dict[str, Any]] = [
-        {"what": name.replace("_", " "), "count": getattr(report, name)}
-        for name in ("frame_pairs", "frame_pairs_rejected", "detections", "matches", "positions", "tracks")
-    ]
-    rows += [
-        {"what": f"lane markings: stretches {kind_label(kind)}", "count": n} for kind, n in report.line_counts.items()
-    ]
-    rows += [{"what": f"rejected: {reason}", "count": count} for reason, count in report.rejections.items()]
-    return rows
+    names = ("frame_pairs", "frame_pairs_rejected", "detections", "matches", "positions", "tracks")
+    counts = {name.replace("_", " "): getattr(report, name) for name in names}
+    counts |= {f"lane markings: stretches {kind_label(kind)}": n for kind, n in report.line_counts.items()}
+    return [{"what": what, "count": count} for what, count in counts.items()]

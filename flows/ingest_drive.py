@@ -15,7 +15,7 @@ from prefect.runtime import flow_run
 from prefect.states import Completed
 
 from conetl.db.receipt_store import drive_lock
-from conetl.exports.kind_marks import kind_label
+from conetl.exports.kind_marks import kinds_text
 from conetl.files.storage import as_path
 from conetl.model.ingest_report import IngestReport, NeedsAttentionError
 from conetl.model.params import IngestParams
@@ -115,8 +115,7 @@ def outcome(report: IngestReport) -> str:
     if report.is_known:
         state = f", but not in effect: {report.not_counted}" if report.not_counted else ""
         return f"nothing to do, already on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC{state}"
-    counts = ", ".join(f"{count} {kind_label(kind)}" for kind, count in report.counts.items() if count)
-    return f"{report.status}: {counts or 'no objects'}"
+    return f"{report.status}: {kinds_text(report.counts) or 'no objects'}"
 
 
 def _describe_run(header: DriveHeader, map_name: str) -> None:

@@ -4,26 +4,31 @@
 -- Every changeset has as many deltas and records as it states (deltas as committed, not as replayed since; a pruned
 -- drive has no detections, stereo matches and positions).
 -- Columns: changeset_id, what, stated, found, problem.
-with delta_counts as (
-    select k.changeset_id, jsonb_object_agg(k.what, k.found) as found
+with as_committed as (
+    select p.changeset_id, jsonb_object_agg(p.part, p.counts) as change_counts
     from (
-        select x.changeset_id, case when x.of_line then 'line' else x.kind end as what, count(*) as found
-        from conetl.delta x
-        join conetl.changeset c on c.changeset_id = x.changeset_id and c.committed_at = lower(x.system_period)
-        group by 1, 2
-    ) k
-    group by k.changeset_id
+        select k.changeset_id, k.part, jsonb_object_agg(k.kind, k.n) as counts
+        from (
+            select x.changeset_id, case when x.of_line then 'lines' else 'points' end as part, x.kind, count(*) as n
+            from conetl.delta x
+            join conetl.changeset c on c.changeset_id = x.changeset_id and c.committed_at = lower(x.system_period)
+            group by x.changeset_id, part, x.kind
+        ) k
+        group by k.changeset_id, k.part
+    ) p
+    group by p.changeset_id
 )
-select c.changeset_id, counted.what, counted.stated, counted.found, 'the numbers differ' as problem
+select c.changeset_id, 'changes' as what, c.change_counts as stated, k.found, 'the numbers differ' as problem
+from conetl.changeset c
+left join as_committed x using (changeset_id)
+cross join lateral (select '{"points": {}, "lines": {}}' || coalesce(x.change_counts, '{}')) k (found)
+where c.change_counts <> k.found
+union all
+select c.changeset_id, counted.what, to_jsonb(counted.stated), to_jsonb(counted.found), 'the numbers differ'
 from conetl.changeset c
 join conetl.drive d using (drive_uuid)
-left join delta_counts x on x.changeset_id = c.changeset_id
 cross join lateral (
-    select replace(kind, '_', ' '), (to_jsonb(c) ->> (kind || '_count'))::bigint, coalesce((x.found ->> kind)::bigint, 0)
-    from unnest(array['added', 'confirmed', 'moved', 'removed', 'missed', 'height_changed', 'split', 'merged']) kind
-    union all
     values
-        ('changes of lines', (select coalesce(sum(n.value::bigint), 0) from jsonb_each_text(c.line_counts) n), coalesce((x.found ->> 'line')::bigint, 0)),
         ('frame pairs', c.frame_pair_count, (select count(*) from conetl.frame_pair r where r.drive_uuid = c.drive_uuid)),
         ('detections', case when d.pruned_at is null then c.detection_count else 0 end,
             (select count(*) from conetl.detection r where r.drive_uuid = c.drive_uuid)),

@@ -46,15 +46,12 @@ select exists (select from conetl.changeset c where c.changeset_id = %(changeset
 -- Parameters: as the columns. Columns: changeset_no (counts per map).
 insert into conetl.changeset (
     changeset_id, map_id, changeset_no, drive_uuid, run_id, idempotency_key, params_sha256, model_sha256, code_version, committed_at,
-    added_count, confirmed_count, moved_count, removed_count, missed_count, height_changed_count, split_count, merged_count,
-    line_counts, frame_pair_count, detection_count, match_count, position_count, track_count, marking_count, rejection_count
+    change_counts, frame_pair_count, detection_count, match_count, position_count, track_count, marking_count, rejection_count
 ) values (
     %(changeset_id)s, %(map_id)s,
     (select coalesce(max(c.changeset_no), 0) + 1 from conetl.changeset c where c.map_id = %(map_id)s), %(drive_uuid)s, %(run_id)s, %(idempotency_key)s, %(params_sha256)s, %(model_sha256)s,
     %(code_version)s, %(committed_at)s,
-    %(added_count)s, %(confirmed_count)s, %(moved_count)s, %(removed_count)s,
-    %(missed_count)s, %(height_changed_count)s, %(split_count)s, %(merged_count)s,
-    %(line_counts)s, %(frame_pair_count)s, %(detection_count)s, %(match_count)s, %(position_count)s, %(track_count)s, %(marking_count)s, %(rejection_count)s
+    %(change_counts)s, %(frame_pair_count)s, %(detection_count)s, %(match_count)s, %(position_count)s, %(track_count)s, %(marking_count)s, %(rejection_count)s
 )
 returning changeset_no;
 

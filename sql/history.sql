@@ -6,23 +6,20 @@
 -- A drive that was committed on hold changed the map when it was released: its counts and effective_at are from then.
 select
     c.changeset_no, c.changeset_id, d.drive_id, d.kind, c.drive_uuid, c.idempotency_key, c.params_sha256, c.model_sha256,
-    c.code_version, c.committed_at, coalesce(e.at, c.committed_at) as effective_at,
-    (c.added_count + e.added)::integer as added_count,
-    (c.confirmed_count + e.confirmed)::integer as confirmed_count,
-    (c.moved_count + e.moved)::integer as moved_count,
-    (c.removed_count + e.removed)::integer as removed_count,
-    (c.missed_count + e.missed)::integer as missed_count,
-    (c.height_changed_count + e.height_changed)::integer as height_changed_count,
-    (c.split_count + e.split)::integer as split_count,
-    (c.merged_count + e.merged)::integer as merged_count,
-    case when e.at is null then c.line_counts else coalesce((
-        select jsonb_object_agg(k.kind, k.count)
+    c.code_version, c.committed_at, e.at as effective_at,
+    case when e.at = c.committed_at then c.change_counts else (
+        select '{"points": {}, "lines": {}}' || jsonb_object_agg(p.part, p.counts)
         from (
-            select x.kind, count(*) as count from conetl.delta x
-            where x.changeset_id = c.changeset_id and x.of_line and upper_inf(x.system_period)
-            group by x.kind
-        ) k
-    ), '{}') end as line_counts,
+            select k.part, jsonb_object_agg(k.kind, k.n) as counts
+            from (
+                select case when x.of_line then 'lines' else 'points' end as part, x.kind, count(*) as n
+                from conetl.delta x
+                where x.changeset_id = c.changeset_id and upper_inf(x.system_period)
+                group by part, x.kind
+            ) k
+            group by k.part
+        ) p
+    ) end as change_counts,
     c.frame_pair_count, c.detection_count, c.match_count, c.position_count, c.track_count, c.marking_count, c.rejection_count,
     d.captured_from_ns, d.captured_to_ns, d.content_sha256, d.expected_frame_count, m.srid as map_srid,
     h.reason is null and exists (select from conetl.active_drive a where a.changeset_id = c.changeset_id) as counts,
@@ -30,22 +27,8 @@ select
 from conetl.changeset c
 join conetl.map m using (map_id)
 join conetl.drive d using (drive_uuid)
-left join conetl.on_hold h on h.changeset_id = c.changeset_id
-cross join lateral (
-    select
-        min(lower(x.system_period)) as at,
-        count(*) filter (where x.kind = 'added' and not x.of_line) as added,
-        count(*) filter (where x.kind = 'confirmed' and not x.of_line) as confirmed,
-        count(*) filter (where x.kind = 'moved' and not x.of_line) as moved,
-        count(*) filter (where x.kind = 'removed' and not x.of_line) as removed,
-        count(*) filter (where x.kind = 'missed' and not x.of_line) as missed,
-        count(*) filter (where x.kind = 'height_changed' and not x.of_line) as height_changed,
-        count(*) filter (where x.kind = 'split' and not x.of_line) as split,
-        count(*) filter (where x.kind = 'merged' and not x.of_line) as merged
-    from conetl.delta x
-    where x.changeset_id = c.changeset_id and upper_inf(x.system_period)
-    and exists (select from conetl.hold k where k.changeset_id = c.changeset_id and lower(k.system_period) = c.committed_at)
-) e
+join conetl.effect e using (changeset_id)
+left join conetl.on_hold h using (changeset_id)
 where m.map_name = %(map_name)s and (%(idempotency_key)s::text is null or c.idempotency_key = %(idempotency_key)s)
 order by c.changeset_no desc;
 
@@ -64,12 +47,7 @@ select
 from conetl.changeset c
 join conetl.map m using (map_id)
 join conetl.delta x using (changeset_id)
-cross join lateral (
-    select coalesce(min(lower(k.system_period)), c.committed_at) as at
-    from conetl.delta k
-    where k.changeset_id = c.changeset_id and upper_inf(k.system_period)
-    and exists (select from conetl.hold h where h.changeset_id = c.changeset_id and lower(h.system_period) = c.committed_at)
-) e
+join conetl.effect e using (changeset_id)
 join lateral conetl.state_after(x.cell, x.feature_id, x.new_version, x.changeset_id, e.at) n on true
 left join lateral conetl.state_after(
     case when x.kind = 'moved' then x.cell end, x.feature_id, x.old_version, x.changeset_id, e.at

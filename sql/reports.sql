@@ -2,11 +2,9 @@
 
 -- name: changeset
 -- What a report of one changeset needs beyond the list of changesets. Parameters: changeset_id.
--- Columns: as below; rig is null for an imported map; params, facts and steps are empty where they were not kept;
--- finished_at: of the merge.
+-- Columns: as below; rig is null for an imported map; params, facts and steps are empty where they were not kept.
 select
-    d.source_path, d.srid, d.rig, d.expected_frame_count, d.content_sha256, d.pruned_at,
-    coalesce(r.params, '{}') as params, coalesce(r.facts, '{}') as facts, r.started_at, r.finished_at,
+    d.source_path, d.rig, d.pruned_at, coalesce(r.params, '{}') as params, coalesce(r.facts, '{}') as facts,
     coalesce((
         select jsonb_agg(to_jsonb(s) - 'run_id' order by s.started_s, s.step)
         from conetl.run_step s
@@ -95,14 +93,12 @@ from steps
 order by at;
 
 -- name: night_drives
--- Changesets of a map that were committed in a time span, oldest first, with figures for a report beside those of
+-- Changesets of a map that were committed in a time span, oldest first: figures for a report beside those of
 -- history.changesets. Parameters: map_name; since; until.
--- Columns: as below; residual_px and sigma_m (horizontal): medians of its cones, null without cones; warnings: what its health
+-- Columns: changeset_id; residual_px and sigma_m (horizontal): medians of its cones, null without cones; warnings: what its health
 -- checks warn of, null without any; seconds: of its ingest, null without a receipt.
 select
-    c.changeset_no, c.changeset_id, d.drive_id, d.kind, d.captured_from_ns, c.committed_at,
-    c.frame_pair_count, c.position_count, c.track_count, c.rejection_count, d.expected_frame_count,
-    t.residual_px, t.sigma_m,
+    c.changeset_id, t.residual_px, t.sigma_m,
     (
         select array_agg(k ->> 'detail')
         from conetl.run r
@@ -117,7 +113,6 @@ select
     ) as seconds
 from conetl.changeset c
 join conetl.map m using (map_id)
-join conetl.drive d using (drive_uuid)
 cross join lateral (
     select
         percentile_cont(0.5) within group (order by k.residual_rms_px) as residual_px,

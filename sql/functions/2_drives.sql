@@ -80,6 +80,18 @@ and case
 end;
 comment on view conetl.on_hold is 'Drives that wait for a person, and why; not those that a later delivery replaced.';
 
+create or replace view conetl.effect as
+select c.changeset_id, coalesce(r.at, c.committed_at) as at
+from conetl.changeset c
+cross join lateral (  -- once for each changeset
+    select min(lower(x.system_period)) as at
+    from conetl.delta x
+    where x.changeset_id = c.changeset_id and upper_inf(x.system_period)
+    and exists (select from conetl.hold h where h.changeset_id = c.changeset_id and lower(h.system_period) = c.committed_at)
+) r;
+comment on view conetl.effect is
+    'When the changes by a changeset were made: at its commit, or of a drive that was committed on hold, when it was released.';
+
 create or replace view conetl.latest_receipt as
 select distinct on (map_name, header_sha256) *
 from conetl.receipt

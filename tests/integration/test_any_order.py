@@ -12,6 +12,7 @@ from conetl.db.connection import execute
 from conetl.db.map.decision_store import held_drives, hold_events, list_decisions, read_decisions
 from conetl.db.map.map_store import find_map, list_changesets, map_transaction, read_current_features, system_time
 from conetl.db.map.replay_store import affected_drives, other_deliveries, write_replay
+from conetl.db.map.results import ChangeCounts
 from conetl.geometry.calibration.covariance import calibration_id
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING
@@ -161,12 +162,12 @@ def test_a_drive_that_was_on_hold_states_what_it_did_to_lane_markings(conn):
         world.merge(conn, painted(0), map_name=map_name)
         world.merge(conn, painted(1), map_name=map_name, hold=hold)
     [at_once, _] = list_changesets(conn)
-    assert list_changesets(conn, map_name="other")[0].line_counts == {}
+    assert list_changesets(conn, map_name="other")[0].change_counts == ChangeCounts(points={}, lines={})
     conn.commit()
     accept_drive(conn, "2", map_name="other")
     [released, first] = list_changesets(conn, map_name="other")
-    assert released.line_counts == at_once.line_counts and set(first.line_counts) == {DeltaKind.ADDED}
-    assert set(at_once.line_counts) == {DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.CONFIRMED}
+    assert released.change_counts == at_once.change_counts and set(first.change_counts.lines) == {DeltaKind.ADDED}
+    assert set(at_once.change_counts.lines) == {DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.CONFIRMED}
 
 
 @pytest.mark.parametrize("order", [(2, 0, 1), (1, 2, 0), (0, 1, 2)], ids=lambda order: "".join(map(str, order)))

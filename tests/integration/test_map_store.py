@@ -23,6 +23,7 @@ from conetl.mapping.history import MapUpdate
 from conetl.model.base import SharedErrorJacobian, utc_from_ns
 from conetl.model.drive import DriveRecords
 from conetl.model.errors import DatabaseError, MapMismatchError
+from conetl.model.map_records import DeltaKind
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.pipeline.replay import replay_of_newest
 from tests.synthetic.world import make_path
@@ -44,7 +45,7 @@ def test_first_drive_makes_the_map(conn, samples):
     assert store.read_current_features(conn) == []
     feature = samples.feature()
     result = samples.commit(conn, samples.added(feature), key="1")
-    assert (result.added_count, result.position_count) == (1, 3)
+    assert (result.change_counts.points, result.position_count) == ({DeltaKind.ADDED: 1}, 3)
     assert store.read_current_features(conn) == [feature]
     summary = store.map_summary(conn)
     assert (summary["srid"], summary["feature_count"], summary["changeset_count"]) == (samples.SRID, 1, 1)

@@ -40,11 +40,10 @@ _MAKE = (
     """,
     """
     insert into changeset (changeset_id, map_id, changeset_no, drive_uuid, idempotency_key, params_sha256, model_sha256,
-        code_version, committed_at, added_count, confirmed_count, moved_count, removed_count, frame_pair_count, detection_count,
-        match_count, position_count, track_count, marking_count, rejection_count, missed_count, height_changed_count, split_count,
-        merged_count)
+        code_version, committed_at, change_counts, frame_pair_count, detection_count, match_count, position_count, track_count,
+        marking_count, rejection_count)
     select md5(%(map)s)::uuid, map_id, 1, md5(%(map)s)::uuid, encode(sha256(%(map)s::bytea), 'hex'), '', '', '0',
-        '2026-03-01T20:00Z', 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0
+        '2026-03-01T20:00Z', '{"points": {}, "lines": {}}', 0, 0, 0, 0, 0, 0, 0
     from map where map_name = %(map)s
     """,
     """

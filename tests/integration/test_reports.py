@@ -96,7 +96,7 @@ def test_the_report_of_a_drive(shown: Any, latest: CommittedChangeset, samples: 
     kinds = [c["kind"] for c in facts.changes]
     assert kinds == [DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.ADDED, DeltaKind.CONFIRMED]
     for told in (
-        latest.model_sha256, latest.params_sha256, facts.header["content_sha256"], "abc", "numpy 2.1",
+        latest.model_sha256, latest.params_sha256, latest.content_sha256, "abc", "numpy 2.1",
         "poses moved by up to 0.07 m",
         "&lt;b&gt;turned&lt;/b&gt;", "never near", "image truncated", "changeset 2", "merge",
         *(str(c["feature_id"]) for c in facts.changes),
@@ -128,7 +128,7 @@ def test_alerts(shown: Any, latest: CommittedChangeset) -> None:
     confirmed = tuple(c for c in facts.changes if c["kind"] is DeltaKind.CONFIRMED)
     calm = replace(facts, header=facts.header | {"facts": {}}, changes=confirmed, checks=())
     assert alerts(calm) == []
-    lossy = replace(calm, header=calm.header | {"expected_frame_count": 100})
+    lossy = replace(calm, changeset=latest.model_copy(update={"expected_frame_count": 100}))
     assert [f.serious for f in alerts(lossy)] == [True]
     blurred = replace(calm, residual_px=calm.residual_px + 3.0)
     assert [f.serious for f in alerts(blurred)] == [True]
@@ -220,7 +220,9 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
     assert facts.drives[-1]["seconds"] == 12.0
     assert [row["kind"] for row in facts.changes if row["number"] <= row["gone"]] == ["removed"]
     counted = sum(
-        row[f"{kind}_count"] for row in facts.drives for kind in ("added", "moved", "removed", "split", "merged")
+        row["change_counts"].points[kind]
+        for row in facts.drives
+        for kind in ("added", "moved", "removed", "split", "merged")
     )
     assert {row["total"] for row in facts.changes} == {len(facts.changes)} == {counted}
     assert all(0 < row["sigma_m"] < 1 for row in facts.changes)
@@ -317,8 +319,8 @@ def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(
     conn.rollback()
     night = read_night(conn, map_name="default", since=datetime(2000, 1, 1, tzinfo=UTC), until=datetime.now(UTC))
     logged = list_changesets(conn)[0]
-    assert night.drives[1]["counts"] and logged.confirmed_count
-    assert night.drives[1]["confirmed_count"] == logged.confirmed_count
+    assert night.drives[1]["counts"] and logged.change_counts.points[DeltaKind.CONFIRMED]
+    assert night.drives[1]["change_counts"] == logged.change_counts
     log = [line.split()[-1] for line in conetl("map", "log").splitlines()[1:]]
     assert log[0] == "seen" and len(log) == 4
     [decision] = json.loads(conetl("map", "decisions", "--json"))

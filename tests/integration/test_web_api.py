@@ -49,9 +49,9 @@ def test_maps_and_timeline(client, samples):
     timeline = get(client, f"{MAP}/timeline")
     assert timeline["srid"] == samples.SRID
     assert timeline["origin_m"] == [458_000.0, 5_428_000.0, 100.0]
-    counts = ("added_count", "confirmed_count", "moved_count", "removed_count")
-    assert [[c[n] for n in counts] for c in timeline["changesets"]] == [[3, 0, 0, 0], [1, 1, 1, 1]]
-    assert [c["line_counts"] for c in timeline["changesets"]] == [{}, {}]
+    second = {"added": 1, "confirmed": 1, "moved": 1, "removed": 1}
+    counts = [c["change_counts"] for c in timeline["changesets"]]
+    assert counts == [{"points": {"added": 3}, "lines": {}}, {"points": second, "lines": {}}]
 
 
 def test_features_of_every_instant(client, features, samples):
@@ -128,7 +128,7 @@ def test_missed_split_and_merged_features_keep_their_kind(conn, own_view, sample
     )  # fmt: skip
     features = {**first, "second half": second}
     newest = get(own_view, f"{MAP}/timeline")["changesets"][1]
-    assert [newest[f"{kind}_count"] for kind in ("missed", "split", "height_changed", "merged")] == [1, 1, 1, 1]
+    assert newest["change_counts"]["points"] == dict.fromkeys(("missed", "split", "height_changed", "merged"), 1)
     changes = f"{MAP}/changes/{newest['changeset_no']}"
     assert kinds(own_view, features, changes) == {
         "doubted": "missed", "second half": "split", "short": "height_changed", "surplus": "merged",

@@ -42,7 +42,7 @@ HIDE = (
 )
 REVERT = (
     f"{INSERT_DECISION} select gen_random_uuid(), map_id, 32632, 'revert', null, null, null, changeset_id, null, '', now() "
-    "from changeset where moved_count = 1"
+    "from changeset where change_counts #> '{points,moved}' = '1'"
 )
 WITHDRAW = (
     f"{INSERT_DECISION} select gen_random_uuid(), map_id, srid, 'withdraw', null, null, null, null, decision_id, '', "
@@ -145,13 +145,14 @@ FAULTS = {
         ("update delta set track_index = 7 where kind = 'moved'",),
     ],
     "changeset_counts": [
-        ("update changeset set added_count = added_count + 1",),
-        ("update changeset set removed_count = removed_count + 1",),
+        ("update changeset set change_counts = jsonb_set(change_counts, '{points,added}', '7')",),
+        ("update changeset set change_counts = jsonb_set(change_counts, '{points,removed}', '7')",),
+        ("update changeset set change_counts = change_counts - 'lines'",),
+        ("update changeset set change_counts = '{}'",),
         ("update changeset set rejection_count = 5",),
         ("delete from detection where frame_index = 1",),
         ("delete from delta where kind = 'moved'",),
-        ("update changeset set missed_count = missed_count + 1",),
-        ("update changeset set split_count = 1, merged_count = 1, height_changed_count = 1",),
+        ("update changeset set change_counts = jsonb_set(change_counts, '{points,split}', '1')",),
     ],
     "invalid_geometry": [
         (DROP_CHECKS, "update feature_version set geom = ST_SetSRID(geom, 32633) where version = 2"),
@@ -195,7 +196,8 @@ FAULTS = {
         ("update delta set system_period = tstzrange(lower(system_period), '2100-01-01') where kind = 'moved'",),
         (
             "insert into decision (decision_id, map_id, srid, kind, changeset_id, note, decided_at) "
-            "select gen_random_uuid(), map_id, 32632, 'revert', changeset_id, '', now() from changeset where moved_count = 1",
+            "select gen_random_uuid(), map_id, 32632, 'revert', changeset_id, '', now() from changeset "
+            "where change_counts #> '{points,moved}' = '1'",
         ),
     ],
 }

@@ -176,8 +176,10 @@ OLD_MAP = """
     insert into changeset (changeset_id, changeset_no, map_id, drive_uuid, idempotency_key, params_sha256, model_sha256,
         code_version, committed_at, added_count, confirmed_count, moved_count, removed_count, frame_pair_count, detection_count,
         match_count, position_count, track_count, rejection_count, missed_count, height_changed_count, split_count, merged_count,
-        marking_count)
-    select id, number, map_id, id, hash, '', '', '', at, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0 from made"""
+        marking_count, line_counts)
+    select id, number, map_id, id, hash, '', '', '', at, number, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, number - 1, 0,
+        case number when 3 then '{"moved": 5}'::jsonb else '{}' end
+    from made"""
 OLD_FEATURE = """
     insert into feature (feature_id, map_id, srid, created_by, cell)
     select md5(%s)::uuid, map_id, srid, id, 0 from made limit 1"""
@@ -246,6 +248,13 @@ def test_the_evidence_of_older_rows_is_that_of_their_deltas(empty):
     assert known("gone", 4) == [("a", 1, 0, 2, 1, 0, None, 0.9, True), ("c", 2, 2, None, 1, 1, None, 0.2, False)]
     for audit in ("evidence", "gaps_in_valid_periods", "open_versions", "overlapping_periods"):
         assert execute(empty, load_sql(f"audits.{audit}")) == [], audit
+    counts = execute(empty, "select change_counts from changeset order by changeset_no")
+    assert [row["change_counts"] for row in counts] == [
+        {"points": {"added": 1}, "lines": {}},
+        {"points": {"added": 2, "merged": 1}, "lines": {}},
+        {"points": {"added": 3, "merged": 2}, "lines": {"moved": 5}},
+        {"points": {"added": 4, "merged": 3}, "lines": {}},
+    ]
 
 
 def test_a_database_from_before_the_baseline_is_refused_and_left_alone(empty):

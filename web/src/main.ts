@@ -25,7 +25,7 @@ import { parseState, type State } from "./state";
 import "./style.css";
 import "./table.css";
 import { themeSwitch } from "./theme";
-import { createTimeline, lineChanges } from "./timeline";
+import { changesOf, createTimeline } from "./timeline";
 import { createTools } from "./tools";
 import { createViewer } from "./viewer";
 
@@ -277,7 +277,7 @@ async function newChangeset(no: number): Promise<void> {
     const item = timeline?.changesets.at(-1);
     if (!item) return;
     void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
-    const counts = [`${item.added_count} added`, `${item.moved_count} moved`, `${item.removed_count} removed`, ...lineChanges([item]).map((change) => change.text)].join(", ");
+    const counts = changesOf([item]).map((change) => change.text).join(", ") || "no changes";
     const follows = state.mode === "drive" && state.changeset === null;
     const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} was committed, but is not part of the map: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
     layout.toast(said, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });

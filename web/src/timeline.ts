@@ -25,8 +25,8 @@ const SIDES: [Side, string][] = [["before", "Before"], ["changes", "Changes"], [
 const CHANGED: ChangeKind[] = ["added", "moved", "removed", "split", "merged", "height_changed", "missed", "confirmed"];
 const BAR_PX = 30;
 
-const objectsOf = (t: TimelineItem, kind: ChangeKind) => t[`${kind}_count`];
-const linesOf = (t: TimelineItem, kind: ChangeKind) => t.line_counts[kind] ?? 0;
+const objectsOf = (t: TimelineItem, kind: ChangeKind) => t.change_counts.points[kind] ?? 0;
+const linesOf = (t: TimelineItem, kind: ChangeKind) => t.change_counts.lines[kind] ?? 0;
 const bothOf = (t: TimelineItem, kind: ChangeKind) => objectsOf(t, kind) + linesOf(t, kind);
 
 function changes(items: TimelineItem[], count: (t: TimelineItem, kind: ChangeKind) => number, noun: (sum: number) => string) {
@@ -36,10 +36,9 @@ function changes(items: TimelineItem[], count: (t: TimelineItem, kind: ChangeKin
   });
 }
 
-/** Of lane markings, by kind. */
-export const lineChanges = (items: TimelineItem[]) => changes(items, linesOf, (sum) => plural(sum, "stretch of lane markings", "stretches of lane markings"));
+const stretches = (sum: number) => plural(sum, "stretch of lane markings", "stretches of lane markings");
 /** Of objects, then of lane markings. */
-const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf, String), ...lineChanges(items)];
+export const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf, String), ...changes(items, linesOf, stretches)];
 
 export function createTimeline(host: HTMLElement, actions: TimelineActions) {
   let [now, drives]: [State | null, TimelineItem[]] = [null, []];

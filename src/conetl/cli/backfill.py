@@ -16,7 +16,7 @@ from conetl.cli.ingest import read_params
 from conetl.db.map.map_store import read_changes
 from conetl.db.map.results import MapInstant
 from conetl.db.receipt_store import QUIET, pending_changesets
-from conetl.exports.kind_marks import kind_label
+from conetl.exports.kind_marks import kinds_text
 from conetl.files.names import minutes
 from conetl.model.errors import EXIT_BAD_INPUT, EXIT_DONE, EXIT_NEEDS_ATTENTION, EXIT_SERVICE_MISSING
 from conetl.model.map_records import DeltaKind
@@ -115,8 +115,8 @@ def backfill(
     else:
         _print_summary(standing)
         if reanalyse:
-            counts = ", ".join(f"{count} {kind_label(kind)}" for kind, count in difference.items())
-            ui.say(f"The map now, compared with what was known before: {counts or 'no differences'}.")
+            counts = kinds_text(difference) or "no differences"
+            ui.say(f"The map now, compared with what was known before: {counts}.")
     raise typer.Exit(_exit_code(standing))
 
 

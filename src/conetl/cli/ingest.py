@@ -15,7 +15,7 @@ import typer
 
 from conetl.cli import console as ui
 from conetl.cli.features import print_features
-from conetl.exports.kind_marks import kind_label
+from conetl.exports.kind_marks import kind_label, kinds_text
 from conetl.files.atomic import remove_leftovers
 from conetl.files.documents import input_errors, library_errors, read_yaml_model
 from conetl.files.home import make_home
@@ -200,7 +200,7 @@ def print_report(report: IngestReport) -> None:
     """What one drive changed. Why it, or another drive, went on hold is left to the complaints, which come last."""
     kinds = [kind for kind in DeltaKind if kind in _USUAL or report.counts[kind]]
     counts = ", ".join(f"{report.counts[kind]} {kind_label(kind)}" for kind in kinds)
-    lines = ", ".join(f"{count} {kind_label(kind)}" for kind, count in report.line_counts.items())
+    lines = kinds_text(report.line_counts)
     drive = f"[bold]{report.drive_id}[/] ({report.captured_from:%Y-%m-%d %H:%M} UTC)"
     if report.is_known:
         known = f"already on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC"

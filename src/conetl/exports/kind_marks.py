@@ -7,6 +7,7 @@ compares them with web/src/kinds.ts, markings.ts and theme.ts.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,11 @@ KIND_MARKS = {
 def kind_label(kind: str) -> str:
     """The name of a kind of change for people: `not observed` for `missed`."""
     return KIND_MARKS[DeltaKind(kind)].label
+
+
+def kinds_text(counts: Mapping[DeltaKind, int]) -> str:
+    """The kinds that there are, in words: `2 added, 1 not observed`."""
+    return ", ".join(f"{counts[kind]} {kind_label(kind)}" for kind in DeltaKind if counts.get(kind))
 
 
 STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="standing")

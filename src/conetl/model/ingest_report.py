@@ -31,8 +31,8 @@ class ChangeLine(Record):
     shift_m: float | None
 
 
-class IngestReport(Record):
-    """Result of `ingest`."""
+class CommitReport(Record):
+    """What one drive did to the map; result of `commit`."""
 
     drive_id: str
     status: Literal["committed", "held", "no changes"]
@@ -55,13 +55,13 @@ class IngestReport(Record):
     """Changes of stretches of lane markings, by kind."""
     markings: int = 0
     """Lane markings that the drive shows."""
-    changes: tuple[ChangeLine, ...]
+    changes: tuple[ChangeLine, ...] = ()
     """Changes of point objects of this run; empty for a known drive."""
-    rejections: dict[RejectionReason, int]
+    rejections: dict[RejectionReason, int] = Field(default_factory=dict)
+    """Rejected records of this run; empty for a known drive."""
     params_sha256: str
     model_sha256: str
     content_sha256: str
-    seconds: float
     trajectory: str | None = None
     """Outcome of the trajectory refinement, as a sentence; None for a known drive."""
     calibration: str | None = None
@@ -78,8 +78,6 @@ class IngestReport(Record):
     """Checks of the recording, and of it against the map; of a known drive those for which it is on hold."""
     on_hold: str | None = None
     """Why the drive does not count until a person accepts it; None unless it is on hold."""
-    unpublished: str | None = None
-    """Files or notifications that failed after the commit, and what to do; None if all succeeded."""
     hold_changes: tuple[HoldChange, ...] = ()
     """Other drives that went on hold because of this one, or are on hold no longer; empty for a known drive."""
     replayed_drives: int = 0
@@ -89,6 +87,15 @@ class IngestReport(Record):
     def is_known(self) -> bool:
         """Whether the drive was already stored; then nothing was written."""
         return self.committed_at is not None
+
+
+class IngestReport(CommitReport):
+    """Result of `ingest`."""
+
+    seconds: float
+    """Until the commit."""
+    unpublished: str | None = None
+    """Files or notifications that failed after the commit, and what to do; None if all succeeded."""
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections import Counter
-from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4, uuid5
 
-from conetl.db.connection import sql_directory, transaction
+from conetl.db.connection import Connection, sql_directory, transaction
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.decision_store import held_drives, why_not_counted
 from conetl.db.map.map_store import drive_transaction, find_changeset
@@ -24,11 +23,10 @@ from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.base import utc_from_ns
 from conetl.model.drive import Drive
-from conetl.model.health import AGREES, hold_checks, hold_reason
-from conetl.model.ingest_report import ChangeLine, IngestReport
+from conetl.model.health import AGREES, hold_checks
+from conetl.model.ingest_report import ChangeLine, CommitReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind
 from conetl.model.params import IngestParams
-from conetl.model.rejections import INPUT_REASONS, Rejection, RejectionReason
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
 from conetl.pipeline.checks.positions import check_positions_on_map
@@ -50,7 +48,7 @@ class CommittedDrive:
     changeset: CommittedChangeset
     analysed: AnalysedDrive
     deltas: tuple[Delta, ...]
-    report: IngestReport
+    report: CommitReport
 
 
 def changeset_of(drive: Drive, params: IngestParams, settings: Settings) -> Changeset:
@@ -70,19 +68,23 @@ def changeset_of(drive: Drive, params: IngestParams, settings: Settings) -> Chan
 
 def already_committed(
     drive: Drive, changeset: Changeset, settings: Settings, database: MapDatabase
-) -> IngestReport | None:
+) -> CommitReport | None:
     """The report "no changes" where this very drive is already on the map. changeset: of the drive, without deltas."""
     with database.connection() as conn:
         known = find_changeset(conn, changeset.idempotency_key, map_name=settings.map_name)
-        if known is None:
-            return None
-        with transaction(conn, "Provisional features cannot be removed"):  # it may have been watched again since
-            drop_watched_recording(conn, drive, map_name=settings.map_name)
-        held = held_drives(conn, map_name=settings.map_name) if known.hold else []
-        not_counted = None if known.counts or known.hold else why_not_counted(conn, known, settings.map_name)
-    checks = next((one.checks for one in held if one.changeset_id == known.changeset_id), ())
-    facts = {"health": checks, "not_counted": not_counted, "model_sha256": changeset.model_sha256}
-    return report_of(known, settings.map_name).model_copy(update=facts)
+        return None if known is None else _report_of_known(conn, known, drive, settings.map_name)
+
+
+def _report_of_known(conn: Connection, known: CommittedChangeset, drive: Drive, map_name: str) -> CommitReport:
+    with transaction(conn, "Provisional features cannot be removed"):  # it may have been watched again since
+        drop_watched_recording(conn, drive, map_name=map_name)
+    held = held_drives(conn, map_name=map_name) if known.hold else []
+    return report_of(
+        known,
+        map_name,
+        health=next((one.checks for one in held if one.changeset_id == known.changeset_id), ()),
+        not_counted=None if known.counts or known.hold else why_not_counted(conn, known, map_name),
+    )
 
 
 @step("merge", "merge {analysed.drive.drive_id}")
@@ -115,28 +117,23 @@ def commit(
                 run=run,
                 hold=hold_checks(health),
             )
-    if isinstance(merged, CommittedChangeset):
-        return CommittedDrive(merged, analysed, (), report_of(merged, settings.map_name))
+        if isinstance(merged, CommittedChangeset):
+            return CommittedDrive(merged, analysed, (), _report_of_known(conn, merged, drive, settings.map_name))
     deltas = merged.changeset.deltas
     if not hold_checks(health):  # a recording that contradicts itself is not compared with the map
         health = (*health, merged.extension.hold or AGREES)
-    hold = hold_reason(health)
-    report = report_of(merged.committed, settings.map_name).model_copy(
-        update={
-            "status": "committed" if hold is None else "held",
-            "frame_pairs_rejected": len(lost_frame_pairs(records.rejections, INPUT_REASONS)),
-            "changes": tuple(_line(delta) for delta in deltas if not delta.is_line),
-            "rejections": dict(sorted(Counter(r.reason for r in records.rejections).items())),
-            "trajectory": analysed.trajectory.detail,
-            "calibration": analysed.calibration.detail,
-            "committed_at": None,
-            "categories": params.detection.categories,
-            "counts_on_map": hold is None,
-            "health": health,
-            "on_hold": hold,
-            "replayed_drives": merged.replayed,
-            "hold_changes": merged.hold_changes,
-        }
+    report = report_of(
+        merged.committed,
+        settings.map_name,
+        is_new=True,
+        changes=tuple(_line(delta) for delta in deltas if not delta.is_line),
+        rejections=dict(sorted(Counter(rejection.reason for rejection in records.rejections).items())),
+        trajectory=analysed.trajectory.detail,
+        calibration=analysed.calibration.detail,
+        categories=params.detection.categories,
+        health=health,
+        replayed_drives=merged.replayed,
+        hold_changes=merged.hold_changes,
     )
     return CommittedDrive(merged.committed, analysed, deltas, report)
 
@@ -152,11 +149,6 @@ def run_info(analysed: AnalysedDrive, flow_run_id: str | None = None) -> RunInfo
         **code_facts(),
     }
     return RunInfo(uuid4(), datetime.now(UTC), analysed.params.model_dump(mode="json"), flow_run_id, facts)
-
-
-def lost_frame_pairs(rejections: Iterable[Rejection], reasons: frozenset[RejectionReason]) -> set[str]:
-    """Frame pairs that were rejected for one of the reasons, each once even if both images are bad."""
-    return {rejection.record for rejection in rejections if rejection.reason in reasons}
 
 
 def _line(delta: Delta) -> ChangeLine:
@@ -175,34 +167,33 @@ def _line(delta: Delta) -> ChangeLine:
     )
 
 
-def report_of(known: CommittedChangeset, map_name: str) -> IngestReport:
-    """The report of a drive that is already on the map."""
-    return IngestReport(
+def report_of(known: CommittedChangeset, map_name: str, *, is_new: bool = False, **facts: Any) -> CommitReport:
+    """The report of a drive on the map. is_new: it was committed now; facts: fields of the report that the changeset lacks."""
+    points, lines = known.change_counts.points, known.change_counts.lines
+    return CommitReport(
         drive_id=known.drive_id,
-        status="no changes" if known.hold is None else "held",
+        status="held" if known.hold is not None else "committed" if is_new else "no changes",
         changeset_id=known.changeset_id,
         captured_from=utc_from_ns(known.captured_from_ns),
         captured_to=utc_from_ns(known.captured_to_ns),
         map_name=map_name,
         map_srid=known.map_srid,
         frame_pairs=known.frame_pair_count,
-        frame_pairs_rejected=known.expected_frame_count - known.frame_pair_count,
+        frame_pairs_rejected=known.lost_pairs,
         detections=known.detection_count,
         matches=known.match_count,
         positions=known.position_count,
         tracks=known.track_count,
-        counts={kind: getattr(known, f"{kind.value}_count") for kind in DeltaKind},
-        line_counts={DeltaKind(kind): count for kind, count in sorted(known.line_counts.items())},
+        counts={kind: points[kind] for kind in DeltaKind},
+        line_counts={kind: lines[kind] for kind in DeltaKind if kind in lines},
         markings=known.marking_count,
-        changes=(),
-        rejections={},
         params_sha256=known.params_sha256,
         model_sha256=known.model_sha256,
         content_sha256=known.content_sha256,
-        seconds=0.0,
-        committed_at=known.committed_at,
+        committed_at=None if is_new else known.committed_at,
         counts_on_map=known.counts,
         on_hold=known.hold,
+        **facts,
     )
 
 

@@ -20,13 +20,13 @@ from conetl.files.home import make_home
 from conetl.files.storage import forget_all
 from conetl.model.drive import Drive
 from conetl.model.errors import ConetlError, ServiceError, is_retryable, is_storage_error, storage_error
-from conetl.model.ingest_report import DriveOnHoldError, IngestReport, TooManyRejectionsError
+from conetl.model.ingest_report import CommitReport, DriveOnHoldError, IngestReport, TooManyRejectionsError
 from conetl.model.params import IngestParams
 from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
 from conetl.perception.model_card import NOT_MEASURED, read_model_card
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.checks.same_recording import refuse_other_delivery, refuse_same_images
-from conetl.pipeline.commit import CommittedDrive, already_committed, changeset_of, commit, lost_frame_pairs, run_info
+from conetl.pipeline.commit import CommittedDrive, already_committed, changeset_of, commit, run_info
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Executor, Progress, ThreadExecutor, step
 from conetl.pipeline.publish import publish
@@ -37,7 +37,7 @@ from conetl.readers.drives.header import DriveHeader
 _log = logging.getLogger(__name__)
 #: Steps that publish a newly committed drive, and one that was already on the map.
 PublishNew = Callable[[CommittedDrive, Settings, MapDatabase, list[StepTime]], object]
-PublishKnown = Callable[[IngestReport, Settings, MapDatabase], object]
+PublishKnown = Callable[[CommitReport, Settings, MapDatabase], object]
 
 
 @step("read", "read {folder}")
@@ -84,15 +84,13 @@ def ingest(
         if read_model_card(settings.model_path).evidence is None:
             _log.warning(NOT_MEASURED)
 
-        def known() -> IngestReport | None:
-            """The report of a drive that is already on the map, once what was left pending is published."""
-            report = already_committed(drive, changeset, settings, db)
-            if report is None or publish_known is None:
-                return report
-            return _after_commit(report, lambda: steps.run(publish_known, report, settings, db))
+        def finished(known: CommitReport) -> IngestReport:
+            """The answer for a drive that is already on the map, once what was left pending is published."""
+            publish = None if publish_known is None else lambda: steps.run(publish_known, known, settings, db)
+            return _raise_if_held(_after_commit(known, started, publish))
 
-        if (report := known()) is not None:
-            return _raise_if_held(report)
+        if (known := already_committed(drive, changeset, settings, db)) is not None:
+            return finished(known)
         with db.connection() as conn:
             require_writer(conn)
         refuse_other_delivery(drive, settings, db)
@@ -101,14 +99,14 @@ def ingest(
         try:
             committed: CommittedDrive = steps.run(commit, analysed, settings, db, run_info(analysed, flow_run_id))
         except Exception:  # the commit may have succeeded although the answer of the database or Prefect was lost
-            if (report := known()) is None:
+            if (known := already_committed(drive, changeset, settings, db)) is None:
                 raise
-            return _raise_if_held(report)
+            return finished(known)
         if committed.report.is_known:  # another ingest of the same drive finished first
-            return _raise_if_held(known() or committed.report)
-        report = committed.report.model_copy(update={"seconds": time.monotonic() - started})
-        committed = replace(committed, report=report)
-        report = _after_commit(report, lambda: steps.run(publish_new, committed, settings, db, steps.times()))
+            return finished(committed.report)
+        report = _after_commit(
+            committed.report, started, lambda: steps.run(publish_new, committed, settings, db, steps.times())
+        )
     return raise_if_doubtful(report, analysed)
 
 
@@ -116,7 +114,8 @@ def raise_if_doubtful(report: IngestReport, analysed: AnalysedDrive) -> IngestRe
     """The report of a newly committed drive. Raises DriveOnHoldError or TooManyRejectionsError if a person has to check it."""
     _raise_if_held(report)
     allowed = analysed.params.max_rejected_fraction
-    lost = len(lost_frame_pairs(analysed.records.rejections, DOUBTFUL_REASONS))
+    # Each pair once, even if both images are bad.
+    lost = len({one.record for one in analysed.records.rejections if one.reason in DOUBTFUL_REASONS})
     if lost > allowed * analysed.drive.expected_frame_count:
         raise TooManyRejectionsError(report, lost, allowed)
     return report
@@ -128,10 +127,12 @@ def _raise_if_held(report: IngestReport) -> IngestReport:
     return report
 
 
-def _after_commit(report: IngestReport, publish: Callable[[], object]) -> IngestReport:
-    """Publish a committed drive; returns the report, with a note if that failed. The commit stays."""
+def _after_commit(report: CommitReport, started: float, publish: Callable[[], object] | None) -> IngestReport:
+    """Publish a committed drive; returns the answer, with a note if that failed. The commit stays. started: `time.monotonic`."""
+    seconds, note = time.monotonic() - started, None
     try:
-        publish()
+        if publish is not None:
+            publish()
     except Exception as error:
         _log.exception("Drive %s is on the map, but not all of it was published", report.drive_id)
         note = (
@@ -139,8 +140,7 @@ def _after_commit(report: IngestReport, publish: Callable[[], object]) -> Ingest
             f"{error_text(error).rstrip('.')}. Correct this and run the same command again: it publishes the rest and does not "
             "change the map."
         )
-        return report.model_copy(update={"unpublished": note})
-    return report
+    return IngestReport(**vars(report), seconds=seconds, unpublished=note)
 
 
 def error_text(error: Exception) -> str:

@@ -22,7 +22,7 @@ from conetl.db.map.results import CommittedChangeset
 from conetl.exports.text_files import export_geojson
 from conetl.files.home import make_home
 from conetl.model.errors import ConetlError
-from conetl.model.ingest_report import IngestReport
+from conetl.model.ingest_report import CommitReport
 from conetl.pipeline.commit import CommittedDrive, report_of
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import step
@@ -32,7 +32,7 @@ from conetl.reports.drive_page import write_drive_page
 
 _log = logging.getLogger(__name__)
 #: Sends the report of a changeset and the cones that it removed (`removed_by_changeset`); returns when they are sent.
-Notify = Callable[[IngestReport, Sequence[dict[str, Any]]], None]
+Notify = Callable[[CommitReport, Sequence[dict[str, Any]]], None]
 
 
 class PublishedFiles(NamedTuple):
@@ -68,13 +68,15 @@ def publish(
     return PublishedFiles(geojson, plan_view, page)
 
 
-def renew_pages(conn: Connection, changeset_ids: Collection[UUID], settings: Settings) -> None:
-    """Rewrite existing QA reports of drives, for example after one went on hold or was released. Raises InputError if one cannot
-    be written.
+def renew_pages(
+    conn: Connection, changeset_ids: Collection[UUID], settings: Settings, *, missing: UUID | None = None
+) -> None:
+    """Rewrite existing QA reports of drives, for example after one went on hold or was released. missing: the changeset whose
+    report is written in any case. Raises InputError if one cannot be written.
     """
-    for one in list_changesets(conn, map_name=settings.map_name) if changeset_ids else ():
+    for one in list_changesets(conn, map_name=settings.map_name) if changeset_ids or missing else ():
         is_written = settings.drive_report_path(one.drive_id, one.changeset_no).is_file()
-        if one.changeset_id in changeset_ids and is_written:
+        if one.changeset_id == missing or (one.changeset_id in changeset_ids and is_written):
             _write_page(conn, one, settings)
 
 
@@ -96,7 +98,7 @@ def publish_decision(conn: Connection, decided: DecisionOutcome, settings: Setti
     return None
 
 
-def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:
+def notify(report: CommitReport, database: MapDatabase, send: Notify) -> None:
     """Send the report of a changeset unless that was done before, and record it."""
     with database.connection() as conn:
         if receipts.is_published(conn, report.changeset_id):
@@ -105,19 +107,14 @@ def notify(report: IngestReport, database: MapDatabase, send: Notify) -> None:
         receipts.mark_published(conn, report.changeset_id)
 
 
-def catch_up(report: IngestReport, settings: Settings, database: MapDatabase, send: Notify) -> None:
+def catch_up(report: CommitReport, settings: Settings, database: MapDatabase, send: Notify) -> None:
     """Complete what the run that committed a drive left pending: write the map's file and the drive's report, then notify."""
     with database.connection() as conn:
         if receipts.is_published(conn, report.changeset_id):
             return
         _write_map(conn, settings)
-        for known in list_changesets(conn, map_name=settings.map_name):
-            if known.changeset_id == report.changeset_id:
-                _write_page(conn, known, settings)
-        changed = {
-            event.changeset_id for event in hold_events(conn, map_name=settings.map_name, since=report.committed_at)
-        }
-        renew_pages(conn, changed - {report.changeset_id}, settings)
+        events = hold_events(conn, map_name=settings.map_name, since=report.committed_at)
+        renew_pages(conn, [event.changeset_id for event in events], settings, missing=report.changeset_id)
     notify(report, database, send)
 
 

@@ -27,8 +27,8 @@ from conetl.reports.figures import MarkingChange, change_of_row, changes_of
 Row = dict[str, Any]
 #: Features within this distance of the path are drawn on the plan.
 _AROUND_M = 30.0
-#: Changes with a sentence on one page; as many have images.
-_MAX_REASONS = 120
+#: Changes with a sentence and images on one page; the table lists all.
+MAX_ILLUSTRATED = 120
 #: Kinds that a person should review come first.
 _ORDER = (
     DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.ADDED, DeltaKind.SPLIT, DeltaKind.MERGED, DeltaKind.HEIGHT_CHANGED,
@@ -50,7 +50,7 @@ class DriveFacts:
     tracks: list[Track]
     changes: tuple[Row, ...]
     """Of point objects: the rows of `history.changes_of_changeset`, kind as DeltaKind; number, in table and plan,
-    from 1; why, one sentence with numbers, empty of confirmations and of what is beyond `_MAX_REASONS`."""
+    from 1; why, one sentence with numbers, empty of confirmations and of what is beyond `MAX_ILLUSTRATED`."""
     checks: tuple[HealthCheck, ...]
     """Of the recording as it was ingested, and of the drive against the map as it is now; () where none were stored."""
     hold_events: tuple[HoldEvent, ...]
@@ -72,10 +72,6 @@ class DriveFacts:
     def noun(self) -> str:
         """`cone`, or `object` where the drive evaluated other classes, too."""
         return "object" if {one["category"] for one in self.changes} - {CONE} else "cone"
-
-    @property
-    def lost_pairs(self) -> int:
-        return int(self.header["expected_frame_count"]) - len(self.frame_pairs)
 
 
 def find_drive(conn: Connection, name: str, *, map_name: str) -> CommittedChangeset:
@@ -112,7 +108,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     rows = [row for row in evaluated if row["marking"] is None]
     rows.sort(key=lambda row: (_ORDER.index(DeltaKind(row["kind"])), row["changed_at"], str(row["feature_id"])))
     drive = {"drive_id": changeset.drive_id, "drive_uuid": changeset.drive_uuid, "drive_kind": "drive"}
-    explained = [row | drive for row in rows if row["kind"] != DeltaKind.CONFIRMED][:_MAX_REASONS]
+    explained = [row | drive for row in rows if row["kind"] != DeltaKind.CONFIRMED][:MAX_ILLUSTRATED]
     reasons = {
         row["feature_id"]: why for row, why in zip(explained, reasons_of(conn, map_name, None, explained), strict=True)
     }
@@ -126,7 +122,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
         for found in read_features_as_of(conn, known_at=changeset.effective_at, map_name=map_name, within=box)
         if found.feature.feature_id not in changed
     ]
-    markings = [change for row in evaluated if (change := change_of_row(row)) is not None]
+    markings = [change_of_row(row) for row in evaluated if row["marking"] is not None]
     residuals = residuals.reshape(-1, 3).astype(np.float64)
     return DriveFacts(
         map_name=map_name,

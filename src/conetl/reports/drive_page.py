@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -26,7 +25,7 @@ from conetl.model.rig import SIDES, Rig
 from conetl.perception.images import ImageFileError
 from conetl.reports import figures
 from conetl.reports.camera_images import SURROUNDINGS, ImageMissingError, crop_jpeg, image_file
-from conetl.reports.drive_facts import DriveFacts, Row, read_drive_facts
+from conetl.reports.drive_facts import MAX_ILLUSTRATED, DriveFacts, Row, read_drive_facts
 from conetl.reports.figures import counted_by_kind
 from conetl.reports.html import data_uri, render, write_page
 from conetl.reports.map_picture import PlanContent, draw_plan
@@ -39,8 +38,6 @@ _DOUBTFUL = 0.9
 _MAX_CONFIRMED = 400
 _NORMAL_TRAJECTORIES = {"refined", "switched_off"}
 _NORMAL_CALIBRATIONS = {"insignificant", "no_estimate", "switched_off"}
-#: Changes with images on one page; the table lists all.
-MAX_ILLUSTRATED = 120
 _UNREAD = "The sightings cannot be read"
 
 
@@ -90,7 +87,6 @@ def drive_page(conn: Connection, changeset: CommittedChangeset, *, map_name: str
         facts=facts,
         changeset=changeset,
         alerts=alerts(facts),
-        kinds=[(kind, sum(c["kind"] is kind for c in facts.changes)) for kind in DeltaKind],
         changed=[c for c in facts.changes if c["kind"] is not DeltaKind.CONFIRMED],
         images=images_of(conn, facts),
         max_illustrated=MAX_ILLUSTRATED,
@@ -125,13 +121,13 @@ def _hold_alerts(facts: DriveFacts) -> Iterator[Alert]:
 
 
 def _alerts(facts: DriveFacts) -> Iterator[Alert]:
-    kinds = Counter(c["kind"] for c in facts.changes)
+    kinds = facts.changeset.change_counts.points
     yield from _hold_alerts(facts)
     yield from (Alert(False, check.detail) for check in facts.checks if check.verdict is Verdict.WARN)
-    if facts.lost_pairs:
-        expected = int(facts.header["expected_frame_count"])
-        share, limit = facts.lost_pairs / expected, facts.header["params"].get("max_rejected_fraction")
-        text = f"{facts.lost_pairs} of {expected} frame pairs were lost ({share:.1%})."
+    if lost := facts.changeset.lost_pairs:
+        expected, limit = facts.changeset.expected_frame_count, facts.header["params"].get("max_rejected_fraction")
+        share = lost / expected
+        text = f"{lost} of {expected} frame pairs were lost ({share:.1%})."
         yield Alert(limit is not None and share > limit, text)
     gone = kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED]
     found = kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.MOVED]

@@ -222,12 +222,10 @@ def _change(shape: Marking, kind: DeltaKind | None, old: Marking | None) -> Mark
     return MarkingChange(np.array(shape.vertices_m), shape.colour, shape.dash_m, shape.gap_m, kind, old_m)
 
 
-def change_of_row(row: Mapping[str, Any]) -> MarkingChange | None:
-    """Of a row of `history.changes_of_changeset`; None of a point object."""
+def change_of_row(row: Mapping[str, Any]) -> MarkingChange:
+    """Of a row of `history.changes_of_changeset` with a lane marking."""
     shape, old, kind = row["marking"], row["old_marking"], DeltaKind(row["kind"])
-    if shape is None:
-        return None
-    old_m = np.array(old["line_m"]) if old is not None and kind is DeltaKind.MOVED else None
+    old_m = None if old is None else np.array(old["line_m"])
     return MarkingChange(np.array(shape["line_m"]), shape["colour"], shape["dash_m"], shape["gap_m"], kind, old_m)
 
 

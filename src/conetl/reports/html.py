@@ -16,6 +16,7 @@ from markupsafe import Markup, escape
 from conetl.exports.kind_marks import KIND_MARKS
 from conetl.files.atomic import atomic_text_file
 from conetl.mapping.reasons import probability_text
+from conetl.model.map_records import DeltaKind
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ def _environment() -> Environment:
         loader=FileSystemLoader(Path(__file__).parent / "templates"),
         autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.globals["kind_marks"] = KIND_MARKS
+    environment.globals |= {"kinds": tuple(DeltaKind), "kind_marks": KIND_MARKS}
     environment.filters |= {
         "data_uri": data_uri,
         "name": _name,

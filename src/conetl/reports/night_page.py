@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -23,7 +24,6 @@ from conetl.reports.map_picture import PlanContent, draw_plan
 #: Rows of a table; the rest is counted.
 _MAX_ROWS = 400
 _WORST = 8
-_COUNTS = {kind: f"{kind.value}_count" for kind in DeltaKind}
 Row = dict[str, Any]
 
 
@@ -35,8 +35,8 @@ class NightFacts:
     since: datetime
     until: datetime
     drives: list[Row]
-    """Committed changesets, oldest first (`reports.night_drives`), with lost_pairs and lost_share, and of `history.changesets`
-    whether they count and the number of changes of each kind."""
+    """Committed changesets, oldest first: fields of CommittedChangeset and columns of `reports.night_drives`, with lost_pairs and
+    lost_share."""
     held: list[HeldDrive]
     """Drives that went on hold before the end of the period and are on hold now."""
     hold_events: list[HoldEvent]
@@ -83,11 +83,10 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
     # What failed earlier is listed until it is repaired, or its folder removed.
     failures = [row for row in failures if row["at"] >= since or Path(row["drive_path"]).exists()]
     for row in drives:
-        row["captured_at"] = utc_from_ns(row["captured_from_ns"])
-        row["lost_pairs"] = row["expected_frame_count"] - row["frame_pair_count"]
-        changeset = changesets[row["changeset_id"]]
-        row |= {name: getattr(changeset, name) for name in ("counts", *_COUNTS.values())}
-        row["lost_share"] = row["lost_pairs"] / max(row["expected_frame_count"], 1)
+        row.update(vars(changeset := changesets[row["changeset_id"]]))
+        row["captured_at"] = utc_from_ns(changeset.captured_from_ns)
+        row["lost_pairs"] = changeset.lost_pairs
+        row["lost_share"] = changeset.lost_pairs / max(changeset.expected_frame_count, 1)
     names = {row["drive_id"] for row in drives}
     paths_m = [path.xy_m for path in read_paths(conn, map_name=map_name) if path.drive_id in names]
     counts = [(row["at"], int(row["standing"])) for row in sizes]
@@ -116,7 +115,7 @@ def night_page(facts: NightFacts) -> str:
         made_at=datetime.now(UTC),
         facts=facts,
         what_to_do=partial(hold_remedy, map_name=facts.map_name),
-        totals=[(kind, sum(row[name] for row in facts.drives)) for kind, name in _COUNTS.items()],
+        totals=sum((row["change_counts"].points for row in facts.drives), Counter[DeltaKind]()),
         size_before=facts.size_at(facts.since),
         size_after=facts.size_at(facts.until),
         size_figure=figure,

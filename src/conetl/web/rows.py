@@ -49,8 +49,7 @@ def answer(model: type[A], row: Row, origin_m: Vec3 = (0.0, 0.0, 0.0), **compute
 
 def timeline_item(c: CommittedChangeset) -> TimelineItem:
     """One changeset of the timeline."""
-    known: dict[str, Any] = {"valid_at": utc_from_ns(c.captured_to_ns) + TICK, "known_before": c.effective_at - TICK}
-    return answer(TimelineItem, vars(c), **known)
+    return answer(TimelineItem, vars(c), valid_at=c.valid_at, known_before=c.effective_at - TICK)
 
 
 def history(rows: Sequence[Row], reasons: Sequence[str]) -> list[HistoryItem]:

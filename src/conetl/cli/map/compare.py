@@ -18,9 +18,8 @@ from conetl.cli.features import print_features, row_of
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import Bbox, list_changesets, read_changes, read_features_as_of
 from conetl.db.map.results import MapInstant
-from conetl.exports.kind_marks import STANDING, kind_label
+from conetl.exports.kind_marks import STANDING, kinds_text
 from conetl.exports.text_files import export_diff_geojson
-from conetl.model.base import TICK, utc_from_ns
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import DeltaKind, FeatureChange, MapFeature
@@ -70,11 +69,13 @@ def diff(
     if as_json:
         ui.print_json(changes)
         return
-    lines = [change for change in changes if change.is_line]
+    counts, lines = (
+        kinds_text(Counter(one.kind for one in changes if one.is_line is of_line)) for of_line in (False, True)
+    )
     known = f"{_shown(before)} to {_shown(after)}, {ui.known_text(known_at)}"
-    ui.say(f"From {known}: {_counts(points) or ('no cones differ' if lines else 'no differences')}.")
+    ui.say(f"From {known}: {counts or ('no cones differ' if lines else 'no differences')}.")
     if lines:
-        ui.say(f"Stretches of lane markings: {_counts(lines)}.")
+        ui.say(f"Stretches of lane markings: {lines}.")
     ordered = sorted(changes, key=lambda change: change.kind is DeltaKind.CONFIRMED)
     print_features("changes", [_row_of(change) for change in ordered], numbers_from=2)
     if output is not None:
@@ -89,12 +90,6 @@ def _row_of(change: FeatureChange) -> dict[str, Any]:
     old, new = (None if state is None else state.version for state in (change.old, change.new))
     own = {"change": change.kind, "shift_m": change.shift_m, "old_version": old, "new_version": new}
     return row_of(change.state_after, **own)
-
-
-def _counts(changes: Sequence[FeatureChange]) -> str:
-    """`2 added, 1 moved`."""
-    counts = Counter(change.kind for change in changes)
-    return ", ".join(f"{count} {kind_label(kind)}" for kind, count in sorted(counts.items()))
 
 
 def _standing(conn: Connection, at: MapInstant, map_name: str) -> list[MapFeature]:
@@ -132,7 +127,7 @@ def instants_of(
         elif known_at == ui.THEN:
             found.append(MapInstant(None, changeset.effective_at))
         else:
-            found.append(MapInstant(utc_from_ns(changeset.captured_to_ns) + TICK, ui.parse_instant(known_at)))
+            found.append(MapInstant(changeset.valid_at, ui.parse_instant(known_at)))
     begin, end = found
     for earlier, later in ((begin.valid_at, end.valid_at), (begin.known_at, end.known_at)):
         if earlier is not None and later is not None and earlier > later:

@@ -31,6 +31,7 @@ from conetl.db.map.map_store import find_map
 from conetl.db.retention import parse_age
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
+from conetl.exports.kind_marks import kinds_text
 from conetl.exports.qgis_project import write_qgis_project
 from conetl.exports.source import ExportContent, ExportRequest
 from conetl.files.documents import first_message
@@ -216,9 +217,8 @@ def import_(
             f"{', '.join(sorted(others))}. conetl detects {', '.join(FEATURE_CLASSES)}"
         )
     if done.committed:
-        counts = ", ".join(f"{count} {kind}" for kind, count in done.counts.items() if count)
         again = f" {counted(done.replayed, 'later drive')} recomputed." if done.replayed else ""
-        text = f"{counted(total - done.own, noun)} (EPSG:{imported.srid}): {counts}.{again}"
+        text = f"{counted(total - done.own, noun)} (EPSG:{imported.srid}): {kinds_text(done.counts)}.{again}"
     facts = {"file": str(file), "sha256": imported.content_sha256, "srid": imported.srid}
     answer(as_json, done._asdict() | facts, text)
 

@@ -17,11 +17,11 @@ from conetl.cli.features import print_features, row_of
 from conetl.db.map.decision_store import hold_events, read_decisions
 from conetl.db.map.map_store import feature_log, find_features, list_changesets, map_summary, read_features_as_of
 from conetl.db.map.results import CommittedChangeset
-from conetl.exports.kind_marks import kind_label
+from conetl.exports.kind_marks import kind_label, kinds_text
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import noun_of, require_classes
 from conetl.model.health import HoldEvent
-from conetl.model.map_records import Classification
+from conetl.model.map_records import Classification, DeltaKind
 from conetl.pipeline.settings import read_settings
 
 
@@ -102,7 +102,7 @@ def log(
         # Newest first; what happened at the instant of a commit comes after it.
         rows: list[CommittedChangeset | HoldEvent] = [*reversed(changesets), *events]
         rows.sort(key=lambda row: row.at if isinstance(row, HoldEvent) else row.committed_at)
-        markings = any(one.line_counts for one in changesets)
+        markings = any(one.change_counts.lines for one in changesets)
         columns = {
             heading: read for heading, read in _LOG.items() if markings or heading != "stretches of lane markings"
         }
@@ -129,12 +129,6 @@ def _is_about(decision: Classification, entry: Mapping[str, Any]) -> bool:
     return entry["category"] == decision.category and apart_m <= decision.radius_m
 
 
-def _others(changeset: CommittedChangeset) -> str:
-    """The rare kinds of changes, if any."""
-    counts = {kind: getattr(changeset, f"{kind}_count") for kind in ("height_changed", "split", "merged")}
-    return ", ".join(f"{count} {kind_label(kind)}" for kind, count in counts.items() if count)
-
-
 def _state_of(changeset: CommittedChangeset) -> str:
     return "" if changeset.counts else "on hold" if changeset.hold else "not in effect"
 
@@ -145,16 +139,16 @@ def _frames(entry: Mapping[str, Any]) -> str:
     return ", ".join(f"{count} {word}" for count, word in parts if count)
 
 
+def _count_of(kind: DeltaKind) -> Callable[[CommittedChangeset], int]:
+    return lambda c: c.change_counts.points[kind]
+
+
+#: Kinds with a column each.
+_COLUMNS = (DeltaKind.ADDED, DeltaKind.CONFIRMED, DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED)
 _COUNTS: ui.Columns = {
-    "added": "added_count",
-    "confirmed": "confirmed_count",
-    "moved": "moved_count",
-    "removed": "removed_count",
-    "not observed": "missed_count",
-    "other": _others,
-    "stretches of lane markings": lambda c: ", ".join(
-        f"{count} {kind_label(kind)}" for kind, count in sorted(c.line_counts.items())
-    ),
+    **{kind_label(kind): _count_of(kind) for kind in _COLUMNS},
+    "other": lambda c: kinds_text({kind: n for kind, n in c.change_counts.points.items() if kind not in _COLUMNS}),
+    "stretches of lane markings": lambda c: kinds_text(c.change_counts.lines),
     "quarantined": "rejection_count",
 }
 

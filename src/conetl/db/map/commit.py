@@ -34,7 +34,7 @@ from conetl.model.detector_evidence import AbsenceFigures
 from conetl.model.drive import Drive, DriveRecords
 from conetl.model.errors import MapMismatchError
 from conetl.model.health import HealthCheck
-from conetl.model.map_records import Changeset, DeltaKind
+from conetl.model.map_records import Changeset
 from conetl.model.params import ReconcileParams
 
 #: A drive may see features this far around its path: the farthest position plus the largest offset and move.
@@ -149,17 +149,16 @@ def insert_changeset(
         facts = None if run.facts is None else json_text(dict(run.facts))
         kept = {"finished_at": committed_at, "params": json_text(dict(run.params)), "facts": facts}
         db.query(conn, "commit.insert_run", **vars(run) | kept)
-    kinds, line_kinds = (
+    points, lines = (
         Counter(delta.kind for delta in changeset.deltas if delta.is_line is of_line) for of_line in (False, True)
     )
-    counts = {f"{kind.value}_count": kinds[kind] for kind in DeltaKind}
-    counts |= {f"{name}_count": len(getattr(records, some, ())) for name, some in _COUNTED.items()}
+    counts = {f"{name}_count": len(getattr(records, some, ())) for name, some in _COUNTED.items()}
     db.query(
         conn, "commit.insert_changeset", changeset_id=changeset.changeset_id, map_id=info.map_id, drive_uuid=drive_uuid,
         run_id=run.run_id if run else None, idempotency_key=changeset.idempotency_key,
         params_sha256=changeset.params_sha256, model_sha256=changeset.model_sha256,
         code_version=changeset.code_version, committed_at=committed_at, **counts,
-        line_counts=json_text({kind.value: count for kind, count in sorted(line_kinds.items())}),
+        change_counts=json_text({"points": points, "lines": lines}),
         frame_pair_count=len(records.drive.frame_pairs) if records else 0,
     )  # fmt: skip
 

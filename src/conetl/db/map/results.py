@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Literal
 from uuid import UUID
 
-from conetl.model.base import Record
+from conetl.model.base import TICK, Record, utc_from_ns
 from conetl.model.health import HealthCheck
 from conetl.model.map_records import Classification, Delta, DeltaKind, FeatureVersion, Location, MapFeature
 
@@ -41,6 +42,15 @@ class RunInfo:
     """Sentences about trajectory and calibration, and the identity of the code (`pipeline/commit.py`)."""
 
 
+class ChangeCounts(Record):
+    """Number of changes by kind; kinds without changes are left out."""
+
+    points: Counter[DeltaKind]
+    """Of point objects."""
+    lines: Counter[DeltaKind]
+    """Of stretches of lane markings."""
+
+
 class ChangesetFacts(Record):
     """What the database and the web view state of a changeset."""
 
@@ -54,16 +64,7 @@ class ChangesetFacts(Record):
     committed_at: datetime
     effective_at: datetime
     """Instant of the database from which on its changes are on the map; later than the commit where it was on hold."""
-    added_count: int
-    confirmed_count: int
-    moved_count: int
-    removed_count: int
-    missed_count: int
-    height_changed_count: int
-    split_count: int
-    merged_count: int
-    line_counts: Mapping[DeltaKind, int]
-    """Changes of stretches of lane markings, of each kind that there is; the counts before are of point objects."""
+    change_counts: ChangeCounts
     frame_pair_count: int
     detection_count: int
     track_count: int
@@ -88,6 +89,16 @@ class CommittedChangeset(ChangesetFacts):
     content_sha256: str
     expected_frame_count: int
     map_srid: int
+
+    @property
+    def valid_at(self) -> datetime:
+        """An instant just after the drive: the map of this instant includes all changes by the drive."""
+        return utc_from_ns(self.captured_to_ns) + TICK
+
+    @property
+    def lost_pairs(self) -> int:
+        """Frame pairs of the recording that could not be used."""
+        return self.expected_frame_count - self.frame_pair_count
 
 
 @dataclass(frozen=True)
