@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -70,7 +70,7 @@ class WatchReport:
     """Frame pairs that cannot be used, by reason."""
     left_out: int = 0
     """Frame pairs that were incomplete, or too old, when their turn came."""
-    standing: dict[int, Track] = field(default_factory=dict)
+    standing: Mapping[int, Track] = field(default_factory=dict)
     """Provisional features by number."""
     cleared: int = 0
     """Watches before this one whose provisional features were removed."""
@@ -248,7 +248,7 @@ def _take_next(watch: _Watch) -> bool:
     if begun is None:
         return False
     try:
-        begun.search.images()
+        begun.search.searched()
     except ImageFileError as error:
         done = _is_overdue(watch, begun.since_s)
         if done:
@@ -286,7 +286,7 @@ def _begin_next(watch: _Watch, source: ArrivingDrive) -> _Begun | None:
                     del watch.waiting[pair.key]
                     continue
                 _check_motion(watch, posed[0])
-                return _Begun(pair, since, posed[1], rig, live.search_pair(watch.detectors, rig, posed[0]))
+                return _Begun(pair, since, posed[1], rig, live.begin_search(watch.detectors, rig, posed[0]))
         except PairError as error:
             watch.report.refused[error.reason.value] += 1
             del watch.waiting[pair.key]
@@ -319,7 +319,7 @@ def _take(watch: _Watch, drive: live.LiveDrive, begun: _Begun) -> None:
     """Process a pair whose images are complete."""
     pair, written_ns = begun.search.pair, _written_ns(begun.arriving)
     watch.drive, times = live.process_pair(watch.conn, watch.detectors, drive, begun.search)
-    watch.report.standing = watch.drive.standing
+    watch.report.standing = watch.drive.tracks.standing
     total_s = (time.time_ns() - written_ns) * 1e-9
     worked_s = times.detect_s + times.track_s + times.commit_s
     watch.report.pairs.append(

@@ -1,0 +1,113 @@
+"""Tracks of a drive that is being recorded: `fuse_tracks` over its last frame pairs, with numbers that stay the same.
+
+Objects that have left these frame pairs stand as they were last fused.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from math import dist
+from typing import NamedTuple
+
+from conetl.geometry.packing import horizontal_sigma_m
+from conetl.model.detector_evidence import DetectorEvidence
+from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
+from conetl.model.params import IngestParams
+from conetl.model.rig import Rig
+from conetl.tracking.tracks import drive_data, fuse_tracks
+
+#: Number of frame pairs. Those with cones take 9 ms on the KITTI street and 17 ms beside a row of cones; half of it for 10.
+WINDOW_PAIRS = 30
+
+
+class ObservedPair(NamedTuple):
+    """One frame pair with what was found in it."""
+
+    pair: FramePair
+    detections: Collection[Detection]
+    matches: Collection[StereoMatch]
+    positions: Collection[Position]
+
+
+@dataclass(frozen=True)
+class WindowTracks:
+    """The last frame pairs of a drive, and all its tracks so far."""
+
+    window: tuple[ObservedPair, ...] = ()
+    number_of: Mapping[tuple[int, int], int] = field(default_factory=dict)
+    """Number of the track of each (frame, match) in the window."""
+    standing: Mapping[int, Track] = field(default_factory=dict)
+    """Tracks by number, with their members in the window of their last observation."""
+    next_number: int = 0
+
+
+def add_pair(
+    tracks: WindowTracks, observed: ObservedPair, rig: Rig, params: IngestParams, evidence: DetectorEvidence
+) -> tuple[WindowTracks, set[int]]:
+    """The tracks after one more frame pair, and the numbers of those that it adds, changes or takes back.
+
+    Only objects with a position in this pair are fused. A track of which nothing has left the window is taken back when all its
+    members were fused, but none of them is in a track with its number.
+    """
+    window = (*tracks.window, observed)[-WINDOW_PAIRS:]
+    if not observed.positions:
+        return replace(tracks, window=window), set()
+    pairs, detections, matches, positions = zip(*window, strict=True)
+    boxes, points = chain.from_iterable(detections), chain.from_iterable(matches)
+    data = drive_data(pairs, rig, boxes, points, params, evidence)
+    now, first = observed.pair, pairs[0]
+    found, rejected = fuse_tracks(list(chain.from_iterable(positions)), data, seen_in=now.frame_index)
+    number_of = {member: n for member, n in tracks.number_of.items() if member[0] >= first.frame_index}
+    numbered: dict[int, Track] = {}
+    next_number = tracks.next_number
+    for track in sorted(found, key=lambda track: -len(track.members)):
+        earlier = {n: t for n, t in tracks.standing.items() if n not in numbered}
+        number = _number_of(track, number_of, earlier, first, params.reconcile.min_gate_m)
+        if number is None:
+            number, next_number = next_number, next_number + 1
+        numbered[number] = _with_past(track, earlier.get(number), first)
+    fused = {member for track in found for member in track.members}
+    fused |= {(frame, match) for one in rejected for frame, match in one.payload["members"]}
+    lost = {number_of[member] for member in fused if member in number_of} - numbered.keys()
+    taken_back = {
+        n for n in lost if (t := tracks.standing.get(n)) and not _has_past(t, first) and fused.issuperset(t.members)
+    }
+    standing = {n: t for n, t in tracks.standing.items() if n not in taken_back} | numbered
+    number_of |= {member: n for n, track in numbered.items() for member in track.members}
+    return WindowTracks(window, number_of, standing, next_number), numbered.keys() | taken_back
+
+
+def _number_of(
+    track: Track,
+    number_of: Mapping[tuple[int, int], int],
+    earlier: Mapping[int, Track],
+    first: FramePair,
+    gate_m: float,
+) -> int | None:
+    """Number of the earlier track that shares most members with this one, or else, if the object was hidden for longer than the
+    window, of the nearest one that has left it, within `gate_m` and three sigmas."""
+    shared = Counter(number_of[member] for member in track.members if number_of.get(member) in earlier)
+    if shared:
+        return shared.most_common(1)[0][0]
+    beyond_m = {
+        n: dist(t.xyz_m[:2], track.xyz_m[:2]) - gate_m - 3 * horizontal_sigma_m(t.relative_cov_m2)
+        for n, t in earlier.items() if t.last_seen_ns < first.captured_at_ns
+    }  # fmt: skip
+    nearest = min(beyond_m, key=beyond_m.__getitem__, default=None)
+    return nearest if nearest is not None and beyond_m[nearest] <= 0 else None
+
+
+def _has_past(track: Track, first: FramePair) -> bool:
+    """Whether it was observed before the window."""
+    return track.first_seen_ns < first.captured_at_ns
+
+
+def _with_past(track: Track, before: Track | None, first: FramePair) -> Track:
+    """The track with what was observed of it before the window."""
+    if before is None or not _has_past(before, first):
+        return track
+    count = before.observation_count + len(set(track.members).difference(before.members))
+    return track.model_copy(update={"first_seen_ns": before.first_seen_ns, "observation_count": count})
