@@ -40,7 +40,7 @@ class WindowTracks:
     number_of: Mapping[tuple[int, int], int] = field(default_factory=dict)
     """Number of the track of each (frame, match) in the window."""
     standing: Mapping[int, Track] = field(default_factory=dict)
-    """Tracks by number, with their members in the window of their last observation."""
+    """Tracks by number, with all their members."""
     next_number: int = 0
 
 
@@ -49,8 +49,8 @@ def add_pair(
 ) -> tuple[WindowTracks, set[int]]:
     """The tracks after one more frame pair, and the numbers of those that it adds, changes or takes back.
 
-    Only objects with a position in this pair are fused. A track of which nothing has left the window is taken back when all its
-    members were fused, but none of them is in a track with its number.
+    Only objects with a position in this pair are fused. A track is taken back when all its members were fused, so that none has
+    left the window, but no track has its number.
     """
     window = (*tracks.window, observed)[-WINDOW_PAIRS:]
     if not observed.positions:
@@ -72,9 +72,7 @@ def add_pair(
     fused = {member for track in found for member in track.members}
     fused |= {(frame, match) for one in rejected for frame, match in one.payload["members"]}
     lost = {number_of[member] for member in fused if member in number_of} - numbered.keys()
-    taken_back = {
-        n for n in lost if (t := tracks.standing.get(n)) and not _has_past(t, first) and fused.issuperset(t.members)
-    }
+    taken_back = {n for n in lost if (t := tracks.standing.get(n)) and fused.issuperset(t.members)}
     standing = {n: t for n, t in tracks.standing.items() if n not in taken_back} | numbered
     number_of |= {member: n for n, track in numbered.items() for member in track.members}
     return WindowTracks(window, number_of, standing, next_number), numbered.keys() | taken_back
@@ -100,14 +98,11 @@ def _number_of(
     return nearest if nearest is not None and beyond_m[nearest] <= 0 else None
 
 
-def _has_past(track: Track, first: FramePair) -> bool:
-    """Whether it was observed before the window."""
-    return track.first_seen_ns < first.captured_at_ns
-
-
 def _with_past(track: Track, before: Track | None, first: FramePair) -> Track:
-    """The track with what was observed of it before the window."""
-    if before is None or not _has_past(before, first):
+    """The track with its observations that have left the window."""
+    past = () if before is None else tuple(m for m in before.members if m[0] < first.frame_index)
+    if before is None or not past:
         return track
-    count = before.observation_count + len(set(track.members).difference(before.members))
-    return track.model_copy(update={"first_seen_ns": before.first_seen_ns, "observation_count": count})
+    members = past + track.members
+    update = {"members": members, "observation_count": len(members), "first_seen_ns": before.first_seen_ns}
+    return track.model_copy(update=update)
