@@ -1,7 +1,7 @@
 """One frame pair of a drive that is being recorded, from its images to the database, by the functions of the batch.
 
-Differences from an analysis of the whole drive: poses are the logged ones, the rig is not self-calibrated, and tracks are fused
-from the last frame pairs only.
+Differences from the analysis of a whole drive: poses are the logged ones, the rig is not self-calibrated, sigmas are those of
+single pairs, and tracks are fused from the last frame pairs only. The later ingest replaces all results.
 """
 
 from __future__ import annotations

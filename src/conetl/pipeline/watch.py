@@ -279,7 +279,7 @@ def _begin_next(watch: _Watch, source: ArrivingDrive) -> _Begun | None:
             del watch.waiting[pair.key]
             continue
         try:
-            posed, rig = source.frame_pair(pair, _srid(watch)), watch.drive.rig if watch.drive else source.rig()
+            posed, rig = source.frame_pair(pair, _srid(watch)), source.rig()
             if posed is not None and rig is not None:
                 if posed[0].frame_index <= watch.taken_index:  # those behind it did not wait any longer
                     watch.report.left_out += 1

@@ -2,7 +2,9 @@
 
 Nothing here waits. What does not exist yet is None, what is wrong raises PairError. A recorder may write files in any order and
 in pieces: a line counts once it ends with a newline, an OXTS record once it has all its numbers; whether an image is complete is
-checked when it is read.
+checked when it is read. What has arrived is kept, and files are read on from there: reading the folder again for every pair, as
+`read_drive` does, would take longer the longer the drive is. How a line, a record or a row is understood is in the readers of
+whole drives (`readers/drives`).
 """
 
 from __future__ import annotations
