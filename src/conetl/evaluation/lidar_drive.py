@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -103,8 +102,9 @@ def _check_pair(
 ) -> tuple[list[steps.LidarResidual], list[StereoMatch], Floats]:
     """Residuals of one pair with their matches, and its samples of the scene; points_left (N, 3) in the left camera's frame."""
     rows, up = first_road_rows([pair], rig, params.detection), map_up_in_left(pair, rig)
-    read = partial(read_pair_image, pair, rig=rig)
-    searched = search_pair(pair.frame_index, read, lambda _: detector, rig, params, rows)
+    searched = search_pair(
+        pair.frame_index, lambda side: read_pair_image(pair, side, rig), lambda _: detector, rig, params, rows
+    )
     left, right = images_of(searched)
     matches, _ = match_searched(searched, rig, params.match, up)
     by_index = {match.match_index: match for match in matches if match.refined}

@@ -176,12 +176,9 @@ def _search(
 
 def _unread(pair: FramePair, side: Side, error: ImageFileError) -> Rejection:
     return Rejection(
-        step="detections",
-        reason=error.reason,
-        record=f"frame pair {pair.frame_index}",
-        detail=f"{side} image {error}",
+        step="detections", reason=error.reason, record=f"frame pair {pair.frame_index}", detail=f"{side} image {error}",
         payload={"frame_index": pair.frame_index, "side": side, "path": pair.image(side)[0]},
-    )
+    )  # fmt: skip
 
 
 @step("match", "match {chunk.frames}")

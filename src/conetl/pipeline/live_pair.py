@@ -62,7 +62,7 @@ class LiveDrive:
 
     watch: WatchedDrive
     rig: Rig
-    captured_ns: tuple[int, int]
+    captured_ns: tuple[int, int] = (0, 0)
     """Of the first and the last pair taken."""
     frame_pair_count: int = 0
     tracks: WindowTracks = field(default_factory=WindowTracks)
@@ -114,10 +114,9 @@ def open_detectors(settings: Settings, params: IngestParams) -> Iterator[Detecto
         yield Detectors(pool, by_side, card.evidence or UNMEASURED, params)
 
 
-def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str, first: FramePair) -> LiveDrive:
+def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str) -> LiveDrive:
     """A drive of which no pair was processed yet."""
-    watch = WatchedDrive(uuid4(), map_name, srid, drive_id, str(folder.resolve()))
-    return LiveDrive(watch, rig, (first.captured_at_ns, first.captured_at_ns))
+    return LiveDrive(WatchedDrive(uuid4(), map_name, srid, drive_id, str(folder.resolve())), rig)
 
 
 def begin_search(detectors: Detectors, rig: Rig, pair: FramePair) -> PairSearch:
@@ -137,13 +136,12 @@ def process_pair(
     detections = [box for side in SIDES for box in searched[side].detections]
     observed = ObservedPair(pair, detections, matches, positions)
     tracks, changed = add_pair(drive.tracks, observed, drive.rig, params, detectors.evidence)
-    after = replace(
-        drive, captured_ns=(drive.captured_ns[0], pair.captured_at_ns), frame_pair_count=drive.frame_pair_count + 1,
-        tracks=tracks,
-    )  # fmt: skip
+    count, now_ns = drive.frame_pair_count, pair.captured_at_ns
+    captured_ns = (drive.captured_ns[0] if count else now_ns, now_ns)
+    after = replace(drive, captured_ns=captured_ns, frame_pair_count=count + 1, tracks=tracks)
     tracked = time.monotonic()
     write_live(
-        conn, after.watch, captured_ns=after.captured_ns, frame_pair_count=after.frame_pair_count,
+        conn, after.watch, captured_ns=captured_ns, frame_pair_count=count + 1,
         tracks={number: tracks.standing[number] for number in changed if number in tracks.standing},
         taken_back=[number for number in changed if number not in tracks.standing],
         least_reach_m=params.reconcile.min_gate_m,
@@ -160,9 +158,7 @@ def _search(detectors: Detectors, rig: Rig, pair: FramePair) -> tuple[SearchedPa
         except StorageError as error:  # the watch tries again, and skips the pair after a while
             raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
 
-    params = detectors.params
+    params, detector = detectors.params, detectors.by_side.__getitem__
     rows = first_road_rows([pair], rig, params.detection)
-    searched = search_pair(
-        pair.frame_index, read, detectors.by_side.__getitem__, rig, params, rows, pool=detectors.pool
-    )
+    searched = search_pair(pair.frame_index, read, detector, rig, params, rows, pool=detectors.pool)
     return searched, time.monotonic()

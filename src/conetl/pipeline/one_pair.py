@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -58,40 +57,30 @@ def search_pair(
     also the right image, which else is searched around possible partners of left boxes. is_single: not one of many pairs of a
     drive. pool: another thread searches the right image at the same time, everywhere.
     """
-    search = partial(_search_image, frame_index, read, detector, params.detection, first_rows, is_single)
+    limits = params.detection
+
+    def search(side: Side, region: Region | None = None) -> SearchedImage:
+        begun_s = time.thread_time()
+        try:
+            image = read(side)
+        except ImageFileError as error:
+            return SearchedImage(problem=error)
+        own = detector(side)
+        boxes = detect_image(
+            own, image, score_threshold=limits.score_threshold, nms_iou=limits.nms_iou, categories=limits.categories,
+            first_row=first_rows.get(side, 0), within=None if region is None else region[:4],
+            reach_px=0.0 if region is None else region.reach_px, single_image=is_single,
+        )  # fmt: skip
+        names = own.card.class_names
+        found = to_detections(boxes, frame_index=frame_index, side=side, params=limits, categories=names)
+        return SearchedImage(image, *found, processor_s=time.thread_time() - begun_s)
+
     if pool is not None:
         right = pool.submit(search, "right")
         return {"left": search("left"), "right": right.result()}
     left = search("left")
     region = None if everywhere else right_region(left.detections, rig, params)
     return {"left": left, "right": search("right", region) if everywhere or region else SearchedImage()}
-
-
-def _search_image(
-    frame_index: int,
-    read: Callable[[Side], Image],
-    detector: Callable[[Side], Detector],
-    params: DetectionParams,
-    first_rows: Mapping[Side, int],
-    is_single: bool,
-    side: Side,
-    region: Region | None = None,
-) -> SearchedImage:
-    """One image, searched from a row on and within a region (None: everywhere)."""
-    begun_s = time.thread_time()
-    try:
-        image = read(side)
-    except ImageFileError as error:
-        return SearchedImage(problem=error)
-    own = detector(side)
-    boxes = detect_image(
-        own, image, score_threshold=params.score_threshold, nms_iou=params.nms_iou, categories=params.categories,
-        first_row=first_rows[side], within=None if region is None else region[:4],
-        reach_px=0.0 if region is None else region.reach_px, single_image=is_single,
-    )  # fmt: skip
-    names = own.card.class_names
-    found = to_detections(boxes, frame_index=frame_index, side=side, params=params, categories=names)
-    return SearchedImage(image, *found, processor_s=time.thread_time() - begun_s)
 
 
 def match_searched(
@@ -150,8 +139,7 @@ def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: 
     """Objects of one stereo pair in the frame of the left camera. Raises ImageFileError."""
     path_of = dict(zip(SIDES, paths, strict=True))
     searched = search_pair(
-        0, lambda side: read_rig_image(path_of[side], rig, side), lambda _: detector, rig, params, dict.fromkeys(SIDES, 0),
-        is_single=True,
+        0, lambda side: read_rig_image(path_of[side], rig, side), lambda _: detector, rig, params, {}, is_single=True
     )  # fmt: skip
     images_of(searched)
     matches, rejected = match_searched(searched, rig, params.match, up_in_left_camera(rig))

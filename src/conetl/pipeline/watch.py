@@ -27,7 +27,6 @@ from conetl.model.drive import MAX_SPEED_M_S, FramePair, Track
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
-from conetl.model.rig import Rig
 from conetl.perception.images import ImageFileError
 from conetl.pipeline import live_pair as live
 from conetl.pipeline.database import open_maps
@@ -86,8 +85,6 @@ class _Begun:
     arriving: ArrivingPair
     since_s: float
     """When it was noticed (monotonic s)."""
-    srid: int
-    rig: Rig
     search: live.PairSearch
 
 
@@ -213,7 +210,7 @@ def _wait_for_changes(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
     """What changed since the last call; waits for the first change."""
     paths: list[Path] = []
     with suppress(Empty):
-        paths.append(changes.get(timeout=wait_s) if wait_s else changes.get_nowait())
+        paths.append(changes.get(timeout=wait_s))
         while True:
             paths.append(changes.get_nowait())
     return paths
@@ -245,7 +242,7 @@ def _take_next(watch: _Watch) -> bool:
         return False
     ahead = watch.begun is not None
     begun, watch.begun = watch.begun or _begin_next(watch, watch.source), None
-    if begun is None:
+    if begun is None or watch.drive is None:
         return False
     try:
         begun.search.searched()
@@ -258,9 +255,6 @@ def _take_next(watch: _Watch) -> bool:
     del watch.waiting[begun.arriving.key]
     pair = begun.search.pair
     watch.last, watch.jumped, watch.taken_index = pair, None, pair.frame_index
-    if watch.drive is None:
-        name = watch.settings.map_name
-        watch.drive = live.new_drive(watch.source.drive_id, watch.folder, begun.rig, begun.srid, name, pair)
     _register_pairs(watch, watch.source, _wait_for_changes(watch.changes, 0.0))
     watch.begun = _begin_next(watch, watch.source)
     _take(watch, watch.drive, begun)
@@ -286,7 +280,10 @@ def _begin_next(watch: _Watch, source: ArrivingDrive) -> _Begun | None:
                     del watch.waiting[pair.key]
                     continue
                 _check_motion(watch, posed[0])
-                return _Begun(pair, since, posed[1], rig, live.begin_search(watch.detectors, rig, posed[0]))
+                watch.drive = watch.drive or live.new_drive(
+                    source.drive_id, watch.folder, rig, posed[1], watch.settings.map_name
+                )
+                return _Begun(pair, since, live.begin_search(watch.detectors, rig, posed[0]))
         except PairError as error:
             watch.report.refused[error.reason.value] += 1
             del watch.waiting[pair.key]

@@ -41,7 +41,8 @@ class WindowTracks:
     """Number of the track of each (frame, match) in the window."""
     standing: Mapping[int, Track] = field(default_factory=dict)
     """Tracks by number, with all their members."""
-    next_number: int = 0
+    last_number: int = -1
+    """Greatest number so far."""
 
 
 def add_pair(
@@ -60,48 +61,39 @@ def add_pair(
     data = drive_data(pairs, rig, boxes, points, params, evidence)
     now, first = observed.pair, pairs[0]
     found, rejected = fuse_tracks(list(chain.from_iterable(positions)), data, seen_in=now.frame_index)
-    number_of = {member: n for member, n in tracks.number_of.items() if member[0] >= first.frame_index}
     numbered: dict[int, Track] = {}
-    next_number = tracks.next_number
     for track in sorted(found, key=lambda track: -len(track.members)):
-        earlier = {n: t for n, t in tracks.standing.items() if n not in numbered}
-        number = _number_of(track, number_of, earlier, first, params.reconcile.min_gate_m)
-        if number is None:
-            number, next_number = next_number, next_number + 1
-        numbered[number] = _with_past(track, earlier.get(number), first)
+        number = _number_of(track, tracks, numbered, first, params.reconcile.min_gate_m)
+        numbered[number] = _with_past(track, tracks.standing.get(number, track), first)
     fused = {member for track in found for member in track.members}
     fused |= {(frame, match) for one in rejected for frame, match in one.payload["members"]}
-    lost = {number_of[member] for member in fused if member in number_of} - numbered.keys()
-    taken_back = {n for n in lost if (t := tracks.standing.get(n)) and fused.issuperset(t.members)}
-    standing = {n: t for n, t in tracks.standing.items() if n not in taken_back} | numbered
+    earlier = tracks.standing.items()
+    taken_back = {n for n, track in earlier if n not in numbered and fused.issuperset(track.members)}
+    standing = {n: track for n, track in earlier if n not in taken_back} | numbered
+    number_of = {member: n for member, n in tracks.number_of.items() if member[0] >= first.frame_index}
     number_of |= {member: n for n, track in numbered.items() for member in track.members}
-    return WindowTracks(window, number_of, standing, next_number), numbered.keys() | taken_back
+    last_number = max([tracks.last_number, *numbered])
+    return WindowTracks(window, number_of, standing, last_number), numbered.keys() | taken_back
 
 
-def _number_of(
-    track: Track,
-    number_of: Mapping[tuple[int, int], int],
-    earlier: Mapping[int, Track],
-    first: FramePair,
-    gate_m: float,
-) -> int | None:
-    """Number of the earlier track that shares most members with this one, or else, if the object was hidden for longer than the
-    window, of the nearest one that has left it, within `gate_m` and three sigmas."""
-    shared = Counter(number_of[member] for member in track.members if number_of.get(member) in earlier)
-    if shared:
-        return shared.most_common(1)[0][0]
+def _number_of(track: Track, tracks: WindowTracks, taken: Collection[int], first: FramePair, gate_m: float) -> int:
+    """Number of the earlier track that shares most members with this one; else, if the object was hidden for longer than the
+    window, of the nearest one that has left it, within `gate_m` and three sigmas; else a new one. taken: numbers of others."""
+    shared = Counter(tracks.number_of[member] for member in track.members if member in tracks.number_of)
+    if own := [number for number, _ in shared.most_common() if number not in taken]:
+        return own[0]
     beyond_m = {
         n: dist(t.xyz_m[:2], track.xyz_m[:2]) - gate_m - 3 * horizontal_sigma_m(t.relative_cov_m2)
-        for n, t in earlier.items() if t.last_seen_ns < first.captured_at_ns
+        for n, t in tracks.standing.items() if n not in taken and t.last_seen_ns < first.captured_at_ns
     }  # fmt: skip
-    nearest = min(beyond_m, key=beyond_m.__getitem__, default=None)
-    return nearest if nearest is not None and beyond_m[nearest] <= 0 else None
+    nearest = min(beyond_m, key=beyond_m.__getitem__, default=-1)
+    return nearest if beyond_m.get(nearest, 1.0) <= 0 else max([tracks.last_number, *taken]) + 1
 
 
-def _with_past(track: Track, before: Track | None, first: FramePair) -> Track:
+def _with_past(track: Track, before: Track, first: FramePair) -> Track:
     """The track with its observations that have left the window."""
-    past = () if before is None else tuple(m for m in before.members if m[0] < first.frame_index)
-    if before is None or not past:
+    past = tuple(member for member in before.members if member[0] < first.frame_index)
+    if not past:
         return track
     members = past + track.members
     update = {"members": members, "observation_count": len(members), "first_seen_ns": before.first_seen_ns}
