@@ -25,8 +25,10 @@ from conetl.db.receipt_store import try_lock
 from conetl.db.schema import run_audits
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
+from conetl.pipeline.analysis import analyse
 from conetl.pipeline.settings import Settings
 from conetl.pipeline.watch import WatchReport, pause_s, watch_drive
+from conetl.readers.drives import read_drive
 from conetl.readers.recording import ArrivingPair, ArrivingPlain
 from tests.arriving_drives import FRAMES, SAMPLE, append, begin, image, row, write_images
 
@@ -101,6 +103,11 @@ def test_pairs_become_provisional_features_as_they_arrive(settings: Settings, co
     for found in rows:
         assert np.hypot(*(truth - (found["easting_m"], found["northing_m"])).T).min() < 0.3
         assert found["cov_xx"] ** 0.5 < 0.3
+    # They are near the cones of the whole drive.
+    ingested = np.array([track.xyz_m for track in analyse(read_drive(folder)[0], settings=settings).tracks])
+    for track in report.standing.values():
+        assert np.linalg.norm(ingested - track.xyz_m, axis=1).min() < 0.2
+    assert len(ingested) == len(report.standing)
     # They are no part of the map.
     assert find_map(conn, "default") is None
     assert execute(conn, "select count(*) as n from feature_version")[0]["n"] == 0

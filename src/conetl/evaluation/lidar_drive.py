@@ -12,7 +12,6 @@ from conetl.evaluation import lidar_check as steps
 from conetl.evaluation.lidar_check import SceneBias, fit_scene_bias, scene_samples
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import cov_matrix
-from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair, StereoMatch
 from conetl.model.errors import InputError
@@ -20,8 +19,9 @@ from conetl.model.params import IngestParams
 from conetl.model.rig import Rig
 from conetl.perception.detector import Detector, load_detector
 from conetl.perception.images import ImageFileError
+from conetl.perception.rectified_image import read_pair_image
 from conetl.pipeline.odometry import calibrate_drive
-from conetl.pipeline.one_pair import match_images
+from conetl.pipeline.one_pair import first_road_rows, images_of, map_up_in_left, match_searched, search_pair
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.velodyne import (
     ScanFileError,
@@ -101,9 +101,12 @@ def _check_pair(
     points_left: Floats, pair: FramePair, rig: Rig, detector: Detector, params: IngestParams
 ) -> tuple[list[steps.LidarResidual], list[StereoMatch], Floats]:
     """Residuals of one pair with their matches, and its samples of the scene; points_left (N, 3) in the left camera's frame."""
-    paths = Path(pair.left_path), Path(pair.right_path)
-    ((left, boxes), (right, _)), matches, _ = match_images(paths, rig, detector, params, pair)
-    up = map_SE3_left(pair.pose, rig)[2, :3]
+    rows, up = first_road_rows([pair], rig, params.detection), map_up_in_left(pair, rig)
+    searched = search_pair(
+        pair.frame_index, lambda side: read_pair_image(pair, side, rig), lambda _: detector, rig, params, rows
+    )
+    left, right = images_of(searched)
+    matches, _ = match_searched(searched, rig, params.match, up)
     by_index = {match.match_index: match for match in matches if match.refined}
     positions, _ = locate_positions(matches, [pair], rig, params.position)
     residuals, used = [], []
@@ -117,4 +120,8 @@ def _check_pair(
             foot, cov = np.array(position.camera_xyz_m), cov_matrix(position.camera_cov_m2)
             residuals.append(steps.residual(match, foot, cov, lidar, up))
             used.append(match)
-    return residuals, used, scene_samples(points_left, left, right, rig, boxes, seed=pair.frame_index)
+    return (
+        residuals,
+        used,
+        scene_samples(points_left, left, right, rig, searched["left"].detections, seed=pair.frame_index),
+    )

@@ -6,22 +6,18 @@ import socket
 import threading
 from collections import defaultdict, deque
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import chain, islice, zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
-from conetl.geometry.camera import first_road_row
-from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
-from conetl.model.arrays import Floats, Image
 from conetl.model.drive import Detection, FramePair, ImageDetail, StereoMatch
 from conetl.model.errors import ModelFileError
 from conetl.model.params import params_sha256
 from conetl.model.rejections import INPUT_REASONS, Rejection
 from conetl.model.rig import SIDES, Rig, Side
-from conetl.perception import detector as detector_io
-from conetl.perception.detections import to_detections
+from conetl.perception.detector import Detector, load_detector
 from conetl.perception.image_detail import fine_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
@@ -31,8 +27,9 @@ from conetl.pipeline.chunks import ANALYSIS_VERSION, Chunk, images_key, parts_of
 from conetl.pipeline.executor import Tick, no_tick, step
 from conetl.pipeline.markings import find_marking_points, points_path
 from conetl.pipeline.odometry import motions_path, track_motions
+from conetl.pipeline.one_pair import first_road_rows, map_up_in_left, match_searched, search_pair
 from conetl.pipeline.settings import read_settings
-from conetl.tracking.matching.epipolar_search import Region, blocks_of, has_right_only_cone, right_region
+from conetl.tracking.matching.epipolar_search import blocks_of, has_right_only_cone
 from conetl.tracking.matching.matches import match_pair, with_measured_spread
 
 #: Decoded images that stay in memory for the extra steps.
@@ -94,7 +91,8 @@ def _reader(chunk: Chunk) -> ImageReader:
 def _detections(chunk: Chunk, part: int, rig: Rig, read: ImageReader, extras: Iterator[object], tick: Tick) -> Path:
     """Detections of a part; extras: advances by one step for every frame pair, after its block was searched."""
     pairs = chunk.frame_pairs[parts_of(chunk)[part]]
-    params, reconcile, first_rows = chunk.params.detection, chunk.params.reconcile, _first_rows(chunk)
+    params, reconcile = chunk.params.detection, chunk.params.reconcile
+    first_rows = first_road_rows(chunk.frame_pairs, chunk.rig, params)
     key = result_key(
         ANALYSIS_VERSION,
         "detect",
@@ -161,49 +159,26 @@ def _search(
     everywhere: bool,
 ) -> _PairFound:
     """Detections and matches of one frame pair; the right image is searched around possible partners, or everywhere."""
-    images: dict[Side, Image] = {}
-    by_side: dict[Side, list[Detection]] = {"left": [], "right": []}
-    details: list[ImageDetail] = []
-    rejections: list[Rejection] = []
-    for side in SIDES:
-        tick(1)
-        region = None
-        if side == "right" and not everywhere:
-            region = right_region(by_side["left"], chunk.rig, chunk.params)
-            if region is None:
-                continue
-        image, by_side[side], rejected = _detect(chunk, pair, side, read, first_rows[side], region)
-        if image is not None:
-            images[side] = image
-            details.append(ImageDetail(frame_index=pair.frame_index, side=side, detail=fine_detail(image)))
-        rejections += rejected
-    matches, rejected_matches = _match(chunk, pair, by_side, rig, images)
-    return _PairFound([*by_side["left"], *by_side["right"]], details, rejections, matches, rejected_matches)
-
-
-def _detect(
-    chunk: Chunk, pair: FramePair, side: Side, read: ImageReader, first_row: int, region: Region | None
-) -> tuple[Image | None, list[Detection], list[Rejection]]:
-    """One image (None if it cannot be decoded) and its detections, from a row on and within a region (None: everywhere)."""
-    params = chunk.params.detection
-    try:
-        image = read(pair, side)
-    except ImageFileError as error:
-        unread = Rejection(
-            step="detections",
-            reason=error.reason,
-            record=f"frame pair {pair.frame_index}",
-            detail=f"{side} image {error}",
-            payload={"frame_index": pair.frame_index, "side": side, "path": pair.image(side)[0]},
-        )
-        return None, [], [unread]
-    detector = _detector(chunk)
-    boxes = detector_io.detect_image(
-        detector, image, categories=params.categories, score_threshold=params.score_threshold, nms_iou=params.nms_iou,
-        first_row=first_row, within=None if region is None else region[:4], reach_px=0.0 if region is None else region.reach_px,
+    searched = search_pair(
+        pair.frame_index, partial(read, pair), lambda _: _detector(chunk), chunk.rig, chunk.params, first_rows,
+        everywhere=everywhere,
     )  # fmt: skip
-    names = detector.card.class_names
-    return image, *to_detections(boxes, frame_index=pair.frame_index, side=side, params=params, categories=names)
+    tick(len(SIDES))
+    found = _PairFound([], [], [], *match_searched(searched, rig, chunk.params.match, map_up_in_left(pair, rig)))
+    for side, one in searched.items():
+        found.detections.extend(one.detections)
+        found.rejections.extend(one.rejections if one.problem is None else [_unread(pair, side, one.problem)])
+        if one.image is not None:
+            detail = fine_detail(one.image)
+            found.details.append(ImageDetail(frame_index=pair.frame_index, side=side, detail=detail))
+    return found
+
+
+def _unread(pair: FramePair, side: Side, error: ImageFileError) -> Rejection:
+    return Rejection(
+        step="detections", reason=error.reason, record=f"frame pair {pair.frame_index}", detail=f"{side} image {error}",
+        payload={"frame_index": pair.frame_index, "side": side, "path": pair.image(side)[0]},
+    )  # fmt: skip
 
 
 @step("match", "match {chunk.frames}")
@@ -233,61 +208,39 @@ def _match_part(chunk: Chunk, part: int, detected: Path, rig: Rig) -> Path:
     matches: list[StereoMatch] = []
     rejections: list[Rejection] = []
     for pair in chunk.frame_pairs[parts_of(chunk)[part]]:
-        found, rejected = _match(chunk, pair, by_frame[pair.frame_index], rig)
+        found, rejected = _match_again(chunk, pair, by_frame[pair.frame_index], rig)
         matches += found
         rejections += rejected
     return save_result(chunk.results_folder, key, matches, rejections)
 
 
-def _match(
-    chunk: Chunk,
-    pair: FramePair,
-    by_side: Mapping[Side, Sequence[Detection]],
-    rig: Rig,
-    images: Mapping[Side, Image] | None = None,
+def _match_again(
+    chunk: Chunk, pair: FramePair, by_side: Mapping[Side, Sequence[Detection]], rig: Rig
 ) -> tuple[list[StereoMatch], list[Rejection]]:
-    """Stereo matches of one frame pair. images: of sides with detections; None: read them again."""
-    ours, theirs, params = by_side["left"], by_side["right"], chunk.params.match
-    up = _up(pair, rig)
-    if params.refine and images is None:
-        if not match_pair(ours, theirs, rig, params, up_left=up)[0]:
-            images = {}  # decoding takes time: only if the boxes alone give a match
-        else:
-            images = {side: read_pair_image(pair, side, chunk.rig) for side in SIDES}
-    both = (images["left"], images["right"]) if images and len(images) == len(SIDES) else None
-    return match_pair(ours, theirs, rig, params, up_left=up, images=both)
+    """Stereo matches of a frame pair that was searched before: its images are read again where the boxes alone match."""
+    match_boxes = partial(
+        match_pair, by_side["left"], by_side["right"], rig, chunk.params.match, up_left=map_up_in_left(pair, rig)
+    )
+    found = match_boxes()
+    if not (chunk.params.match.refine and found[0]):
+        return found
+    left, right = (read_pair_image(pair, side, chunk.rig) for side in SIDES)
+    return match_boxes(images=(left, right))
 
 
 def _match_key(chunk: Chunk, detected: Path, rig: Rig) -> str:
     """Key of the matches of one part."""
-    ups = b"".join(_up(pair, rig).tobytes() for pair in chunk.frame_pairs).hex()
+    ups = b"".join(map_up_in_left(pair, rig).tobytes() for pair in chunk.frame_pairs).hex()
     return result_key(
         ANALYSIS_VERSION, "match", detected.stem, params_sha256(chunk.params.match), images_key(chunk, rig), ups
     )
 
 
-def _up(pair: FramePair, rig: Rig) -> Floats:
-    """Up direction of the map in the left camera's frame."""
-    return map_SE3_left(pair.pose, rig)[2, :3]
-
-
-def _first_rows(chunk: Chunk) -> dict[Side, int]:
-    """First row to search in the images of each side."""
-    return {
-        side: first_road_row(
-            camera_of(chunk.rig, side),
-            [map_SE3_camera(pair.pose, chunk.rig, side)[:3, :3] for pair in chunk.frame_pairs],
-            chunk.params.detection.searched_margin_rad,
-        )
-        for side in SIDES
-    }
-
-
-def _detector(chunk: Chunk) -> detector_io.Detector:
+def _detector(chunk: Chunk) -> Detector:
     """One single-threaded session per thread: two of them beat one session with two threads."""
-    loaded: tuple[str, detector_io.Detector] | None = getattr(_per_thread, "detector", None)
+    loaded: tuple[str, Detector] | None = getattr(_per_thread, "detector", None)
     if loaded is None or loaded[0] != chunk.detections_sha256:
-        detector = detector_io.load_detector(chunk.model_path, providers=read_settings().onnx_providers)
+        detector = load_detector(chunk.model_path, providers=read_settings().onnx_providers)
         if detector.card.detections_sha256 != chunk.detections_sha256:  # on another machine, perhaps
             raise ModelFileError(
                 f"{detector.path} on {socket.gethostname()} is another model, or its sidecar another, than that of this run "

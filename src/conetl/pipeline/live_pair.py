@@ -1,4 +1,8 @@
-"""One frame pair of a drive that is being recorded, from its images to the database."""
+"""One frame pair of a drive that is being recorded, from its images to the database, by the functions of the batch.
+
+Differences from the analysis of a whole drive: poses are the logged ones, the rig is not self-calibrated, sigmas are those of
+single pairs, and tracks are fused from the last frame pairs only. The later ingest replaces all results.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
 from uuid import uuid4
 
 import numpy as np
@@ -17,7 +20,7 @@ from conetl.db.connection import Connection
 from conetl.db.live_store import WatchedDrive, write_live
 from conetl.model.arrays import Image
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
-from conetl.model.drive import Detection, FramePair, Track
+from conetl.model.drive import FramePair
 from conetl.model.errors import StorageError
 from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams
@@ -26,10 +29,18 @@ from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.images import ImageFileError
 from conetl.perception.model_card import read_model_card
-from conetl.pipeline.one_pair import match_searched, search_image
+from conetl.perception.rectified_image import read_pair_image
+from conetl.pipeline.one_pair import (
+    SearchedPair,
+    first_road_rows,
+    images_of,
+    map_up_in_left,
+    match_searched,
+    search_pair,
+)
 from conetl.pipeline.settings import Settings
-from conetl.tracking.live_tracks import LiveFrame, LiveTracks, add_frame
 from conetl.tracking.positions import locate_positions
+from conetl.tracking.window_tracks import ObservedPair, WindowTracks, add_pair
 
 #: An image of this size is searched before the first pair: the first run of a network takes several times as long.
 _WARM_UP_SHAPE = (320, 1242, 3)
@@ -37,7 +48,7 @@ _WARM_UP_SHAPE = (320, 1242, 3)
 
 @dataclass(frozen=True)
 class Detectors:
-    """Two threads with a detector for each side, and the evidence of the model."""
+    """Two threads, a detector for each side, and the evidence of the model."""
 
     pool: ThreadPoolExecutor
     by_side: Mapping[Side, Detector]
@@ -51,35 +62,26 @@ class LiveDrive:
 
     watch: WatchedDrive
     rig: Rig
-    captured_ns: tuple[int, int]
+    captured_ns: tuple[int, int] = (0, 0)
     """Of the first and the last pair taken."""
     frame_pair_count: int = 0
-    tracks: LiveTracks = field(default_factory=LiveTracks)
-    standing: dict[int, Track] = field(default_factory=dict)
-    """Provisional features by number."""
-
-
-class SearchedImage(NamedTuple):
-    """The detections in one image of a pair."""
-
-    found: tuple[Image, list[Detection]]
-    """The image, and its cones."""
-    ended_s: float
-    """Monotonic s."""
-    processor_s: float
+    tracks: WindowTracks = field(default_factory=WindowTracks)
 
 
 @dataclass(frozen=True)
 class PairSearch:
-    """Both images of a pair while they are being searched for cones."""
+    """A pair while its images are being searched for cones."""
 
     pair: FramePair
     began_s: float
-    sides: tuple[Future[SearchedImage], Future[SearchedImage]]
+    result: Future[tuple[SearchedPair, float]]
+    """With the time of its end (monotonic s)."""
 
-    def images(self) -> tuple[SearchedImage, SearchedImage]:
-        """Results for both images, once they have been searched. Raises ImageFileError if one is incomplete."""
-        return self.sides[0].result(), self.sides[1].result()
+    def searched(self) -> tuple[SearchedPair, float]:
+        """The result, once it is there. Raises ImageFileError if an image is incomplete."""
+        searched, ended_s = self.result.result()
+        images_of(searched)
+        return searched, ended_s
 
 
 @dataclass(frozen=True)
@@ -112,52 +114,51 @@ def open_detectors(settings: Settings, params: IngestParams) -> Iterator[Detecto
         yield Detectors(pool, by_side, card.evidence or UNMEASURED, params)
 
 
-def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str, first: FramePair) -> LiveDrive:
+def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str) -> LiveDrive:
     """A drive of which no pair was processed yet."""
-    watch = WatchedDrive(uuid4(), map_name, srid, drive_id, str(folder.resolve()))
-    return LiveDrive(watch, rig, (first.captured_at_ns, first.captured_at_ns))
+    return LiveDrive(WatchedDrive(uuid4(), map_name, srid, drive_id, str(folder.resolve())), rig)
 
 
-def search_pair(detectors: Detectors, rig: Rig, pair: FramePair) -> PairSearch:
-    """Start to search both images of a pair."""
-    left, right = (detectors.pool.submit(_search, detectors, rig, pair, side) for side in SIDES)
-    return PairSearch(pair, time.monotonic(), (left, right))
+def begin_search(detectors: Detectors, rig: Rig, pair: FramePair) -> PairSearch:
+    """Start to search both images of a pair. One pair at a time: it takes both threads."""
+    return PairSearch(pair, time.monotonic(), detectors.pool.submit(_search, detectors, rig, pair))
 
 
 def process_pair(
     conn: Connection, detectors: Detectors, drive: LiveDrive, search: PairSearch
 ) -> tuple[LiveDrive, StepTimes]:
     """Detections -> match -> locate -> tracks -> commit. Raises ImageFileError (an image is incomplete), DatabaseError."""
-    pair, sides = search.pair, search.images()
+    pair, params = search.pair, detectors.params
+    searched, ended_s = search.searched()
     started, processor_s = time.monotonic(), time.thread_time()
-    params = detectors.params
-    matches, _ = match_searched([side.found for side in sides], drive.rig, params, pair)
+    matches, _ = match_searched(searched, drive.rig, params.match, map_up_in_left(pair, drive.rig))
     positions, _ = locate_positions(matches, [pair], drive.rig, params.position)
-    detections = [box for side in sides for box in side.found[1]]
-    frame = LiveFrame(pair, tuple(detections), tuple(matches), tuple(positions))
-    tracks, changed = add_frame(drive.tracks, frame, drive.rig, params, detectors.evidence)
-    cones = {number: found for number, found in changed.items() if isinstance(found, Track)}
-    taken_back = [number for number in changed if number not in cones and number in drive.standing]
-    standing = {n: t for n, t in (drive.standing | cones).items() if n not in taken_back}
-    after = replace(
-        drive, captured_ns=(drive.captured_ns[0], pair.captured_at_ns), frame_pair_count=drive.frame_pair_count + 1,
-        tracks=tracks, standing=standing,
-    )  # fmt: skip
+    detections = [box for side in SIDES for box in searched[side].detections]
+    observed = ObservedPair(pair, detections, matches, positions)
+    tracks, changed = add_pair(drive.tracks, observed, drive.rig, params, detectors.evidence)
+    count, now_ns = drive.frame_pair_count, pair.captured_at_ns
+    captured_ns = (drive.captured_ns[0] if count else now_ns, now_ns)
+    after = replace(drive, captured_ns=captured_ns, frame_pair_count=count + 1, tracks=tracks)
     tracked = time.monotonic()
     write_live(
-        conn, after.watch, captured_ns=after.captured_ns, frame_pair_count=after.frame_pair_count, tracks=cones,
-        taken_back=taken_back, least_reach_m=params.reconcile.min_gate_m,
+        conn, after.watch, captured_ns=captured_ns, frame_pair_count=count + 1,
+        tracks={number: tracks.standing[number] for number in changed if number in tracks.standing},
+        taken_back=[number for number in changed if number not in tracks.standing],
+        least_reach_m=params.reconcile.min_gate_m,
     )  # fmt: skip
-    processor_s_all = max(side.processor_s for side in sides) + time.thread_time() - processor_s
-    detect_s = max(side.ended_s for side in sides) - search.began_s
-    return after, StepTimes(detect_s, tracked - started, time.monotonic() - tracked, processor_s_all)
+    processor_s = max(one.processor_s for one in searched.values()) + time.thread_time() - processor_s
+    times = StepTimes(ended_s - search.began_s, tracked - started, time.monotonic() - tracked, processor_s)
+    return after, times
 
 
-def _search(detectors: Detectors, rig: Rig, pair: FramePair, side: Side) -> SearchedImage:
-    started_s = time.thread_time()
-    path = Path(pair.left_path if side == "left" else pair.right_path)
-    try:
-        found = search_image(path, rig, side, detectors.by_side[side], detectors.params.detection, pair)
-    except StorageError as error:  # the watch tries again, and skips the pair after a while
-        raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
-    return SearchedImage(found, time.monotonic(), time.thread_time() - started_s)
+def _search(detectors: Detectors, rig: Rig, pair: FramePair) -> tuple[SearchedPair, float]:
+    def read(side: Side) -> Image:
+        try:
+            return read_pair_image(pair, side, rig)
+        except StorageError as error:  # the watch tries again, and skips the pair after a while
+            raise ImageFileError(RejectionReason.IMAGE_UNREADABLE, str(error)) from error
+
+    params, detector = detectors.params, detectors.by_side.__getitem__
+    rows = first_road_rows([pair], rig, params.detection)
+    searched = search_pair(pair.frame_index, read, detector, rig, params, rows, pool=detectors.pool)
+    return searched, time.monotonic()

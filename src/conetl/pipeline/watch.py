@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,7 +27,6 @@ from conetl.model.drive import MAX_SPEED_M_S, FramePair, Track
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
-from conetl.model.rig import Rig
 from conetl.perception.images import ImageFileError
 from conetl.pipeline import live_pair as live
 from conetl.pipeline.database import open_maps
@@ -70,7 +69,7 @@ class WatchReport:
     """Frame pairs that cannot be used, by reason."""
     left_out: int = 0
     """Frame pairs that were incomplete, or too old, when their turn came."""
-    standing: dict[int, Track] = field(default_factory=dict)
+    standing: Mapping[int, Track] = field(default_factory=dict)
     """Provisional features by number."""
     cleared: int = 0
     """Watches before this one whose provisional features were removed."""
@@ -86,8 +85,6 @@ class _Begun:
     arriving: ArrivingPair
     since_s: float
     """When it was noticed (monotonic s)."""
-    srid: int
-    rig: Rig
     search: live.PairSearch
 
 
@@ -213,7 +210,7 @@ def _wait_for_changes(changes: SimpleQueue[Path], wait_s: float) -> list[Path]:
     """What changed since the last call; waits for the first change."""
     paths: list[Path] = []
     with suppress(Empty):
-        paths.append(changes.get(timeout=wait_s) if wait_s else changes.get_nowait())
+        paths.append(changes.get(timeout=wait_s))
         while True:
             paths.append(changes.get_nowait())
     return paths
@@ -245,10 +242,10 @@ def _take_next(watch: _Watch) -> bool:
         return False
     ahead = watch.begun is not None
     begun, watch.begun = watch.begun or _begin_next(watch, watch.source), None
-    if begun is None:
+    if begun is None or watch.drive is None:
         return False
     try:
-        begun.search.images()
+        begun.search.searched()
     except ImageFileError as error:
         done = _is_overdue(watch, begun.since_s)
         if done:
@@ -258,9 +255,6 @@ def _take_next(watch: _Watch) -> bool:
     del watch.waiting[begun.arriving.key]
     pair = begun.search.pair
     watch.last, watch.jumped, watch.taken_index = pair, None, pair.frame_index
-    if watch.drive is None:
-        name = watch.settings.map_name
-        watch.drive = live.new_drive(watch.source.drive_id, watch.folder, begun.rig, begun.srid, name, pair)
     _register_pairs(watch, watch.source, _wait_for_changes(watch.changes, 0.0))
     watch.begun = _begin_next(watch, watch.source)
     _take(watch, watch.drive, begun)
@@ -279,14 +273,17 @@ def _begin_next(watch: _Watch, source: ArrivingDrive) -> _Begun | None:
             del watch.waiting[pair.key]
             continue
         try:
-            posed, rig = source.frame_pair(pair, _srid(watch)), watch.drive.rig if watch.drive else source.rig()
+            posed, rig = source.frame_pair(pair, _srid(watch)), source.rig()
             if posed is not None and rig is not None:
                 if posed[0].frame_index <= watch.taken_index:  # those behind it did not wait any longer
                     watch.report.left_out += 1
                     del watch.waiting[pair.key]
                     continue
                 _check_motion(watch, posed[0])
-                return _Begun(pair, since, posed[1], rig, live.search_pair(watch.detectors, rig, posed[0]))
+                watch.drive = watch.drive or live.new_drive(
+                    source.drive_id, watch.folder, rig, posed[1], watch.settings.map_name
+                )
+                return _Begun(pair, since, live.begin_search(watch.detectors, rig, posed[0]))
         except PairError as error:
             watch.report.refused[error.reason.value] += 1
             del watch.waiting[pair.key]
@@ -319,7 +316,7 @@ def _take(watch: _Watch, drive: live.LiveDrive, begun: _Begun) -> None:
     """Process a pair whose images are complete."""
     pair, written_ns = begun.search.pair, _written_ns(begun.arriving)
     watch.drive, times = live.process_pair(watch.conn, watch.detectors, drive, begun.search)
-    watch.report.standing = watch.drive.standing
+    watch.report.standing = watch.drive.tracks.standing
     total_s = (time.time_ns() - written_ns) * 1e-9
     worked_s = times.detect_s + times.track_s + times.commit_s
     watch.report.pairs.append(

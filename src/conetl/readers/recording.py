@@ -2,7 +2,9 @@
 
 Nothing here waits. What does not exist yet is None, what is wrong raises PairError. A recorder may write files in any order and
 in pieces: a line counts once it ends with a newline, an OXTS record once it has all its numbers; whether an image is complete is
-checked when it is read.
+checked when it is read. What has arrived is kept, and files are read on from there: reading the folder again for every pair, as
+`read_drive` does, would take longer the longer the drive is. How a line, a record or a row is understood is in the readers of
+whole drives (`readers/drives`).
 """
 
 from __future__ import annotations
@@ -163,7 +165,6 @@ class ArrivingPlain(_Arriving):
         captured = time_of_row(row, self.settings.timestamps_timezone)
         if isinstance(captured, str):
             raise PairError(RejectionReason.TIMESTAMP_INVALID, captured)
-        _require_set_clock(captured)
         srid = checked_srid(map_srid or self.settings.map_srid, row.lat_deg, row.lon_deg, self.root)
         return _record(self.rows.numbers[pair.key], pair, captured, pose_of_row(row, srid, self.settings.sigmas)), srid
 
@@ -240,7 +241,6 @@ class ArrivingKitti(_Arriving):
         pose_at = self._time(kitti.OXTS_STAMPS, number)
         if pose_at is None and (self.root / kitti.OXTS_STAMPS).is_file():
             return None
-        _require_set_clock(captured)
         kitti.require_same_time(captured, pose_at)
         srid = checked_srid(map_srid or self.settings.map_srid, record.lat_deg, record.lon_deg, self.root)
         return _record(number, pair, captured, self._pose(pair.key, record, pose_at, captured, srid)), srid
@@ -283,13 +283,9 @@ class ArrivingKitti(_Arriving):
 ArrivingDrive = ArrivingPlain | ArrivingKitti
 
 
-def _require_set_clock(captured: int) -> None:
-    """The only check of the clock that is possible without the rest of the drive."""
-    problem = clock_problem(captured)
-    if problem is not None:
-        raise PairError(RejectionReason.TIMESTAMP_INVALID, f"the time {captured} ns {problem}")
-
-
 def _record(number: int, pair: ArrivingPair, captured: int, pose: Pose) -> FramePair:
+    """The pair; its clock is compared with nothing: the rest of the drive may not exist yet."""
+    if (problem := clock_problem(captured)) is not None:
+        raise PairError(RejectionReason.TIMESTAMP_INVALID, f"the time {captured} ns {problem}")
     left, right = str(pair.left_path), str(pair.right_path)
     return FramePair(frame_index=number, left_path=left, right_path=right, captured_at_ns=captured, pose=pose)

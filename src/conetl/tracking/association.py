@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from heapq import heappop, heappush
 from itertools import count
 from math import dist, inf
@@ -19,7 +20,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
-from conetl.geometry.packing import cov_matrix
+from conetl.geometry.packing import cov_matrices, cov_matrix
 from conetl.model.arrays import Floats
 from conetl.model.drive import Position
 from conetl.model.feature_classes import mutually_exclusive
@@ -57,9 +58,14 @@ class CameraMotion:
     error: MotionError | None = None
     """Of the relative motion; without it the shares in `params` hold."""
 
+    @cached_property
+    def _left_SE3_map(self) -> Mapping[int, Floats]:
+        inverse = np.linalg.inv(np.reshape([*self.map_SE3_left.values()], (-1, 4, 4)))
+        return dict(zip(self.map_SE3_left, inverse, strict=True))
+
     def carry(self, mean: Floats, cov: Floats, start: int, end: int) -> tuple[Floats, Floats]:
         """A point (3,) with covariance (3, 3) in the left camera's frame at `start`, transformed to that at `end`."""
-        end_SE3_start = np.linalg.inv(self.map_SE3_left[end]) @ self.map_SE3_left[start]
+        end_SE3_start = self._left_SE3_map[end] @ self.map_SE3_left[start]
         rotation, translation = end_SE3_start[:3, :3], end_SE3_start[:3, 3]
         added = self.params.motion_sigma_m**2 * np.eye(3)
         if self.error is not None:
@@ -103,24 +109,30 @@ def extend_chains(
 ) -> list[Chain]:
     """The open chains after one more frame: each position extends the chain it fits, or starts a new one."""
     carried = [camera.carry(c.mean, c.cov, c.members[-1].frame_index, frame_index) for c in chains]
-    costs = np.full((len(chains), len(found)), _FORBIDDEN)
-    for i, (mean, cov) in enumerate(carried):
-        for j, position in enumerate(found):
-            if not mutually_exclusive(chains[i].members[-1].category, position.category):
-                continue
-            innovation = np.array(position.camera_xyz_m) - mean
-            spread = cov + cov_matrix(position.camera_cov_m2)
-            distance2 = float(innovation @ np.linalg.solve(spread, innovation))
-            near = np.linalg.norm(innovation) <= camera.params.max_innovation_m
-            if distance2 <= camera.params.gate_chi2 and near:
-                # The log-determinant prefers a precise chain to a vague one that fits as well.
-                costs[i, j] = distance2 + float(np.linalg.slogdet(spread)[1])
+    costs = _costs(chains, carried, found, camera.params)
     extended = {int(i): int(j) for i, j in zip(*linear_sum_assignment(costs), strict=True) if costs[i, j] < _FORBIDDEN}
     result = [
         _updated(chain, *carried[i], found[extended[i]]) if i in extended else chain for i, chain in enumerate(chains)
     ]
     new = [position for j, position in enumerate(found) if j not in set(extended.values())]
     return result + [Chain((p,), np.array(p.camera_xyz_m), cov_matrix(p.camera_cov_m2)) for p in new]
+
+
+def _costs(
+    chains: Sequence[Chain], carried: Sequence[tuple[Floats, Floats]], found: Sequence[Position], params: TrackParams
+) -> Floats:
+    """Cost of every chain (rows) for every position (columns); carried: mean and covariance of the chains in this frame."""
+    if not chains or not found:
+        return np.empty((len(chains), len(found)))
+    means, covs = (np.stack(parts)[:, None] for parts in zip(*carried, strict=True))
+    innovation = np.array([p.camera_xyz_m for p in found]) - means
+    spread = covs + cov_matrices([p.camera_cov_m2 for p in found])
+    distance2 = np.einsum("ijk,ijk->ij", innovation, np.linalg.solve(spread, innovation[..., None])[..., 0])
+    alike = [[mutually_exclusive(c.members[-1].category, p.category) for p in found] for c in chains]
+    near = np.linalg.norm(innovation, axis=2) <= params.max_innovation_m
+    # The log-determinant prefers a precise chain to a vague one that fits as well.
+    cost = distance2 + np.linalg.slogdet(spread)[1]
+    return np.where(alike & near & (distance2 <= params.gate_chi2), cost, _FORBIDDEN)
 
 
 def _updated(chain: Chain, mean: Floats, cov: Floats, position: Position) -> Chain:

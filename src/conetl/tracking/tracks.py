@@ -81,11 +81,13 @@ def drive_data(
     return DriveData(match_of, by_frame, pairs, rig, params, evidence, motion)
 
 
-def fuse_tracks(positions: Sequence[Position], data: DriveData) -> tuple[list[Track], list[Rejection]]:
+def fuse_tracks(
+    positions: Sequence[Position], data: DriveData, *, seen_in: int | None = None
+) -> tuple[list[Track], list[Rejection]]:
     """Fuse the positions of one drive into tracks.
 
     A group that is too short, never near, off the road surface, of implausible height or unlikely to be a cone is rejected with
-    the reason.
+    the reason. seen_in: only objects with a position in this frame.
     """
     tracks: list[Track] = []
     rejections: list[Rejection] = []
@@ -93,6 +95,8 @@ def fuse_tracks(positions: Sequence[Position], data: DriveData) -> tuple[list[Tr
     groups = chain_positions(positions, CameraMotion(data.map_SE3_left, limits, data.motion))
     in_use = boxes_in_use(groups, data.matches, limits)
     for group in sorted(groups, key=lambda g: (g[0].frame_index, g[0].match_index)):
+        if seen_in is not None and all(p.frame_index != seen_in for p in group):
+            continue
         result = fuse_group(len(tracks), group, data, in_use)
         if isinstance(result, Track):
             tracks.append(result)
