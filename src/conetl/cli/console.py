@@ -8,7 +8,7 @@ import math
 import re
 import signal
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from datetime import UTC, date, datetime, timedelta
@@ -27,7 +27,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, Ti
 from rich.table import Table
 
 from conetl.model.errors import ConetlError, InputError
-from conetl.model.feature_classes import CONE, LANE_MARKING, noun_of
+from conetl.model.feature_classes import LANE_MARKING, noun_of
 from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, hold_remedy
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
@@ -282,11 +282,6 @@ def spinner(text: str) -> Iterator[Callable[[str], object]]:
         return
     with err.status(text) as status:
         yield status.update
-
-
-def class_if_mixed(columns: Columns, categories: Collection[str]) -> Columns:
-    """The columns, without that of the class where all objects are cones."""
-    return {name: value for name, value in columns.items() if name != "class" or set(categories) - {CONE}}
 
 
 def counted(count: int, noun: str, ending: str = "s") -> str:
