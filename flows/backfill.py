@@ -31,7 +31,7 @@ from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings, read_settings
 from flows import dispatch
 from flows.artifacts import batch_progress, send_events, send_not_recognised
-from flows.runs import MapName, MapSrid, alive, needs_attention
+from flows.runs import BACKFILL_QUEUE, MapName, MapSrid, alive, needs_attention
 
 _log = logging.getLogger(__name__)
 #: A drive whose process died is started at most this many times; then it counts as failed.
@@ -224,8 +224,8 @@ def _start(
     if standing.where == "here":
         run, process = dispatch.start_here(line.header, settings, params, map_srid, standing.parallel)
         return dispatch.DriveRun(line, number, run.id, process)
-    key = f"{flow_run.id} {line.header.header_sha256} {number}"
-    run = dispatch.start_on_worker(line.header, settings, params, map_srid, key, dispatch.BACKFILL_QUEUE)
+    key = f"{flow_run.id} {line.header.header_sha256} {line.starts + number}"
+    run = dispatch.start_on_worker(line.header, settings, params, map_srid, key, BACKFILL_QUEUE)
     return dispatch.DriveRun(line, number, run.id, None)
 
 

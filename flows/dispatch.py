@@ -15,14 +15,8 @@ from typing import Any, Literal, cast
 from uuid import UUID, uuid4
 
 from prefect import Task
-from prefect.client.schemas.filters import (
-    FlowFilter,
-    FlowFilterName,
-    FlowRunFilter,
-    FlowRunFilterState,
-    FlowRunFilterStateType,
-)
-from prefect.client.schemas.objects import FlowRun, StateType, Worker, WorkerStatus
+from prefect.client.schemas.filters import FlowRunFilter, FlowRunFilterIdempotencyKey
+from prefect.client.schemas.objects import FlowRun, Worker, WorkerStatus
 from prefect.context import FlowRunContext
 from prefect.deployments import run_deployment
 from prefect.exceptions import ObjectNotFound
@@ -32,7 +26,7 @@ from prefect.states import Crashed, Pending
 from conetl.model.errors import ServiceError
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import PlanLine
-from conetl.pipeline.settings import Settings, read_settings
+from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
 from flows.ingest_drive import ingest_drive
 from flows.runs import attempt_of, client, drive_run_name, drive_tags
@@ -40,10 +34,10 @@ from flows.runs import attempt_of, client, drive_run_name, drive_tags
 POOL = "conetl"
 DRIVE_DEPLOYMENT = "ingest-drive/ingest-drive"
 DRIVE_QUEUE = "drives"
-#: Made after the queue of the deployment (`register.py`), so workers take it up when that one is empty.
-BACKFILL_QUEUE = "backfill"
 #: Workers are restarted, and Prefect takes a minute or two to notice that one is gone.
 WORKERS_GONE_S = 180.0
+#: Prefect's server answers with at most so many runs.
+_PAGE = 200
 Where = Literal["auto", "workers", "here"]
 
 
@@ -98,19 +92,15 @@ def missing_workers() -> str | None:
     )
 
 
-def drives_under_way(map_name: str) -> set[str]:
-    """Folders of drives for this map whose runs wait for a worker or run."""
-    states = [StateType.SCHEDULED, StateType.PENDING, StateType.RUNNING]
-    found: list[FlowRun] = []
+def started_with(keys: Sequence[str]) -> set[str]:
+    """Those of the idempotency keys with which a run exists."""
+    found: set[str] = set()
     with client() as api:
-        while page := api.read_flow_runs(
-            flow_filter=FlowFilter(name=FlowFilterName(any_=[ingest_drive.name])),
-            flow_run_filter=FlowRunFilter(state=FlowRunFilterState(type=FlowRunFilterStateType(any_=states))),
-            offset=len(found),
-        ):
-            found += page
-    here = read_settings().map_name
-    return {run.parameters["drive"] for run in found if (run.parameters.get("map_name") or here) == map_name}
+        for first in range(0, len(keys), _PAGE):
+            some = FlowRunFilterIdempotencyKey(any_=list(keys[first : first + _PAGE]))
+            runs = api.read_flow_runs(flow_run_filter=FlowRunFilter(idempotency_key=some), limit=_PAGE)
+            found |= {run.idempotency_key for run in runs if run.idempotency_key}
+    return found
 
 
 def _workers() -> list[Worker]:

@@ -11,6 +11,7 @@ from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from uuid import UUID
 
 import yaml
 from prefect.client.schemas.actions import WorkPoolCreate, WorkPoolUpdate
@@ -21,8 +22,8 @@ from prefect.variables import Variable
 
 from conetl.model.errors import ServiceError
 from conetl.pipeline.settings import read_settings
-from flows.dispatch import BACKFILL_QUEUE, POOL
-from flows.runs import client
+from flows.dispatch import POOL
+from flows.runs import BACKFILL_QUEUE, client
 
 _VARIABLE = "conetl_deployments"
 _TIMEOUT_S = 300
@@ -66,7 +67,7 @@ def ensure_deployments() -> bool:
     Raises ServiceError with Prefect's message, or where the notification block is missing.
     """
     path, settings = deployments_file(), read_settings()
-    pool, block = settings.drives_pool, settings.notification_block
+    pool, block = settings.drives_pool, _notification_block(settings.notification_block)
     files = hashlib.sha256(path.read_bytes() + AUTOMATIONS.read_bytes()).hexdigest()
     wanted = f"{version('conetl')} {files} {pool} {block}"
     with client() as api:
@@ -90,23 +91,28 @@ def ensure_deployments() -> bool:
     return True
 
 
-def _ensure_automations(block: str) -> None:
+def _notification_block(name: str) -> UUID | None:
+    """Id of the block, named as type/name, which sends notifications; None where none is named. Raises ServiceError."""
+    type_slug, _, block_name = name.partition("/")
+    with client() as api:
+        try:
+            return api.read_block_document_by_name(block_name, type_slug).id if name else None
+        except ObjectNotFound:
+            raise ServiceError(
+                f"CONETL_NOTIFICATION_BLOCK: this Prefect server has no block {name}; make it in Prefect's UI (Blocks), and "
+                "name it as type/name, such as slack-webhook/operations"
+            ) from None
+
+
+def _ensure_automations(block: UUID | None) -> None:
     """Create the automations of `automations.yaml`, or bring them up to date; one that a person has paused stays so.
 
-    block: of Prefect, as type/name, which sends the notifications; empty: the automations do nothing but write an event.
+    block: which sends the notifications; None: the automations do nothing but write an event.
     """
+    action: dict[str, Any] = {"type": "do-nothing"}
+    if block is not None:
+        action = {"type": "send-notification", "block_document_id": block, "subject": _SUBJECT, "body": _BODY}
     with client() as api:
-        action: dict[str, Any] = {"type": "do-nothing"}
-        if block:
-            type_slug, _, name = block.partition("/")
-            try:
-                found = api.read_block_document_by_name(name, type_slug)
-            except ObjectNotFound:
-                raise ServiceError(
-                    f"CONETL_NOTIFICATION_BLOCK: this Prefect server has no block {block}; make it in Prefect's UI (Blocks), and "
-                    "name it as type/name, such as slack-webhook/operations"
-                ) from None
-            action = {"type": "send-notification", "block_document_id": found.id, "subject": _SUBJECT, "body": _BODY}
         for wanted in yaml.safe_load(AUTOMATIONS.read_text(encoding="utf-8")):
             automation = AutomationCore.model_validate(wanted | {"actions": [action]})
             present = api.read_automations_by_name(automation.name)

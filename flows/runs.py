@@ -17,11 +17,12 @@ from prefect.client.orchestration import SyncPrefectClient, get_client
 from prefect.client.schemas import filters
 from prefect.client.schemas.objects import FlowRun, StateType
 from prefect.runtime import flow_run
-from prefect.states import Crashed, Failed, Scheduled
+from prefect.states import Cancelled, Crashed, Failed, Scheduled
 from pydantic import Field
 
 from conetl.db.receipt_store import held_locks, holding, run_lock
 from conetl.model.map_records import MAP_NAME
+from conetl.pipeline.backfill_plan import RECOVERED_FOR
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
@@ -33,8 +34,8 @@ GRACE = timedelta(seconds=30)
 #: A run that a worker took and never started.
 PENDING_GRACE = timedelta(minutes=5)
 MAX_RUNS = 3
-#: A run that Prefect says crashed is started again for so long.
-_RESUMED_FOR = timedelta(hours=1)
+#: Made after the queue of the deployment `ingest-drive` (`register.py`), so workers take it up when that one is empty.
+BACKFILL_QUEUE = "backfill"
 _REASON = "its process has ended: no session holds its lock in the database"
 
 # Prefect's forms take descriptions from the docstrings of flows.
@@ -84,12 +85,12 @@ def attempt_of(flow_run_id: UUID, run_count: int) -> UUID:
 
 
 def recover_runs(database: MapDatabase) -> list[FlowRun]:
-    """Mark dead runs as crashed, and queue those again that no other run started and that were tried fewer than `MAX_RUNS` times.
+    """Mark dead runs as crashed, and queue those again that no backfill started and that crashed fewer than `MAX_RUNS` times.
 
     Returns all dead runs, with those that Prefect itself has marked as crashed lately.
     """
     alive_states = [StateType.RUNNING, StateType.PENDING, StateType.CANCELLING]
-    lately = filters.FlowRunFilterEndTime(after_=datetime.now(UTC) - _RESUMED_FOR)
+    lately = filters.FlowRunFilterEndTime(after_=datetime.now(UTC) - RECOVERED_FOR)
     with client() as api, database.connection() as conn:
         runs = [
             run
@@ -104,11 +105,16 @@ def recover_runs(database: MapDatabase) -> list[FlowRun]:
         held = held_locks(conn, [run_lock(str(run.id)) for run in runs])
         dead = [run for run in runs if run_lock(str(run.id)) not in held and _is_overdue(run)]
         for run in dead:
+            if run.state and run.state.is_cancelling():
+                api.set_flow_run_state(run.id, Cancelled(message=_REASON), force=True)
+                continue
             if run.state and not run.state.is_crashed():
                 api.set_flow_run_state(run.id, Crashed(message=_REASON), force=True)
-            again = run.deployment_id and not run.parent_task_run_id and run.run_count < MAX_RUNS
-            if again and run.state and not run.state.is_cancelling():
-                api.set_flow_run_state(run.id, Scheduled(message="started again after a crash"), force=True)
+            # A backfill starts its own drives again.
+            if run.deployment_id and run.work_queue_name != BACKFILL_QUEUE:
+                crashes = sum(state.is_crashed() for state in api.read_flow_run_states(run.id))
+                if crashes < MAX_RUNS:
+                    api.set_flow_run_state(run.id, Scheduled(message="started again after a crash"), force=True)
     return dead
 
 

@@ -12,7 +12,6 @@ from typing import Annotated, Any
 
 from prefect import State, flow
 from prefect.artifacts import create_link_artifact, create_table_artifact
-from prefect.runtime import flow_run
 from prefect.states import Completed
 from pydantic import Field
 
@@ -72,10 +71,10 @@ def publish_map(
     message = f"{len(manifests)} files in {published}"
     if night.failed:
         first = night.failed[0]
-        said = f"{len(night.failed)} drives failed; {message}. {first['drive_id']}: {first['reason']}"
+        said = f"failed drives: {len(night.failed)}; {message}. {first['drive_id']}: {first['reason']}"
         return needs_attention("DrivesFailed", said)
     if night.held:
-        said = f"{len(night.held)} drives on hold; {message}. {night.held[0].drive_id}: {night.held[0].reason}"
+        said = f"drives on hold: {len(night.held)}; {message}. {night.held[0].drive_id}: {night.held[0].reason}"
         return needs_attention("DrivesOnHold", said)
     return Completed(message=message)
 
@@ -132,24 +131,27 @@ def ingest_drop_folder(
     with alive(settings) as database:
         catch_up_all(settings, database, send_events)
         complete, arriving = split_by_completeness(inbox, quiet_s)
-        under_way = dispatch.drives_under_way(settings.map_name)
         with database.connection() as conn:
             plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
         _show_arriving(arriving, quiet_s)
         refused = [refuse(database, line, plan, settings) for line in plan.lines if line.action == "refuse"]
-        drives = [
-            line.header for line in plan.lines if line.action == "ingest" and str(line.header.path) not in under_way
-        ]
-        for header in drives:
-            dispatch.start_on_worker(header, settings, params, map_srid, key=f"{flow_run.id} {header.header_sha256}")
-    if drives or refused:
-        rename_run(f"{len(drives) + len(refused)} new drives")
-    message = f"{len(drives)} drives queued, {len(refused)} not recognised, {len(arriving)} still arriving in {inbox}"
+        # Once for each start of work, whatever became of that run.
+        key_of = {
+            f"{settings.map_name} {line.header.header_sha256} {plan.analysis.sha256} {line.starts}": line.header
+            for line in plan.lines
+            if line.action == "ingest"
+        }
+        new = key_of.keys() - dispatch.started_with(list(key_of))
+        for key in sorted(new):
+            dispatch.start_on_worker(key_of[key], settings, params, map_srid, key)
+    if new or refused:
+        rename_run(f"drop folder: {len(new)} queued, {len(refused)} not recognised")
+    message = f"queued: {len(new)}; not recognised: {len(refused)}; still arriving in {inbox}: {len(arriving)}"
     if refused:
         return needs_attention("NotRecognised", f"{message}. {refused[0].drive_id}: {refused[0].reason}")
-    if (drives or under_way) and (note := dispatch.missing_workers()):
+    if key_of and (note := dispatch.missing_workers()):
         return needs_attention("NoWorkers", f"{message}; {note}")
-    return Completed(name=None if drives else "NothingNew", message=message)
+    return Completed(name=None if new else "NothingNew", message=message)
 
 
 def _show_arriving(arriving: list[tuple[Path, float]], quiet_s: float) -> None:

@@ -13,9 +13,8 @@ from typing import Any
 
 import yaml
 
-from flows.dispatch import BACKFILL_QUEUE
 from flows.register import JOB_TEMPLATE
-from flows.runs import FLOWS
+from flows.runs import BACKFILL_QUEUE, FLOWS
 from tests.folders import ROOT
 
 COMPOSE = yaml.safe_load((ROOT / "compose.yaml").read_text(encoding="utf-8"))

@@ -93,7 +93,10 @@ def init(
         settings["clock"] = {"offset_s": 0.0, "sigma_s": _SIGMA_OF_A_SECOND_S}
         text += _of_whole_seconds(found)
     _write(root, settings, [], proposal.rig)
-    note(*read_header(root).remarks)
+    header = read_header(root)
+    note(*header.remarks)
+    if header.problem is not None:
+        raise _unreadable(root, header.problem)
     _finish(folder, text + _estimated(found.timing, stated_images), settings, as_json)
 
 
@@ -155,13 +158,7 @@ def _earlier(root: Path, *, force: bool) -> dict[str, Any]:
             f"{path} was not written by 'conetl init': edit it, or use --force to rewrite it: its settings are kept, its "
             "comments are not"
         )
-    try:
-        return read_drive_yaml(root).model_dump(mode="json", exclude_unset=True)
-    except InputError as error:
-        if not force:
-            raise
-        complain(f"{error}\nconetl ignores this file and writes a new one.")
-        return {}
+    return read_drive_yaml(root).model_dump(mode="json", exclude_unset=True)
 
 
 # --------------------------------------------------------------------------- what the images show
@@ -182,11 +179,16 @@ def _tried(root: Path, proposal: Proposal) -> tuple[Preview | None, list[Missing
         return None, [Missing(error.key, error.cause if reason is None else f"{error.cause}. {reason}", value)]
     except ConetlError as error:
         _write(root, proposal.settings, [], proposal.rig)
-        complain(
-            f"{root / DRIVE_YAML} was written, but the drive cannot be read yet:\n{error}\nEdit the file or use --set, and run "
-            "this command again."
-        )
-        raise typer.Exit(EXIT_NEEDS_ATTENTION) from error
+        raise _unreadable(root, str(error)) from error
+
+
+def _unreadable(root: Path, problem: str) -> typer.Exit:
+    """The end of the command where the drive that it wrote cannot be read."""
+    complain(
+        f"{root / DRIVE_YAML} was written, but the drive cannot be read yet:\n{problem}\n"
+        "Edit the file or use --set, and run this command again."
+    )
+    return typer.Exit(EXIT_NEEDS_ATTENTION)
 
 
 def _previewed(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> Preview:

@@ -10,7 +10,7 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
 from uuid import UUID
@@ -31,6 +31,8 @@ from conetl.readers.drives.header import DriveHeader, find_drives, read_header
 
 #: After this many starts, scheduled runs do not try again.
 MAX_ATTEMPTS = 3
+#: For so long a run whose process died is started again by the deployment `recover`; afterwards its drive is planned anew.
+RECOVERED_FOR = timedelta(hours=1)
 Action = Literal["ingest", "wait", "skip", "refuse"]
 
 
@@ -41,6 +43,8 @@ class PlanLine:
     header: DriveHeader
     action: Action
     why: str
+    starts: int = 0
+    """How often work on it was started before."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ def plan_drives(
                 reanalyse=reanalyse,
             )  # fmt: skip
         seen.setdefault(header.header_sha256, header.path)
-        lines.append(PlanLine(header, action, why))  # type: ignore[arg-type]
+        lines.append(PlanLine(header, action, why, receipt.attempts if receipt else 0))  # type: ignore[arg-type]
     return Plan(
         root=root,
         map_name=settings.map_name,
@@ -163,6 +167,8 @@ def _decide_action(
         return "skip", f"failed on {_when(receipt.at)} and has not changed since: {receipt.reason}"
     if receipt is not None and same and once and receipt.attempts >= MAX_ATTEMPTS and not receipt.done:
         return "skip", f"tried {receipt.attempts} times; last: {receipt.reason or 'interrupted'}"
+    if receipt is not None and same and once and receipt.state == "started" and _is_recent(receipt):
+        return "skip", f"interrupted; `recover` starts it again ({_when(receipt.at)})"
     if header.problem is not None:
         return "refuse", header.problem
     if receipt is not None and same:
@@ -190,6 +196,10 @@ def _decide_action(
     if found or receipt is not None:
         return "ingest", "on the map, but analysed with other parameters or another model"
     return "ingest", "new"
+
+
+def _is_recent(receipt: Receipt) -> bool:
+    return receipt.at is not None and datetime.now(UTC) - receipt.at < RECOVERED_FOR
 
 
 def _present_state(drive: CommittedChangeset, on_hold: Mapping[int, HeldDrive]) -> str:

@@ -307,7 +307,7 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
 
 
 @pytest.mark.parametrize("broken", ["mount: {forward_m: 1070, left_m: 0, up_m: 0}\n", "mount: {\n"])
-def test_init_replaces_a_drive_yaml_with_a_wrong_value(broken: str, tmp_path: Path, sample: Drive) -> None:
+def test_init_leaves_a_drive_yaml_with_a_wrong_value(broken: str, tmp_path: Path, sample: Drive) -> None:
     """Its folders of images are no KITTI drive."""
     root = tmp_path / "run"
     named_by_time(root, sample, lambda ns: f"{ns}")
@@ -316,7 +316,10 @@ def test_init_replaces_a_drive_yaml_with_a_wrong_value(broken: str, tmp_path: Pa
     (root / "drive.yaml").write_text(f"images: {{left: Cam_L, right: Cam_R}}\n{broken}")
     options = "images.left=Cam_L", "mount={forward_m: 1.07, left_m: 0, up_m: 0}"
     assert "drive.yaml was not written by 'conetl init'" in str(init(root, *options).exception)
-    made = init(root, "--force", *options)
+    assert "drive.yaml" in str(init(root, "--force", *options).exception)
+    assert broken in (root / "drive.yaml").read_text(), "what a person wrote stays"
+    (root / "drive.yaml").unlink()
+    made = init(root, *options)
     assert made.exit_code == 0 and "16 frame pairs" in made.output, (made.output, made.exception)
 
 
@@ -869,15 +872,10 @@ def test_init_keeps_what_the_file_states(folder: Path, tmp_path: Path, sample: D
     (copy / "drive.yaml").write_text(f"images: {{start: '{start}', right_offset_s: 0}}\nclock: {{offset_s: 0.01}}\n")
     after = renewed("images.right=r.mp4", "trajectory.file=other.csv")
     assert after["images"]["start"] == "2026-03-02 09:41:07.010000000Z" and after["images"]["right_offset_s"] == 0.0
-    (copy / "drive.yaml").write_text("images: [\n")
-    made = init(copy, "--force", "images.right=r.mp4")
-    assert "ignores this file and writes a new one" in made.output and "kept" not in made.output
-    (copy / "drive.yaml").write_text("images: [\n")
-    options = ["images.right=r.mp4", f"images.start={start}", "images.right_offset_s=0"]
-    made = init(copy, "--json", "--force", *options)
-    assert made.exit_code == 0, made.stderr
-    assert json.loads(made.stdout)["settings"]["images"]["right"] == "r.mp4"
-    assert "ignores this file and writes a new one" in made.stderr
+    (copy / "drive.yaml").write_text(f"images: {{right: r.mp4, start: '{start}', right_offset_s: 0}}\n")
+    for value, expected in (("control_points=none.csv", "none.csv"), ("images.right=left.mp4", "the same file")):
+        refused = init(copy, "--force", "images.left=left.mp4", value)
+        assert expected in str(refused.exception), refused.output
 
 
 def test_init_knows_cameras_by_their_letter_and_calibrations_by_the_size_of_the_images(

@@ -107,6 +107,10 @@ class Images(Record):
     def _check(self) -> Images:
         if self.to_s is not None and self.to_s <= self.from_s:
             raise ValueError(f"to_s {self.to_s:g} is not after from_s {self.from_s:g}")
+        if self.left is not None and self.left == self.right:
+            raise ValueError(
+                f"left and right are the same file, {self.left}; if it holds both images, state left and layout"
+            )
         return self
 
 

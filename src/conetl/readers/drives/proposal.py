@@ -39,7 +39,14 @@ _REMEDY = re.compile(r"(?:[:;.?]) (?:put|name them) (?=.*drive\.yaml)", re.IGNOR
 #: What people call the file or folder of a camera.
 _SIDE_NAMES: Mapping[Side, tuple[str, ...]] = {"left": ("left", "links"), "right": ("right", "rechts")}
 #: Keys that name a file or folder of the drive.
-FILE_KEYS = ("images.left", "images.right", "images.timestamps", "images.right_timestamps", "trajectory.file")
+FILE_KEYS = (
+    "images.left",
+    "images.right",
+    "images.timestamps",
+    "images.right_timestamps",
+    "trajectory.file",
+    "control_points.file",
+)
 
 
 class Proposal(NamedTuple):
