@@ -135,21 +135,22 @@ def ingest_drop_folder(
             plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
         _show_arriving(arriving, quiet_s)
         refused = [refuse(database, line, plan, settings) for line in plan.lines if line.action == "refuse"]
-        # Once for each start of work, whatever became of that run.
-        key_of = {
+        # Once for each start of work, whatever became of that run; in the order of recording.
+        waiting = {
             f"{settings.map_name} {line.header.header_sha256} {plan.analysis.sha256} {line.starts}": line.header
             for line in plan.lines
             if line.action == "ingest"
         }
-        new = key_of.keys() - dispatch.started_with(list(key_of))
-        for key in sorted(new):
-            dispatch.start_on_worker(key_of[key], settings, params, map_srid, key)
+        started = dispatch.started_with(list(waiting))
+        new = {key: header for key, header in waiting.items() if key not in started}
+        for key, header in new.items():
+            dispatch.start_on_worker(header, settings, params, map_srid, key)
     if new or refused:
         rename_run(f"drop folder: {len(new)} queued, {len(refused)} not recognised")
     message = f"queued: {len(new)}; not recognised: {len(refused)}; still arriving in {inbox}: {len(arriving)}"
     if refused:
         return needs_attention("NotRecognised", f"{message}. {refused[0].drive_id}: {refused[0].reason}")
-    if key_of and (note := dispatch.missing_workers()):
+    if waiting and (note := dispatch.missing_workers()):
         return needs_attention("NoWorkers", f"{message}; {note}")
     return Completed(name=None if new else "NothingNew", message=message)
 
