@@ -33,7 +33,7 @@ FLOWS = ("ingest-drive", "backfill", "ingest-drop-folder", "publish-map", "audit
 GRACE = timedelta(seconds=30)
 #: A run that a worker took and never started.
 PENDING_GRACE = timedelta(minutes=5)
-MAX_RUNS = 3
+MAX_CRASHES = 3
 #: Made after the queue of the deployment `ingest-drive` (`register.py`), so workers take it up when that one is empty.
 BACKFILL_QUEUE = "backfill"
 _REASON = "its process has ended: no session holds its lock in the database"
@@ -85,7 +85,7 @@ def attempt_of(flow_run_id: UUID, run_count: int) -> UUID:
 
 
 def recover_runs(database: MapDatabase) -> list[FlowRun]:
-    """Mark dead runs as crashed, and queue those again that no backfill started and that crashed fewer than `MAX_RUNS` times.
+    """Mark dead runs as crashed, and queue those again that no backfill started and that crashed fewer than `MAX_CRASHES` times.
 
     Returns all dead runs, with those that Prefect itself has marked as crashed lately.
     """
@@ -113,7 +113,7 @@ def recover_runs(database: MapDatabase) -> list[FlowRun]:
             # A backfill starts its own drives again.
             if run.deployment_id and run.work_queue_name != BACKFILL_QUEUE:
                 crashes = sum(state.is_crashed() for state in api.read_flow_run_states(run.id))
-                if crashes < MAX_RUNS:
+                if crashes < MAX_CRASHES:
                     api.set_flow_run_state(run.id, Scheduled(message="started again after a crash"), force=True)
     return dead
 
