@@ -90,7 +90,7 @@ def check_slow_jumps(
             break
         moved_m, spread = (sliding_window_view(part, span, axis=0).sum(axis=-1) for part in (off_m, variance))
         kept = sliding_window_view(log.correlation[:, :3], span, axis=0).prod(axis=-1)
-        changed = 2 * log.drift[:-span, :3] ** 2 * (1 - kept) + log.white[:-span, :3] ** 2 + log.white[span:, :3] ** 2
+        changed = 2 * log.drift[:-span, :3] ** 2 * (1 - kept) + log.own[:-span, :3] ** 2 + log.own[span:, :3] ** 2
         limits_m = np.maximum(_LEAST_M, _SLOW_SIGMAS * np.sqrt(spread + changed.max(axis=1, keepdims=True)))
         ratio = np.nan_to_num(np.abs(moved_m) / limits_m)
         k, axis = divmod(int(ratio.argmax()), 3)

@@ -75,7 +75,8 @@ def check_trajectory(
     `detail`."""
     if not params.refine or len(frame_pairs) < 2:
         return []
-    log, measured = read_log(frame_pairs, rig, params), measured_motions(frame_pairs, motions, params)
+    log = read_log(frame_pairs, rig, params, trajectory.errors)
+    measured = measured_motions(frame_pairs, motions, params)
     none = np.zeros(0, dtype=bool)
     good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
     if len(frame_pairs) <= _LEAST_INTERVALS:
@@ -343,7 +344,7 @@ def _drift(log: LoggedPoses, trajectory: RefinedTrajectory) -> HealthCheck:
 
 def _change_variance(log: LoggedPoses, i: int, j: int) -> Floats:
     """(3,) m^2, of the change of the log's position errors from frame i to frame j."""
-    slow, white = log.drift[:, :3], log.white[:, :3]
+    slow, white = log.drift[:, :3], log.own[:, :3]
     kept = np.prod(log.correlation[i:j, 0])
     return np.asarray(white[i] ** 2 + white[j] ** 2 + slow[i] ** 2 + slow[j] ** 2 - 2 * slow[i] * slow[j] * kept)
 
