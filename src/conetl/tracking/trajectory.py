@@ -30,7 +30,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrix
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.drive import FramePair, Position
-from conetl.model.health import HealthCheck
+from conetl.model.health import Finding
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.clock import ClockOffset
@@ -81,7 +81,7 @@ class RefinedTrajectory:
     """Whether errors of the poses change within the drive by more than cones err: GNSS/INS may drift, or has few records."""
     logged: tuple[FramePair, ...] = ()
     """Poses as logged, at the instants of the images where the clock was corrected."""
-    control: HealthCheck | None = None
+    control: Finding | None = None
     """What the control points say; None without them."""
 
 

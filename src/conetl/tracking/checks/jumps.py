@@ -18,23 +18,24 @@ from conetl.geometry.motion.stereo_tracks import PAUSE_S, expected_motions
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Bools, Floats
 from conetl.model.drive import FramePair
-from conetl.model.health import HealthCheck, hold_if
+from conetl.model.health import Finding
+from conetl.model.params import JumpCheckParams
 from conetl.model.rig import Rig
 
 JUMPS = "jumps of the poses"
-#: A jump is at least this many metres, and this many of the sigmas that the log states for its change within an interval.
-_LEAST_M, _JUMP_SIGMAS = 0.1, 6.0
-#: A jump of the attitude is at least this many radians, and this many of its sigmas; where no motion was measured, beyond what a
-#: vehicle may gain in turn rate (rad/s^2) against this many neighbours on each side.
-_TURN_RAD, _TURN_ACCELERATION, _NEIGHBOURS = np.radians(0.3), 1.0, 4
-#: Jumps that a filter spreads span this many intervals, and are at least this many sigmas: good drives have up to 7.6.
-#: Shares of the distance that all motions have in common are computed from longer ones than this (m).
-_SPANS, _SLOW_SIGMAS, _LEAST_STEP_M = (5, 10, 20), 9.0, 0.05
+#: Where no motion was measured, a jump of the attitude is beyond what a vehicle may gain in turn rate (rad/s^2) against this many
+#: neighbours on each side.
+_TURN_ACCELERATION, _NEIGHBOURS = 1.0, 4
+#: Jumps that a filter spreads span this many intervals. Shares of the distance that all motions have in common are computed from
+#: longer ones than this (m).
+_SPANS, _LEAST_STEP_M = (5, 10, 20), 0.05
 #: Least time between two frame pairs.
 _LEAST_STEP_S = 1e-3
 
 
-def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools) -> HealthCheck:
+def check_jumps(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools, limits: JumpCheckParams
+) -> Finding:
     """Intervals that no accepted motion confirms, and in which the log moves unlike their neighbours or, across a pause, unlike
     the images."""
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
@@ -47,22 +48,15 @@ def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMo
     sigma_m = np.array([(max(pair.pose.sigma_enu_m[:2]), pair.pose.sigma_enu_m[2]) for pair in frame_pairs])
     worst_m, worst = 0.0, 0
     for k in np.flatnonzero(np.isnan(speeds[:, 0])).tolist():
-        errors_m = np.maximum(_LEAST_M, _JUMP_SIGMAS * sigma_m[k : k + 2].max(axis=0))
+        errors_m = np.maximum(limits.least_m, limits.sigmas * sigma_m[k : k + 2].max(axis=0))
         off_m = unexplained_step_m(steps_m, speeds, times_s, k, errors_m)
         east_m, north_m, up_m = steps_m[k] - in_images_m[k]
         if step_s[k] > PAUSE_S and ((np.hypot(east_m, north_m), abs(up_m)) > errors_m).any():
             off_m = float(np.hypot(np.hypot(east_m, north_m), up_m))
         if off_m > worst_m:
             worst_m, worst = off_m, k
-    detail = "The poses do not jump."
-    if worst_m:
-        first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
-        detail = (
-            f"GNSS/INS jumps by {worst_m:.1f} m between frame pairs {first} and {second}, but the images do not. conetl cannot "
-            "tell which side is correct. Reprocess the GNSS/INS log. Do not split the recording into two drives, unless you know "
-            "that their positions are correct."
-        )
-    return hold_if(worst_m, JUMPS, detail, value=worst_m, limit=_LEAST_M, unit="m")
+    first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
+    return Finding(check=JUMPS, value=worst_m, found=worst_m > 0, facts={"first": first, "second": second})
 
 
 def check_slow_jumps(
@@ -71,7 +65,8 @@ def check_slow_jumps(
     measured: MeasuredMotions,
     good: Bools,
     residual: Floats,
-) -> HealthCheck:
+    limits: JumpCheckParams,
+) -> Finding:
     """Whether the log moves against the images within some intervals, by more than its errors change in that time.
 
     Each interval may agree within its own errors: a filter spreads a jump over a second. What all motions have in common (scale,
@@ -84,30 +79,27 @@ def check_slow_jumps(
     long = driven_m[:, 0] > _LEAST_STEP_M
     if long.any():
         off_m = off_m - np.median(off_m[long] / driven_m[long], axis=0) * driven_m
-    worst, value_m, limit_m, frames = 1.0, 0.0, _LEAST_M, (0, 0)
+    worst, finding = 0.0, Finding(check="slow jumps of the poses")
     for span in _SPANS:
         if span > len(off_m):
             break
         moved_m, spread = (sliding_window_view(part, span, axis=0).sum(axis=-1) for part in (off_m, variance))
         kept = sliding_window_view(log.correlation[:, :3], span, axis=0).prod(axis=-1)
         changed = 2 * log.drift[:-span, :3] ** 2 * (1 - kept) + log.white[:-span, :3] ** 2 + log.white[span:, :3] ** 2
-        limits_m = np.maximum(_LEAST_M, _SLOW_SIGMAS * np.sqrt(spread + changed.max(axis=1, keepdims=True)))
+        limits_m = np.maximum(limits.least_m, limits.slow_sigmas * np.sqrt(spread + changed.max(axis=1, keepdims=True)))
         ratio = np.nan_to_num(np.abs(moved_m) / limits_m)
         k, axis = divmod(int(ratio.argmax()), 3)
         if ratio[k, axis] > worst:
-            worst, value_m, limit_m = float(ratio[k, axis]), float(abs(moved_m[k, axis])), float(limits_m[k, axis])
-            frames = frame_pairs[k].frame_index, frame_pairs[k + span].frame_index
-    detail = "Over several intervals, GNSS/INS and images show the same motion."
-    if value_m:
-        detail = (
-            f"GNSS/INS moves by {value_m:.1f} m relative to the images between frame pairs {frames[0]} and {frames[1]}, more "
-            "than its stated sigmas allow: probably a jump that its filter has smoothed. Reprocess the GNSS/INS log, or state "
-            "its true sigmas."
-        )
-    return hold_if(value_m, "slow jumps of the poses", detail, value=value_m, limit=limit_m, unit="m")
+            worst = float(ratio[k, axis])
+            values = {"value": float(abs(moved_m[k, axis])), "limit": float(limits_m[k, axis])}
+            frames = {"first": frame_pairs[k].frame_index, "second": frame_pairs[k + span].frame_index}
+            finding = finding.model_copy(update={**values, "facts": frames})
+    return finding
 
 
-def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools) -> HealthCheck:
+def check_turn_jumps(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools, limits: JumpCheckParams
+) -> Finding:
     """Intervals that no accepted motion confirms, and in which the log does not turn like the images or the intervals around.
 
     A wrong measured motion is rejected too: then that motion differs from its neighbours.
@@ -129,7 +121,7 @@ def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: Measu
         if min((near < k).sum(), (near > k).sum()) < 2:
             continue
         usual = np.median(accepted[near] / step_s[near, None], axis=0) * step_s[k]
-        limit = np.maximum(_TURN_RAD, _JUMP_SIGMAS * sigma[k : k + 2].max(axis=0))
+        limit = np.maximum(np.radians(limits.turn_deg), limits.sigmas * sigma[k : k + 2].max(axis=0))
         if np.isnan(rejected[k, 0]):
             off = np.abs(logged[k] - usual)
             limit = limit + _TURN_ACCELERATION * step_s[k] * (times_s[end] - times_s[begin]) / 8
@@ -139,12 +131,5 @@ def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: Measu
         beyond = off[off > limit]
         if len(beyond) and beyond.max() > worst:
             worst, first = float(beyond.max()), k
-    detail = "The attitudes do not jump."
-    if worst:
-        frames = frame_pairs[first].frame_index, frame_pairs[first + 1].frame_index
-        detail = (
-            f"GNSS/INS turns by {np.degrees(worst):.1f} degrees between frame pairs {frames[0]} and {frames[1]}, but the images "
-            "do not: the attitudes before or after it are wrong. Reprocess the GNSS/INS log."
-        )
-    value, limit_deg = np.degrees([worst, _TURN_RAD]).tolist()
-    return hold_if(worst, "jumps of the attitude", detail, value=value, limit=limit_deg, unit="degrees")
+    frames = {"first": frame_pairs[first].frame_index, "second": frame_pairs[first + 1].frame_index}
+    return Finding(check="jumps of the attitude", value=float(np.degrees(worst)), found=worst > 0, facts=frames)
