@@ -69,9 +69,7 @@ def refine_with_cones(
         frame_pairs = at_images(frame_pairs, log, clock.offset_s)
     refined = refine_trajectory(frame_pairs, rig, motions, params.trajectory, control=control)
     if cones := _landmarks(refined, frame_pairs, rig, matches, params, control):
-        together = refine_trajectory(
-            frame_pairs, rig, motions, params.trajectory, cones, control, refined.errors
-        )
+        together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control, refined.errors)
         if together.outcome is RefinementOutcome.REFINED:
             pairs = [
                 pair.with_pose(sigma_enu_m=alone.pose.sigma_enu_m, sigma_rpy_rad=alone.pose.sigma_rpy_rad)

@@ -50,8 +50,8 @@ _LEAST_APART_S, _LEAST_VAR = 1e-3, 1e-6
 _ALIGNMENT_RAD = 0.004
 
 
-#: Columns of `path_changes`: images show longer distances (share); cameras look to the left, or up (rad); they are mounted forward,
-#: left and up of where the lever arm says (m); the stamps of the log lag (s).
+#: Columns of `path_changes`: images show longer distances (share); cameras look to the left, or up (rad); they are mounted
+#: forward, left and up of where the lever arm says (m); the stamps of the log lag (s).
 SCALE, ASIDE, UP, LEVER, CLOCK = 0, 1, 2, slice(3, 6), 6
 
 
@@ -162,6 +162,8 @@ class PathDifference(NamedTuple):
     """(K, 3) m/s"""
     rotations: Floats
     """(K, 3, 3) of the body."""
+    driven_m: Floats
+    """(K,) along the direction of the cameras."""
 
 
 def path_difference(
@@ -187,7 +189,9 @@ def path_difference(
     var[k + 1, 3:] = np.einsum("ij,mjk,ik->mi", body_R_left, motions.cov[:, :3, :3], body_R_left)
     path = path - path[0]
     velocity = np.gradient(path, rising(times_s), axis=0)
-    return PathDifference(np.cumsum(off, axis=0), np.cumsum(var, axis=0), path, velocity, rotations)
+    steps_m = np.diff(path, axis=0, prepend=path[:1])
+    driven_m = np.cumsum((steps_m[:, :2] * left[:, :2, 2]).sum(axis=1))
+    return PathDifference(np.cumsum(off, axis=0), np.cumsum(var, axis=0), path, velocity, rotations, driven_m)
 
 
 def rising(times_s: Floats) -> Floats:
@@ -195,16 +199,13 @@ def rising(times_s: Floats) -> Floats:
     return np.asarray(np.maximum.accumulate(times_s + _LEAST_APART_S * np.arange(len(times_s))))
 
 
-def path_changes(difference: PathDifference, log: LoggedPoses) -> Floats:
+def path_changes(difference: PathDifference) -> Floats:
     """(K, 3, 7) m: by how much the logged path differs from the measured one for each unit of `ROTATED` to `CLOCK`."""
-    path, body_R_left = difference.path_m, log.body_SE3_left[:3, :3]
-    ahead = difference.rotations @ body_R_left[:, 2]
-    steps_m = np.diff(path, axis=0, prepend=path[:1])
-    driven_m = np.cumsum((steps_m[:, :2] * ahead[:, :2]).sum(axis=1))
+    path = difference.path_m
     changes = np.zeros((len(path), 3, 7))
     changes[:, :, SCALE] = -path
     changes[:, 0, ASIDE], changes[:, 1, ASIDE] = -path[:, 1], path[:, 0]
-    changes[:, 2, UP] = -driven_m
+    changes[:, 2, UP] = -difference.driven_m
     changes[:, :, LEVER] = -(difference.rotations - difference.rotations[0])
     changes[:, :, CLOCK] = -(difference.velocity - difference.velocity[0])
     return changes
@@ -220,7 +221,7 @@ def estimate_log_errors(
         np.hypot(np.median(records.stated[:, axes].max(axis=1)), _ALIGNMENT_RAD) for axes in ((3, 4), (5,))
     )
     sigmas = np.array([params.scale_sigma, heading, tilt, *[params.lever_arm_sigma_m] * 3, params.clock_sigma_s])
-    columns = path_changes(difference, log) * sigmas
+    columns = path_changes(difference) * sigmas
     frames = _compared(records)
     shares = []
     for group, axes in enumerate(GROUPS):
@@ -349,11 +350,24 @@ def _terms(
     base = np.minimum.outer(measured_var, measured_var) + _UNKNOWN * stated.max()
     if columns is not None:
         base += columns[frames, axis] @ columns[frames, axis].T
+    if axis < 3:
+        turned = _turned(difference, records, frames, axis)
+        base += turned @ turned.T
     base[np.diag_indices_from(base)] += records.between[frames, axis] ** 2 + _LEAST_VAR * stated.min()
     changes = sigma_changes(records.stated[:, axis : axis + 1])[frames, 0]
     changed = np.exp(-np.abs(changes[:, None] - changes))
     rate = difference.velocity[frames, axis] if jitters else np.zeros(len(frames))
     return _Terms(off - off.mean(), base, stated, apart_s, changed, rate**2)
+
+
+def _turned(difference: PathDifference, records: StatedErrors, frames: Ints, axis: int) -> Floats:
+    """(N, K) m: changes of the measured path at some frames by one sigma of the turn that the images show in each interval."""
+    aside = (-difference.path_m[:, 1], difference.path_m[:, 0], difference.driven_m)[axis]
+    attitude = 4 if axis == 2 else 5
+    var = np.diff(difference.measured_var[:, attitude], prepend=0.0)
+    sigma = np.sqrt(np.minimum(var, np.median(records.stated[:, attitude]) ** 2))
+    later = np.arange(len(aside)) < frames[:, None]
+    return np.asarray((aside[frames, None] - aside) * sigma * later)
 
 
 def _covariance(part: _Terms, shares: ErrorShares) -> Floats:

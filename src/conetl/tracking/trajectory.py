@@ -29,7 +29,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrix
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.drive import FramePair, Position
-from conetl.model.health import HealthCheck
+from conetl.model.health import Finding
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.clock import ClockOffset
@@ -91,7 +91,7 @@ class RefinedTrajectory:
     """Whether errors of the poses change within the drive by more than cones err: GNSS/INS may drift, or has few records."""
     logged: tuple[FramePair, ...] = ()
     """Poses as logged, at the instants of the images where the clock was corrected."""
-    control: HealthCheck | None = None
+    control: Finding | None = None
     """What the control points say; None without them."""
     errors: LogErrors | None = None
     """Of the log, as the drive shows them; None unless images could be compared with it."""
@@ -119,8 +119,8 @@ def refine_trajectory(
 ) -> RefinedTrajectory:
     """Adjust a drive's poses to visual odometry and, optionally, to groups of positions of one cone each and control points.
 
-    motions: any subset of the drive's intervals, each once. errors: of the log, if they are known. Without motions, and if the adjustment would move a pose beyond its
-    stated sigmas, the poses are unchanged and `outcome` has the reason.
+    motions: any subset of the drive's intervals, each once. errors: of the log, if they are known. Without motions, and if the
+    adjustment would move a pose beyond its stated sigmas, the poses are unchanged and `outcome` has the reason.
     """
 
     def as_logged(outcome: RefinementOutcome, detail: str) -> RefinedTrajectory:
@@ -143,7 +143,7 @@ def refine_trajectory(
         return as_logged(RefinementOutcome.NO_MEASUREMENT, detail)
     observed = _observations(frame_pairs, [*(cone.positions for cone in control), *cones])
     priors = [LandmarkPrior(k, cone.xyz_m, np.asarray(np.linalg.inv(cone.cov_m2))) for k, cone in enumerate(control)]
-    solved = adjust(log, _only(measured, good), observed, params.robust_sigmas, common_sigmas, priors)
+    solved = adjust(log, only(measured, good), observed, params.robust_sigmas, common_sigmas, priors)
     if solved is None:
         return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
     rotations, places, scale, normal = solved
@@ -181,12 +181,13 @@ def log_errors_of(
     """
     errors: LogErrors | None = rough_errors(read_log(frame_pairs, rig, params), measured, params)
     log = read_log(frame_pairs, rig, params, errors)
-    kept = _only(measured, plausible_motions(log, measured, params.scale_sigma))
+    kept = only(measured, plausible_motions(log, measured, params.scale_sigma))
     solved = adjust(log, kept, (), params.robust_sigmas, [params.scale_sigma]) if len(kept.start) else None
     return None if solved is None else estimate_log_errors(log, solved[0], kept, stated_errors(frame_pairs), params)
 
 
-def _only(motions: MeasuredMotions, chosen: Bools) -> MeasuredMotions:
+def only(motions: MeasuredMotions, chosen: Bools) -> MeasuredMotions:
+    """Some of M motions."""
     return MeasuredMotions(motions.start[chosen], motions.next_SE3_first[chosen], motions.cov[chosen])
 
 
