@@ -371,7 +371,7 @@ class ExposureCheckParams(Params):
 
     max_ahead_share: Positive = 0.02
     """Offset of the right camera along the path as a share of the baseline. Sample drives and KITTI: 0.001 to 0.006."""
-    ahead_sigmas: Positive = 6.0
+    ahead_sigmas: Positive = 4.5
     """... and as many of its sigmas."""
     least_doubled_pairs: int = Field(default=4, ge=1)
     """Pairs of objects that are one interval's travel apart ..."""

@@ -34,7 +34,12 @@ from conetl.tracking.checks.exposures import check_doubled, check_exposures
 from conetl.tracking.checks.poses import check_calibration
 from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
 from conetl.tracking.positions import locate_positions
-from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+from conetl.tracking.self_calibration import (
+    SWITCHED_OFF,
+    SelfCalibration,
+    self_calibrated_rig,
+    widened_by_offset,
+)
 from conetl.tracking.standing import without_moving
 from conetl.tracking.tracks import drive_data, fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory
@@ -245,7 +250,7 @@ def _calibrate(drive: Drive, chunk: Chunk, executor: Executor) -> tuple[SelfCali
         pieces = odometry.calibration_pieces(chunk, drive.frame_pairs)
         followed = results([executor.submit(odometry.follow_spans, piece) for piece in pieces])
         calibration = executor.run(odometry.self_calibrate, chunk, pieces, followed)
-    return calibration, self_calibrated_rig(drive.rig, calibration, params)
+    return calibration, widened_by_offset(self_calibrated_rig(drive.rig, calibration, params), calibration)
 
 
 @step("locate", "locate {drive.drive_id}")

@@ -125,7 +125,8 @@ def self_calibrate(chunk: Chunk, pieces: Sequence[Chunk], followed: Sequence[Pat
     if has_result(folder, key):
         return load_result(result_path(folder, key), SelfCalibration)[0][0]
     spans = [span for piece in pieces for span in _spans(rig, piece.frame_pairs, params)]
-    found = _calibration(rig, spans, load_results(followed, StereoTracks)[0], params)
+    speeds = [speed for piece in pieces for speed in _speeds(_spans(rig, piece.frame_pairs, params), piece.frame_pairs)]
+    found = _calibration(rig, spans, speeds, load_results(followed, StereoTracks)[0], params)
     save_result(folder, key, [found], [])
     _log.info("Self-calibration: %s", found.detail)
     return found
@@ -135,7 +136,14 @@ def calibrate_drive(drive: Drive, params: TrajectoryParams) -> SelfCalibration:
     """Self-calibration of a drive in one thread."""
     pairs, rig = drive.frame_pairs, drive.rig
     spans = evenly_spaced(_spans(rig, pairs, params), params.self_calibration_max_spans)
-    return _calibration(rig, spans, list(_followed(spans, pairs, rig, params)), params)
+    return _calibration(rig, spans, _speeds(spans, pairs), list(_followed(spans, pairs, rig, params)), params)
+
+
+def _speeds(spans: Sequence[Span], pairs: Sequence[FramePair]) -> list[float]:
+    """Mean speed of each span, m/s."""
+    seconds = [1e-9 * (pairs[span.last].captured_at_ns - pairs[span.first].captured_at_ns) for span in spans]
+    lengths_m = [float(np.linalg.norm(span.last_SE3_first[:3, 3])) for span in spans]
+    return [length_m / max(lasts_s, 1e-3) for length_m, lasts_s in zip(lengths_m, seconds, strict=True)]
 
 
 def _spans(rig: Rig, pairs: Sequence[FramePair], params: TrajectoryParams) -> list[Span]:
@@ -150,11 +158,16 @@ def _followed(
 
 
 def _calibration(
-    rig: Rig, spans: Sequence[Span], tracks: Sequence[StereoTracks], params: TrajectoryParams
+    rig: Rig,
+    spans: Sequence[Span],
+    speeds_m_s: Sequence[float],
+    tracks: Sequence[StereoTracks],
+    params: TrajectoryParams,
 ) -> SelfCalibration:
     found = estimate_calibration(rig, spans, tracks, params)
-    points = [each.points()[0] for each in tracks if each.missing is None]
-    return found.model_copy(update={"right_ahead": right_camera_ahead(cameras_of(rig), points)})
+    points = [(each.points()[0], speed) for each, speed in zip(tracks, speeds_m_s, strict=True) if each.missing is None]
+    ahead = right_camera_ahead(cameras_of(rig), [one for one, _ in points], [speed for _, speed in points])
+    return found.model_copy(update={"right_ahead": ahead})
 
 
 @step("refine", "refine {drive.drive_id}")

@@ -44,7 +44,7 @@ _HALF_NORMAL = 0.4
 #: Of normal errors, from the median of their absolute values; what the white part leaves at least.
 _SIGMA_OF_MEDIAN, _LEAST_SLOW = 1.4826, 1e-3
 #: Stated sigmas that differ by less than this factor have the same cause.
-_SAME_SIGMA = 1.5
+_SAME_SIGMA = 1.1
 _LEAST_APART_S, _LEAST_VAR = 1e-3, 1e-6
 #: Sigma of the alignment of cameras and body in addition to the stated attitudes, which is checked separately.
 _ALIGNMENT_RAD = 0.004
@@ -132,20 +132,17 @@ def rough_errors(log: LoggedPoses, motions: MeasuredMotions, params: TrajectoryP
     return LogErrors(found[0]._replace(jitter_s=params.clock_sigma_s), *found[1:])
 
 
-def sigma_changes(stated: Floats) -> Floats:
-    """(K, n): sum of the changes of the logarithms of stated sigmas (K, n) from the first record on.
+def sigma_levels(stated: Floats) -> tuple[Floats, Floats]:
+    """(K, n) levels of stated sigmas (K, n), and the sums of the changes of their logarithms from the first record on.
 
-    A receiver that finds another solution has other errors: of two sigmas at most the smaller one is common to both. Changes
-    within a factor of 1.5 are the noise of the sigmas.
+    A receiver that finds another solution, or an INS without one, has other errors: of two sigmas at most the smaller one is
+    common to both. Changes by less than a tenth are noise of the sigmas.
     """
-    logs = np.log(stated)
-    total, known = np.zeros_like(logs), logs[0].copy()
-    for k in range(1, len(logs)):
-        change = np.abs(logs[k] - known)
-        other = change > np.log(_SAME_SIGMA)
-        total[k] = total[k - 1] + np.where(other, change, 0.0)
-        known = np.where(other, logs[k], known)
-    return total
+    levels = stated.copy()
+    for k in range(1, len(levels)):
+        same = np.abs(np.log(stated[k] / levels[k - 1])) < np.log(_SAME_SIGMA)
+        levels[k, same] = levels[k - 1, same]
+    return levels, np.cumsum(np.abs(np.diff(np.log(levels), axis=0, prepend=np.log(levels[:1]))), axis=0)
 
 
 class PathDifference(NamedTuple):
@@ -157,7 +154,7 @@ class PathDifference(NamedTuple):
     measured_var: Floats
     """(K, 6): variance of the measured path."""
     path_m: Floats
-    """(K, 3): the logged one."""
+    """(K, 3): the measured one."""
     velocity: Floats
     """(K, 3) m/s"""
     rotations: Floats
@@ -187,11 +184,14 @@ def path_difference(
     var[k + 1, :3] = np.einsum("mij,mjk,mik->mi", left[k + 1], motions.cov[:, 3:, 3:], left[k + 1])
     var[k + 1, :3] += (params.floor_rad * lengths_m[:, None]) ** 2
     var[k + 1, 3:] = np.einsum("ij,mjk,ik->mi", body_R_left, motions.cov[:, :3, :3], body_R_left)
-    path = path - path[0]
+    off = np.cumsum(off, axis=0)
+    path = (
+        path - path[0] - off[:, :3]
+    )  # as measured: noise of the log would make changes in proportion to the path too small
     velocity = np.gradient(path, rising(times_s), axis=0)
     steps_m = np.diff(path, axis=0, prepend=path[:1])
     driven_m = np.cumsum((steps_m[:, :2] * left[:, :2, 2]).sum(axis=1))
-    return PathDifference(np.cumsum(off, axis=0), np.cumsum(var, axis=0), path, velocity, rotations, driven_m)
+    return PathDifference(off, np.cumsum(var, axis=0), path, velocity, rotations, driven_m)
 
 
 def rising(times_s: Floats) -> Floats:
@@ -222,7 +222,7 @@ def estimate_log_errors(
     )
     sigmas = np.array([params.scale_sigma, heading, tilt, *[params.lever_arm_sigma_m] * 3, params.clock_sigma_s])
     columns = path_changes(difference) * sigmas
-    frames = _compared(records)
+    frames = compared_frames(records)
     shares = []
     for group, axes in enumerate(GROUPS):
         parts = [_terms(difference, records, frames, axis, columns if axis < 3 else None, group == 0) for axis in axes]
@@ -237,7 +237,7 @@ def fitted_changes(
 
     errors: of the log. prior: (C,) sigmas.
     """
-    frames = _compared(records)
+    frames = compared_frames(records)
     normal, right = np.diag(prior**-2.0), np.zeros(len(prior))
     for group, axes in enumerate(GROUPS[:2]):
         for axis in axes:
@@ -260,7 +260,7 @@ class _Terms(NamedTuple):
     apart_s: Floats
     """(N, N)"""
     changed: Floats
-    """(N, N): share of the slow part that survives the changes of the stated sigmas."""
+    """(N, N): share of the slow part that is common in spite of changes of the stated sigmas."""
     jitter: Floats
     """(N,) squared rates."""
 
@@ -322,7 +322,7 @@ def _shares(values: Floats) -> Floats:
     return np.asarray(raw / raw.sum())
 
 
-def _compared(records: StatedErrors) -> Ints:
+def compared_frames(records: StatedErrors) -> Ints:
     """The frames that are compared: their number squared is kept, to the third power it takes time.
 
     Between two records an interpolated path has no errors of its own: of these frames, those nearest to the records.
@@ -346,28 +346,29 @@ def _terms(
     """columns (K, 3, C): changes by one sigma of errors that are not the log's."""
     times_s, sigma = records.times_s[frames], records.stated[frames, axis]
     apart_s, stated = np.abs(times_s[:, None] - times_s), np.outer(sigma, sigma)
-    measured_var, off = difference.measured_var[frames, axis], difference.off[frames, axis]
-    base = np.minimum.outer(measured_var, measured_var) + _UNKNOWN * stated.max()
+    off = difference.off[frames, axis]
+    base = measured_cov(difference, records, frames, axis) + _UNKNOWN * stated.max()
     if columns is not None:
         base += columns[frames, axis] @ columns[frames, axis].T
-    if axis < 3:
-        turned = _turned(difference, records, frames, axis)
-        base += turned @ turned.T
     base[np.diag_indices_from(base)] += records.between[frames, axis] ** 2 + _LEAST_VAR * stated.min()
-    changes = sigma_changes(records.stated[:, axis : axis + 1])[frames, 0]
-    changed = np.exp(-np.abs(changes[:, None] - changes))
+    levels, changes = (part[frames, 0] for part in sigma_levels(records.stated[:, axis : axis + 1]))
+    changed = np.outer(levels, levels) / stated * np.exp(-np.abs(changes[:, None] - changes))
     rate = difference.velocity[frames, axis] if jitters else np.zeros(len(frames))
     return _Terms(off - off.mean(), base, stated, apart_s, changed, rate**2)
 
 
-def _turned(difference: PathDifference, records: StatedErrors, frames: Ints, axis: int) -> Floats:
-    """(N, K) m: changes of the measured path at some frames by one sigma of the turn that the images show in each interval."""
+def measured_cov(difference: PathDifference, records: StatedErrors, frames: Ints, axis: int) -> Floats:
+    """(N, N): covariance of the measured path at some frames, also by the errors of the turns that the images show."""
+    var = difference.measured_var[frames, axis]
+    cov = np.minimum.outer(var, var)
+    if axis >= 3:
+        return np.asarray(cov)
     aside = (-difference.path_m[:, 1], difference.path_m[:, 0], difference.driven_m)[axis]
     attitude = 4 if axis == 2 else 5
-    var = np.diff(difference.measured_var[:, attitude], prepend=0.0)
-    sigma = np.sqrt(np.minimum(var, np.median(records.stated[:, attitude]) ** 2))
-    later = np.arange(len(aside)) < frames[:, None]
-    return np.asarray((aside[frames, None] - aside) * sigma * later)
+    turn_var = np.diff(difference.measured_var[:, attitude], prepend=0.0)
+    sigma = np.sqrt(np.minimum(turn_var, np.median(records.stated[:, attitude]) ** 2))
+    by_turns = (aside[frames, None] - aside) * sigma * (np.arange(len(aside)) < frames[:, None])
+    return np.asarray(cov + by_turns @ by_turns.T)
 
 
 def _covariance(part: _Terms, shares: ErrorShares) -> Floats:

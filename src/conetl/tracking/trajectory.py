@@ -40,7 +40,7 @@ from conetl.tracking.log_errors import (
     estimate_log_errors,
     rising,
     rough_errors,
-    sigma_changes,
+    sigma_levels,
 )
 
 #: Least sigmas (m, rad) and time step (s): zero would have no finite weight.
@@ -126,7 +126,7 @@ def refine_trajectory(
     def as_logged(outcome: RefinementOutcome, detail: str) -> RefinedTrajectory:
         own = np.array(rig.body_SE3_left)
         poses = np.stack([se3.compose(se3.map_SE3_body(pair.pose), own) for pair in frame_pairs])
-        return RefinedTrajectory(tuple(frame_pairs), outcome, detail, poses, own, None)
+        return RefinedTrajectory(tuple(frame_pairs), outcome, detail, poses, own, None, errors=errors)
 
     if not params.refine:
         return as_logged(RefinementOutcome.SWITCHED_OFF, "refinement is switched off")
@@ -237,10 +237,12 @@ def read_log(
         sharing = np.maximum(apart_s / usual_s, 1.0)[:, None]
         noise = noise + (between * np.minimum(_CHANGING / sharing, 1.0)) ** 2
         independent = sharing * (alone + between**2) + lasting * np.maximum(2 * fast_s / usual_s, 1.0)
-    keep = np.exp(-step_s[:, None] / slow_s - np.diff(sigma_changes(stated), axis=0))
+    levels, changes = sigma_levels(stated)
+    keep = np.exp(-step_s[:, None] / slow_s - np.diff(changes, axis=0))
     return LoggedPoses(
-        poses[:, :3, :3], poses[:, :3, 3], np.sqrt(factor[:3]) * stated[:, :3], np.sqrt(independent),
-        np.sqrt(np.maximum(slow, _LEAST_SHARE) * variance), keep, np.array(rig.body_SE3_left), np.sqrt(noise), np.sqrt(own),
+        poses[:, :3, :3], poses[:, :3, 3], np.sqrt(variance + jitter)[:, :3], np.sqrt(independent),
+        np.sqrt(np.maximum(slow, _LEAST_SHARE) * factor) * levels, keep, np.array(rig.body_SE3_left),
+        np.sqrt(noise), np.sqrt(own),
     )  # fmt: skip
 
 

@@ -24,13 +24,14 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion, StereoCameras, 
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_of, shifts_between
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import left_SE3_right
-from conetl.model.arrays import Floats, Image
+from conetl.model.arrays import Floats, Image, Ints
 from conetl.model.drive import FramePair, Track
 from conetl.model.health import Finding
 from conetl.model.params import ExposureCheckParams, TrajectoryParams
 from conetl.model.rig import Rig, Side
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
+from conetl.tracking.self_calibration import DOUBTFUL_SIGMAS, is_ahead
 
 EXPOSURES, DOUBLED = "exposures of both cameras", "images of one instant"
 _DEFAULT = ExposureCheckParams()
@@ -39,6 +40,8 @@ _FLOOR = 0.002
 #: Points are outliers beyond this many sigmas of the median deviation.
 _OUTLIER_SIGMAS, _ROUNDS = 3.0, 6
 _LEAST_SPANS = 8
+#: Speeds that differ by less than this share of their mean are one.
+_LEAST_CHANGE = 0.02
 #: Objects are one interval's travel apart to this many metres; shorter travel does not separate the images of one object.
 _APART_M, _LEAST_STEP_M = 0.15, 0.3
 #: At most this many intervals are tried.
@@ -51,10 +54,14 @@ _EVEN_RAD = np.radians(0.3)
 _ACROSS, _BESIDE = ((0, 1), (-1, 1), (0, 2), (-1, 2)), ((-1, 0), (1, 2), (-2, 0), (1, 3))
 
 
-def right_camera_ahead(cameras: StereoCameras, spans: Sequence[Floats]) -> tuple[float, ...]:
-    """How far the right camera is before its calibrated position, and the sigma of that, as shares of the baseline.
+def right_camera_ahead(
+    cameras: StereoCameras, spans: Sequence[Floats], speeds_m_s: Sequence[float]
+) -> tuple[float, ...]:
+    """How far the right camera is before its calibrated position at the mean speed, and the sigma of that, as shares of the
+    baseline; also how much of it grows with the speed, and its sigma, if the speed changes.
 
-    spans: points (N, 4) u_left, v_left, u_right, v_right (px). Empty where they do not determine it.
+    spans: points (N, 4) u_left, v_left, u_right, v_right (px); speeds: of each span. Empty where they do not determine the
+    offset. A camera that exposes late is the farther ahead the faster it drives, one that is mounted elsewhere is not.
     """
     if len(spans) < _LEAST_SPANS:
         return ()
@@ -66,20 +73,36 @@ def right_camera_ahead(cameras: StereoCameras, spans: Sequence[Floats]) -> tuple
     x, y = (right[:, :2] / right[:, 2:]).T
     disparity = np.linalg.norm(cameras.right_SE3_left[:3, 3]) / right[:, 2]
     rows = (seen[:, 3] - cameras.right_px[3]) / cameras.right_px[1] - y
-    effects = np.column_stack([y * disparity, y, x, x * y, y * y, np.ones_like(y)])
+    speeds = np.asarray(speeds_m_s) / max(float(np.mean(speeds_m_s)), 1e-3) - 1
+    effects = np.column_stack([y * disparity, speeds[span] * y * disparity, y, x, x * y, y * y, np.ones_like(y)])
+    if np.ptp(speeds) < _LEAST_CHANGE:
+        effects = np.delete(effects, 1, axis=1)
     kept, estimate = np.full(len(rows), True), np.zeros(effects.shape[1])
     for _ in range(_ROUNDS):
         estimate = np.linalg.lstsq(effects[kept], rows[kept], rcond=None)[0]
         rest = np.abs(rows - effects @ estimate)
         kept = rest <= _OUTLIER_SIGMAS * 1.4826 * np.median(rest[kept])
-    parts = [(effects[kept & (span == k)], rows[kept & (span == k)]) for k in range(len(spans))]
+    # Errors that repeat in all spans, as of a lens, differ from one part of the image to another, or from near to far points.
+    thirds = np.minimum((3 * seen[:, 0] / (2 * cameras.left_px[2])).astype(int), 2)
+    blocks = thirds + 3 * (disparity > np.median(disparity)) + 6 * (y > 0)
+    by_span, by_block = (_jackknife(effects[kept], rows[kept], part[kept]) for part in (span, blocks))
+    if by_span is None or by_block is None:
+        return ()
+    sigma = np.sqrt((by_span + by_block)[:2])
+    found = float(estimate[0]), float(np.hypot(sigma[0], _FLOOR))
+    return found if np.ptp(speeds) < _LEAST_CHANGE else (*found, float(estimate[1]), float(sigma[1]))
+
+
+def _jackknife(effects: Floats, rows: Floats, part: Ints) -> Floats | None:
+    """(P,) variance of least squares from its scatter without one of the parts (N,) each; None if that is not determined."""
+    numbers = np.unique(part)
+    parts = [(effects[part == k], rows[part == k]) for k in numbers]
     normals, sides = np.array([a.T @ a for a, _ in parts]), np.array([a.T @ r for a, r in parts])
     without = normals.sum(axis=0) - normals
-    if np.linalg.matrix_rank(without).min() < len(estimate):
-        return ()
-    others = np.linalg.solve(without, (sides.sum(axis=0) - sides)[:, :, None])[:, 0, 0]
-    sigma = np.sqrt((len(spans) - 1) * others.var())
-    return float(estimate[0]), float(np.hypot(sigma, _FLOOR))
+    if len(numbers) < 2 or np.linalg.matrix_rank(without).min() < effects.shape[1]:
+        return None
+    others = np.linalg.solve(without, (sides.sum(axis=0) - sides)[:, :, None])[:, :, 0]
+    return np.asarray((len(numbers) - 1) * others.var(axis=0))
 
 
 def check_exposures(
@@ -89,13 +112,22 @@ def check_exposures(
     if not ahead:
         return []
     baseline_m = float(np.linalg.norm(left_SE3_right(rig)[:3, 3]))
-    off_m, sigma_m, limit_m = (baseline_m * np.array([*ahead, limits.max_ahead_share])).tolist()
+    off_m, sigma_m, limit_m = (baseline_m * np.array([*ahead[:2], limits.max_ahead_share])).tolist()
     path = np.array([pair.pose.map_t_body_m for pair in frame_pairs])
     seconds = np.diff([pair.captured_at_ns for pair in frame_pairs]) / 1e9
     speed_m_s = max(float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1) / seconds)), 1e-3)
     where, when = ("ahead of", "late") if off_m > 0 else ("behind", "early")
     facts = {"speed_m_s": speed_m_s, "late_ms": abs(off_m) / speed_m_s * 1e3, "where": where, "when": when}
-    return [Finding(check=EXPOSURES, value=off_m, sigma=sigma_m, limit=limit_m, facts=facts)]
+    finding = Finding(check=EXPOSURES, value=off_m, sigma=sigma_m, limit=limit_m, facts=facts)
+    return [finding.model_copy(update={"says": ("", _cause(ahead)), "treated": "widened" if is_ahead(ahead) else ""})]
+
+
+def _cause(ahead: tuple[float, ...]) -> str:
+    """Name of the message on the cause: a wrong trigger and a wrong mount differ only where the speed changes."""
+    if len(ahead) == 2 or abs(ahead[0]) < DOUBTFUL_SIGMAS * ahead[3]:
+        return "either"
+    grows, stays = (abs(ahead[2] - expected) < DOUBTFUL_SIGMAS * ahead[3] for expected in (ahead[0], 0.0))
+    return "trigger" if grows and not stays else "mount" if stays and not grows else "either"
 
 
 def check_doubled(

@@ -30,7 +30,12 @@ _LEAST_STEP_S = 1e-3
 
 
 def check_jumps(
-    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools, limits: JumpCheckParams
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    measured: MeasuredMotions,
+    good: Bools,
+    limits: JumpCheckParams,
+    clock_sigma_s: float,
 ) -> Finding:
     """The interval in which the log moves most unlike the images or, where these do not show it, unlike the intervals around.
 
@@ -44,6 +49,7 @@ def check_jumps(
     in_images_m[start] = se3.compose(left[start], se3.invert(measured.next_SE3_first))[:, :3, 3] - left[start, :3, 3]
     speeds[start[good]] = (in_images_m / step_s[:, None])[start[good]]
     sigma_m = np.array([(max(pair.pose.sigma_enu_m[:2]), pair.pose.sigma_enu_m[2]) for pair in frame_pairs])
+    sigma_m[:, 0] = np.hypot(sigma_m[:, 0], clock_sigma_s * float(np.median(np.linalg.norm(steps_m, axis=1) / step_s)))
     worst_m, worst = 0.0, 0
     for k in range(len(steps_m)):
         errors_m = np.maximum(limits.least_m, limits.sigmas * np.hypot(*sigma_m[k : k + 2]))

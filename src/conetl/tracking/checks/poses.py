@@ -63,13 +63,13 @@ def check_trajectory(
     none = np.zeros(0, dtype=bool)
     good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
     if len(frame_pairs) <= _LEAST_INTERVALS:
-        return [check_jumps(frame_pairs, rig, measured, good, limits.jumps)]
+        return [check_jumps(frame_pairs, rig, measured, good, limits.jumps, params.clock_sigma_s)]
     residual = motion_residuals(log, log.rotations, log.positions, measured, 0.0)[0]
     findings = [
         _measured(frame_pairs, rig, measured.start, limits),
         _agreement(frame_pairs, rig, measured, good, residual),
         *([_not_adjusted(measured, residual)] if trajectory.outcome is RefinementOutcome.NOT_CONVERGED else []),
-        check_jumps(frame_pairs, rig, measured, good, limits.jumps),
+        check_jumps(frame_pairs, rig, measured, good, limits.jumps, params.clock_sigma_s),
         check_turn_jumps(frame_pairs, rig, measured, good, limits.jumps),
         _clock(trajectory.clock, params),
         *check_path(frame_pairs, log, measured, good, trajectory, params, limits.path),
