@@ -15,15 +15,7 @@ from math import exp, log, sqrt
 import numpy as np
 from scipy.special import betaln
 
-from conetl.mapping.displacement import (
-    POSITION,
-    check_arrangement,
-    check_classes,
-    check_heights,
-    check_part,
-    check_parts,
-    check_positions,
-)
+from conetl.mapping.displacement import POSITION, check_classes, check_displacement, check_heights
 from conetl.mapping.marking_deltas import line_drive, lines_on_map
 from conetl.mapping.marking_lines import feet
 from conetl.model.drive import Track
@@ -55,10 +47,12 @@ def check_agreement(
         (track for track in tracks if track.existence_probability >= params.founding_existence_probability),
         key=lambda track: track.xyz_m,
     )
-    check = check_positions(sure, features, kinds, params) if sure and features else None
-    check = check or check_arrangement(sure, features, params) or check_classes(sure, features, params)
-    check = check or check_parts(sure, features, params) or check_part(deltas, params)
-    return check or _check_moves(kinds, params) or _check_removals(kinds, params)
+    return (
+        check_displacement(sure, features, deltas, params)
+        or check_classes(sure, features, params)
+        or _check_moves(kinds, params)
+        or _check_removals(kinds, params)
+    )
 
 
 def check_marking_agreement(
