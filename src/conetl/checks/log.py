@@ -46,17 +46,13 @@ CHECKS = (
         limit="or a run of more than {odometry.max_lost_share:.0%} of the intervals without a measurement",
         effect="poses of another recording: any",
         messages={
-            "": (
-                "Visual odometry could measure only {measured} of {intervals} intervals, although the images show "
-                "enough: the poses do not belong to these images, or left and right images do not belong together. "
-                "Check numbers, order and time stamps of images and poses."
-            ),
-            "part": (
-                "Visual odometry could measure none of the {lost} intervals from frame pair {first} on, although the "
-                "images show enough: the poses do not belong to these images, or left and right images do not belong "
-                "together. Check numbers, order and time stamps of images and poses."
-            ),
+            "": "Visual odometry could measure only {measured} of {intervals} intervals.",
+            "part": ("Visual odometry could measure none of the {lost} intervals from frame pair {first} on."),
         },
+        remedy=(
+            "The images show enough: either the poses do not belong to these images, or left and right images do not "
+            "belong together. Check numbers, order and time stamps of images and poses."
+        ),
         passed="Visual odometry measured {measured} of {intervals} intervals between frame pairs.",
     ),
     Check(

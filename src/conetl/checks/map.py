@@ -135,13 +135,9 @@ CHECKS = (
         effect="the distances by which it would move them",
         messages={
             "": (
-                "The drive would move {moved} of the {shown} cones that it shows: either its distances or poses are "
-                "wrong (baseline, alignment), or the zone was set up again."
-            ),
-            "markings": (
-                "The drive would move {moved} of the {shown} stretches of lane markings that it shows: either its "
-                "distances or poses are wrong (baseline, alignment), or the road was repainted."
-            ),
+                "The drive would move {moved} of the {shown} {what} that it shows: either its distances or poses are wrong "
+                "(baseline, alignment), or people moved or repainted them."
+            )
         },
         passed="The drive moves few objects.",
     ),
@@ -154,17 +150,9 @@ CHECKS = (
         effect="standing cones are removed",
         messages={
             "": (
-                "The drive would remove {removed} of the {in_view} cones in its view and shows {seen} cones: were "
-                "they cleared, or could the cameras not see them?"
-            ),
-            "none": (
-                "The drive would remove {removed} of the {in_view} cones in its view and shows no cones: were they "
-                "cleared, or could the cameras not see them?"
-            ),
-            "one": (
-                "The drive would remove {removed} of the {in_view} cones in its view and shows 1 cone: were they "
-                "cleared, or could the cameras not see them?"
-            ),
+                "The drive would remove {removed} of the {in_view} cones in its view, and shows {seen}: either they were "
+                "cleared, or the cameras could not see them."
+            )
         },
         passed="The drive removes few cones.",
         remedy="Check the images.",
@@ -232,13 +220,9 @@ CHECKS = (
         effect="times or positions of one of them: any",
         messages={
             "": (
-                "Drive {drive_id} has the same rig (rig_id {rig_id}) and was {value:.1f} km away {apart_s:.0f} s "
-                "before or after it: the times (time zone, date) or positions of one of them are wrong."
-            ),
-            "at once": (
-                "Drive {drive_id} has the same rig (rig_id {rig_id}) and was {value:.1f} km away at the same time: "
-                "the times (time zone, date) or positions of one of them are wrong."
-            ),
+                "Drive {drive_id} has the same rig (rig_id {rig_id}) and was {value:.1f} km away {when}: the times (time "
+                "zone, date) or positions of one of them are wrong."
+            )
         },
         passed="The rig was in one place.",
         remedy="If they were recorded by two vehicles, give the rig of one a separate rig_id in its drive.yaml.",

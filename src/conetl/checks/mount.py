@@ -108,15 +108,9 @@ CHECKS = (
         effect="the displacement, in one of both passes",
         messages={
             "": (
-                "The drive passes {count} cones again from frame pair {first} on, and locates them {size:.2f} m from "
-                "where they were: either GNSS/INS drifted or jumped in between, or all cones were moved by the same "
-                "distance."
-            ),
-            "heights": (
-                "The drive passes {count} cones again from frame pair {first} on, and locates them {size:.2f} m "
-                "higher or lower than before: either GNSS/INS drifted or jumped in between, or all cones were moved "
-                "by the same distance."
-            ),
+                "The drive passes {count} cones again from frame pair {first} on, and locates them {size:.2f} m {how}: "
+                "either GNSS/INS drifted or jumped in between, or all cones were moved by the same distance."
+            )
         },
         passed="Cones that the drive passes twice are at the same positions.",
         remedy="Reprocess the GNSS/INS log.",

@@ -8,7 +8,7 @@ earlier drive arrives.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import islice
 from math import exp, log, sqrt
 
@@ -58,28 +58,29 @@ def check_agreement(
 def check_marking_agreement(
     markings: Sequence[MarkingTrack], stretches: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
 ) -> Finding | None:
-    """What of the map contradicts a drive; None if nothing does. The result does not depend on any
-    order.
+    """What of the map contradicts a drive; None if nothing does. The result does not depend on any order.
 
     stretches: those of the map around the drive; deltas: by `reconcile_markings`.
     """
     kinds = Counter(delta.kind for delta in deltas)
-    moved = _check_moves(kinds, params, "markings")
+    moved = _check_moves(kinds, params, "stretches of lane markings")
     return moved or _check_marking_positions(markings, stretches, params) or _check_replaced(kinds, params)
 
 
-def _check_moves(kinds: Counter[DeltaKind], params: ReconcileParams, says: str = "") -> Finding | None:
-    """Whether most of the objects that a drive shows are at other positions than on the map. says: the message about them."""
+def _check_moves(kinds: Counter[DeltaKind], params: ReconcileParams, what: str = "cones") -> Finding | None:
+    """Whether most of the objects that a drive shows are at other positions than on the map."""
     least, moved = params.agreement.least_pairs, kinds[DeltaKind.MOVED]
     stayed = kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
     if moved < least or moved <= stayed:
         return None
-    facts = {"moved": moved, "shown": moved + stayed}
-    return _contradiction("moves", moved, max(stayed, least - 1), says, **facts)
+    facts = {"moved": moved, "shown": moved + stayed, "what": what}
+    return _contradiction("moves", moved, max(stayed, least - 1), facts)
 
 
-def _contradiction(what: str, value: float, limit: float, says: str = "", **facts: int) -> Finding:
-    return Finding(check=f"{AGREEMENT}: {what}", value=value, limit=limit, found=True, says=(says,), facts=facts)
+def _contradiction(
+    comparison: str, value: float, limit: float, facts: Mapping[str, int | str], says: str = ""
+) -> Finding:
+    return Finding(check=f"{AGREEMENT}: {comparison}", value=value, limit=limit, found=True, says=(says,), facts=facts)
 
 
 def _check_removals(kinds: Counter[DeltaKind], params: ReconcileParams) -> Finding | None:
@@ -99,12 +100,8 @@ def _check_removals(kinds: Counter[DeltaKind], params: ReconcileParams) -> Findi
     blind = log(limits.blind_probability) + betaln(1 + removed, 1 + seen)
     if blind - gone <= log(limits.max_blind / (1 - limits.max_blind)):
         return None
-    probability, facts = (
-        1.0 / (1.0 + exp(gone - blind)),
-        {"removed": removed, "in_view": removed + stayed, "seen": seen},
-    )
-    says = {0: "none", 1: "one"}.get(seen, "")
-    return _contradiction("removals", 100 * probability, 100 * limits.max_blind, says, **facts)
+    facts = {"removed": removed, "in_view": removed + stayed, "seen": seen}
+    return _contradiction("removals", 100 / (1.0 + exp(gone - blind)), 100 * limits.max_blind, facts)
 
 
 def _check_marking_positions(
@@ -139,4 +136,4 @@ def _check_replaced(kinds: Counter[DeltaKind], params: ReconcileParams) -> Findi
     if not is_displaced and (removed < least or removed <= stayed + moved + added):
         return None
     facts = {"removed": removed, "added": added, "stayed": stayed}
-    return _contradiction("replaced", removed, max(stayed, least - 1), "" if is_displaced else "not seen", **facts)
+    return _contradiction("replaced", removed, max(stayed, least - 1), facts, "" if is_displaced else "not seen")
