@@ -73,7 +73,7 @@ def _check_moves(kinds: Counter[DeltaKind], params: ReconcileParams, what: str =
     stayed = kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
     if moved < least or moved <= stayed:
         return None
-    facts = {"moved": moved, "shown": moved + stayed, "what": what}
+    facts: dict[str, int | str] = {"moved": moved, "shown": moved + stayed, "what": what}
     return _contradiction("moves", moved, max(stayed, least - 1), facts)
 
 
