@@ -14,8 +14,8 @@ from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import IngestParams
 from conetl.pipeline.analysis import AnalysedDrive, analyse
-from conetl.pipeline.checks.positions import check_positions_on_map
 from conetl.pipeline.commit import commit
+from conetl.pipeline.compared.positions import check_positions_on_map
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from conetl.checks import images, log, map, mount
+from conetl.checks import images, log, map
 from conetl.checks.check import Check
 from conetl.model.params import CheckParams, IngestParams
 
-GROUPS: dict[str, tuple[Check, ...]] = {
-    "images": images.CHECKS,
-    "log": (*log.CHECKS, *mount.CHECKS),
-    "map": map.CHECKS,
-}
+GROUPS: dict[str, tuple[Check, ...]] = {"images": images.CHECKS, "log": log.CHECKS, "map": map.CHECKS}
 TABLE: dict[str, Check] = {check.name: check for group in GROUPS.values() for check in group}
 _HEADER = "| check | measured | needs | beyond the limit | effect on positions |\n|---|---|---|---|---|"
 

@@ -8,22 +8,14 @@ earlier drive arrives.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import islice
 from math import exp, log, sqrt
 
 import numpy as np
 from scipy.special import betaln
 
-from conetl.mapping.displacement import (
-    POSITION,
-    check_arrangement,
-    check_classes,
-    check_heights,
-    check_part,
-    check_parts,
-    check_positions,
-)
+from conetl.mapping.displacement import POSITION, check_classes, check_displacement, check_heights
 from conetl.mapping.marking_deltas import line_drive, lines_on_map
 from conetl.mapping.marking_lines import feet
 from conetl.model.drive import Track
@@ -55,37 +47,40 @@ def check_agreement(
         (track for track in tracks if track.existence_probability >= params.founding_existence_probability),
         key=lambda track: track.xyz_m,
     )
-    check = check_positions(sure, features, kinds, params) if sure and features else None
-    check = check or check_arrangement(sure, features, params) or check_classes(sure, features, params)
-    check = check or check_parts(sure, features, params) or check_part(deltas, params)
-    return check or _check_moves(kinds, params) or _check_removals(kinds, params)
+    return (
+        check_displacement(sure, features, deltas, params)
+        or check_classes(sure, features, params)
+        or _check_moves(kinds, params)
+        or _check_removals(kinds, params)
+    )
 
 
 def check_marking_agreement(
     markings: Sequence[MarkingTrack], stretches: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
 ) -> Finding | None:
-    """What of the map contradicts a drive; None if nothing does. The result does not depend on any
-    order.
+    """What of the map contradicts a drive; None if nothing does. The result does not depend on any order.
 
     stretches: those of the map around the drive; deltas: by `reconcile_markings`.
     """
     kinds = Counter(delta.kind for delta in deltas)
-    moved = _check_moves(kinds, params, "markings")
+    moved = _check_moves(kinds, params, "stretches of lane markings")
     return moved or _check_marking_positions(markings, stretches, params) or _check_replaced(kinds, params)
 
 
-def _check_moves(kinds: Counter[DeltaKind], params: ReconcileParams, says: str = "") -> Finding | None:
-    """Whether most of the objects that a drive shows are at other positions than on the map. says: the message about them."""
+def _check_moves(kinds: Counter[DeltaKind], params: ReconcileParams, what: str = "cones") -> Finding | None:
+    """Whether most of the objects that a drive shows are at other positions than on the map."""
     least, moved = params.agreement.least_pairs, kinds[DeltaKind.MOVED]
     stayed = kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
     if moved < least or moved <= stayed:
         return None
-    facts = {"moved": moved, "shown": moved + stayed}
-    return _contradiction("moves", moved, max(stayed, least - 1), says, **facts)
+    facts: dict[str, int | str] = {"moved": moved, "shown": moved + stayed, "what": what}
+    return _contradiction("moves", moved, max(stayed, least - 1), facts)
 
 
-def _contradiction(what: str, value: float, limit: float, says: str = "", **facts: int) -> Finding:
-    return Finding(check=f"{AGREEMENT}: {what}", value=value, limit=limit, found=True, says=(says,), facts=facts)
+def _contradiction(
+    comparison: str, value: float, limit: float, facts: Mapping[str, int | str], says: str = ""
+) -> Finding:
+    return Finding(check=f"{AGREEMENT}: {comparison}", value=value, limit=limit, found=True, says=(says,), facts=facts)
 
 
 def _check_removals(kinds: Counter[DeltaKind], params: ReconcileParams) -> Finding | None:
@@ -105,12 +100,8 @@ def _check_removals(kinds: Counter[DeltaKind], params: ReconcileParams) -> Findi
     blind = log(limits.blind_probability) + betaln(1 + removed, 1 + seen)
     if blind - gone <= log(limits.max_blind / (1 - limits.max_blind)):
         return None
-    probability, facts = (
-        1.0 / (1.0 + exp(gone - blind)),
-        {"removed": removed, "in_view": removed + stayed, "seen": seen},
-    )
-    says = {0: "none", 1: "one"}.get(seen, "")
-    return _contradiction("removals", 100 * probability, 100 * limits.max_blind, says, **facts)
+    facts = {"removed": removed, "in_view": removed + stayed, "seen": seen}
+    return _contradiction("removals", 100 / (1.0 + exp(gone - blind)), 100 * limits.max_blind, facts)
 
 
 def _check_marking_positions(
@@ -145,4 +136,4 @@ def _check_replaced(kinds: Counter[DeltaKind], params: ReconcileParams) -> Findi
     if not is_displaced and (removed < least or removed <= stayed + moved + added):
         return None
     facts = {"removed": removed, "added": added, "stayed": stayed}
-    return _contradiction("replaced", removed, max(stayed, least - 1), "" if is_displaced else "not seen", **facts)
+    return _contradiction("replaced", removed, max(stayed, least - 1), facts, "" if is_displaced else "not seen")

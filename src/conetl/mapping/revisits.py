@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from conetl.mapping.association import xyz_of
-from conetl.mapping.displacement import check_same_cones
+from conetl.mapping.displacement import HEIGHTS, check_same_cones
 from conetl.model.drive import FramePair, Position, Track
 from conetl.model.health import Finding
 from conetl.model.params import IngestParams, TrackParams
@@ -48,9 +48,9 @@ def check_revisits(
         apart = check_same_cones(again, visits[:start], limits, _WITHIN_M)
         if apart is None:
             continue
-        facts = {"count": len(again), "first": again[0].members[0][0]}
-        says = ("heights" if "heights" in apart.check else "",)
-        yield apart.model_copy(update={"check": "cones passed twice", "says": says, "facts": facts})
+        how = "higher or lower than before" if apart.check == HEIGHTS else "from where they were"
+        facts = {"count": len(again), "first": again[0].members[0][0], "how": how}
+        yield apart.model_copy(update={"check": "cones passed twice", "says": ("",), "facts": facts})
         return
 
 

@@ -30,8 +30,8 @@ from conetl.model.map_records import Changeset, Delta, DeltaKind
 from conetl.model.params import IngestParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
-from conetl.pipeline.checks.positions import check_positions_on_map
 from conetl.pipeline.chunks import analysis_of
+from conetl.pipeline.compared.positions import check_positions_on_map
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import step
 from conetl.pipeline.replay import merge_drive

@@ -41,7 +41,7 @@ from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import HealthCheck, HoldChange
 from conetl.model.map_records import Changeset, Decisions, FeatureVersion
 from conetl.model.params import IngestParams
-from conetl.pipeline.checks.adjoining import WITHIN_NS, NewDrive, find_doubts
+from conetl.pipeline.compared.adjoining import WITHIN_NS, NewDrive, find_doubts
 
 _log = logging.getLogger(__name__)
 #: Holding some drives may change which others the map confirms, but rarely: trusted drives confirm older objects.

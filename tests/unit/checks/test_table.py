@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ast
+from collections.abc import Iterator
 from string import Formatter
 
 import pytest
@@ -59,3 +61,18 @@ def test_only_the_rule_gives_verdicts() -> None:
     allowed = {"health.py", "decision_store.py", "drive_facts.py"}
     makers = {path.name for path, text in _SOURCES.items() if "HealthCheck(" in text}
     assert makers <= allowed
+
+
+def _said(code: ast.AST) -> Iterator[str]:
+    """Names of messages in a module: in `says=` of findings and arguments of `saying`."""
+    for node in ast.walk(code):
+        if isinstance(node, ast.keyword) and node.arg == "says":
+            yield from (one.value for one in ast.walk(node.value) if isinstance(one, ast.Constant))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "saying":
+            yield from (one.value for one in node.args if isinstance(one, ast.Constant))
+
+
+def test_every_message_that_a_module_names_exists() -> None:
+    known = COMMON_MESSAGES.keys() | {name for row in TABLE.values() for name in row.messages}
+    said = {name for text in _SOURCES.values() if "Finding" in text for name in _said(ast.parse(text))}
+    assert len(said) > 5 and {name for name in said if isinstance(name, str)} <= known

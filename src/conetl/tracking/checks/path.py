@@ -122,7 +122,7 @@ def _stated_sigmas(trajectory: RefinedTrajectory, limits: PathCheckParams) -> Fi
     factor, group = max((shares.factor**0.5, k) for k, shares in enumerate(trajectory.errors))
     return Finding(
         check=SIGMAS, value=factor, treated="widened" if factor > 1.0 else "", facts={"of": _NAMES[group]},
-        says=("", "widened" if factor <= limits.sigma_factor else "scatter"),
+        says=("", "widened" if factor <= limits.sigma_factor else "beyond"),
     )  # fmt: skip
 
 

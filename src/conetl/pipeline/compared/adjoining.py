@@ -30,6 +30,7 @@ WITHIN_NS = 5_000_000_000
 #: The vehicle's speed comes from the frame pairs of half a second, between two and `_PAIRS` of them. It keeps its direction:
 #: `_LEAST_COSINE` is the minimum cosine of the angle between both.
 _PAIRS, _NEAR_NS, _LEAST_COSINE = 10, 500_000_000, 0.8
+#: Of all drives of a map, whatever the parameters of the newest one.
 _LIMITS = JumpCheckParams()
 
 

@@ -82,6 +82,6 @@ def _one_rig_in_two_places(
         conn, drive, path_wkt(drive), map_name=map_name, most_m_s=limits.most_m_s, apart_m=limits.apart_m
     )
     if found is not None:
-        facts = {"drive_id": found.drive_id, "rig_id": drive.rig.rig_id, "apart_s": found.apart_s}
-        says = "" if found.apart_s else "at once"
-        yield Finding(check="one rig in two places", value=found.apart_m / 1000, found=True, says=(says,), facts=facts)
+        when = f"{found.apart_s:.0f} s before or after it" if found.apart_s else "at the same time"
+        facts = {"drive_id": found.drive_id, "rig_id": drive.rig.rig_id, "when": when}
+        yield Finding(check="one rig in two places", value=found.apart_m / 1000, found=True, facts=facts)
