@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -64,7 +64,7 @@ def figures_of(name: str, outcomes: Sequence[Outcome]) -> dict[str, object]:
         verdict for outcome in outcomes for verdict in outcome.verdicts.values() if verdict != Verdict.HOLD
     )
     row: dict[str, object] = {
-        "errors": name, "recordings": len(outcomes), "held": sum(outcome.held is not None for outcome in outcomes),
+        "": name, "recordings": len(outcomes), "held": sum(outcome.held is not None for outcome in outcomes),
         "other verdicts": " ".join(f"{n} {verdict}" for verdict, n in sorted(others.items())),
     }  # fmt: skip
     for part in PARTS:
@@ -87,10 +87,10 @@ def marked(nees: Nees) -> str | None:
     return f"{nees.per_dof:.2f} {sign * (1 if nees.holds(0.99) else 2)}".rstrip()
 
 
-def by_shape(outcomes: Iterable[Outcome]) -> list[dict[str, object]]:
-    """A row per shape, in order, and one of all."""
+def by(name_of: Callable[[Outcome], str], outcomes: Iterable[Outcome]) -> list[dict[str, object]]:
+    """A row per shape or recording, in order, and one of all."""
     groups: dict[str, list[Outcome]] = {}
     for outcome in outcomes:
-        groups.setdefault(outcome.shape, []).append(outcome)
+        groups.setdefault(name_of(outcome), []).append(outcome)
     rows = [figures_of(name, group) for name, group in groups.items()]
     return [*rows, figures_of("all", [outcome for group in groups.values() for outcome in group])]
