@@ -83,8 +83,8 @@ def outcome_of(seed: int, shape: LogShape, sigma_m: float, made: Callable[[], Ba
     if not base.truth or not found.tracks:
         return outcome
     tracks = evaluate_drive(base.truth, found, within_m=_WITHIN_M).tracks
-    variances = np.diagonal(tracks.cov_m2, axis1=1, axis2=2)
-    return outcome.with_cones(tracks.difference_m, variances, drive_consistency(tracks))
+    nees = drive_consistency(tracks)
+    return outcome if nees is None else outcome.with_cones(tracks.difference_m, tracks.joint_cov_m2(), nees)
 
 
 @contextmanager

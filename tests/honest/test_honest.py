@@ -10,12 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.consistency import pooled
 from conetl.pipeline.settings import Settings
 from tests.folders import SAMPLES
 from tests.honest.drives import outcome_of, rng_of
 from tests.honest.logs import PARAMS, SHAPES, Floats, LogShape, Times, recorded_poses
-from tests.honest.outcomes import Outcome
+from tests.honest.outcomes import Outcome, pooled
 from tests.honest.recordings import outcome_of as with_images
 from tests.honest.recordings import part_of, sample
 
@@ -55,9 +54,8 @@ def test_drives_with_errors_as_stated_are_not_held(shape: LogShape) -> None:
 @pytest.mark.parametrize("shape", marked(WRONG_TODAY))
 def test_cones_are_as_accurate_as_stated(shape: LogShape) -> None:
     """Not less, and not more."""
-    nees = pooled(one.nees for one in some(shape))
-    assert nees is not None
-    assert nees.absolute.holds(0.999), nees.absolute.per_dof
+    nees = pooled("absolute", some(shape))
+    assert nees.holds(0.999), nees.per_dof
 
 
 @pytest.mark.parametrize("shape", [one for one in marked(HELD_TODAY) if one.id in WITH_IMAGES])
