@@ -15,7 +15,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from benchmarks.harness import arguments_of, print_rows, write_json
 from conetl.pipeline.settings import Settings
 from tests.honest.drives import outcome_of
 from tests.honest.logs import SHAPES, LogShape
-from tests.honest.outcomes import Outcome, by
+from tests.honest.outcomes import Outcome, as_json, by
 from tests.honest.recordings import Base, bases
 from tests.honest.recordings import outcome_of as with_images
 
@@ -44,7 +44,7 @@ def drives(shapes: Iterable[LogShape], seed: int, count: int) -> Iterator[Callab
 
 
 def recordings(
-    shapes: list[LogShape], seed: int, count: int, known: list[Base], settings: Settings
+    shapes: list[LogShape], seed: int, count: int, known: Sequence[Callable[[], Base]], settings: Settings
 ) -> Iterator[Callable[[], Outcome]]:
     """So many, with shapes, recordings and strengths in turn."""
     for number in range(count):
@@ -59,7 +59,7 @@ def run(title: str, work: Iterable[Callable[[], Outcome]]) -> list[Outcome]:
     outcomes, start = [], time.monotonic()
     for number, step in enumerate(work, 1):
         outcomes.append(step())
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() or number % 20 == 0:
             print(f"\r{title}: {number}, {time.monotonic() - start:.0f} s", end="", file=sys.stderr, flush=True)
     if outcomes:
         print_rows(f"{title}, {time.monotonic() - start:.0f} s", by(lambda one: one.shape, outcomes))
@@ -83,11 +83,11 @@ def main() -> None:
         with tempfile.TemporaryDirectory(prefix="conetl-bench-") as name:
             settings = Settings(home=Path(name) / "home", workers=1)
             (Path(name) / "drives").mkdir()
-            known = list(bases(Path(name) / "drives", settings, options.renders))
+            known = bases(Path(name) / "drives", settings, options.renders)
             found = run("Recordings", recordings(shapes, options.seed, options.recordings, known, settings))
         print_rows("Recordings, by images", by(lambda one: one.on, found))
         outcomes += found
-    write_json(options.json, [outcome.as_dict() for outcome in outcomes])
+    write_json(options.json, as_json(outcomes))
 
 
 if __name__ == "__main__":

@@ -92,8 +92,8 @@ def outcome_of(seed: int, shape: LogShape, sigma_m: float) -> Outcome:
 
 
 def cone_errors(drive: HonestDrive, refined: RefinedTrajectory) -> tuple[Floats, Floats, Consistency]:
-    """Errors (N, 3) of cones that are seen from evenly spaced frame pairs, their stated variances (N, 3) by the refined poses and
-    their joint covariance, and the NEES."""
+    """Errors (N, 3) of cones that are seen from evenly spaced frame pairs, their covariance (3N, 3N) by that of the refined
+    poses, and the NEES."""
     pairs, rng = refined.frame_pairs, drive.rng
     seen = np.linspace(0, len(pairs) - 1, len(_CONES_M)).round().astype(int)
     true_m = (drive.truth[seen, :3, :3] @ _CONES_M[:, :, None])[:, :, 0] + drive.truth[seen, :3, 3]
@@ -106,5 +106,4 @@ def cone_errors(drive: HonestDrive, refined: RefinedTrajectory) -> tuple[Floats,
     constant, change = pose_parts(jacobian, [pairs[k].frame_index for k in seen], np.zeros((len(seen), 6)), cov)
     own_cov = change + _OWN_SIGMA_M**2 * np.eye(xyz_m.size)
     flat = jacobian.reshape(-1, 6)
-    variance = np.diagonal(own_cov + flat @ constant @ flat.T).reshape(-1, 3)
-    return off_m, variance, consistency(off_m, own_cov, jacobian, constant)
+    return off_m, own_cov + flat @ constant @ flat.T, consistency(off_m, own_cov, jacobian, constant)

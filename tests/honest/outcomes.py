@@ -4,16 +4,20 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from functools import reduce
+from operator import add
 
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.geometry.consistency import Consistency, Nees, pooled
+from conetl.geometry.consistency import Consistency, Nees
 from conetl.model.health import HealthCheck, Verdict, hold_reason
 
 Floats = NDArray[np.float64]
-PARTS = ("absolute", "relative", "common")
+#: `centre`: of the mean of all cones of a drive, which errors of the images hardly change. The others are those of `Consistency`;
+#: in recordings of the same images the relative errors are about the same, whatever the log, and bands are too narrow.
+PARTS = ("centre", "absolute", "relative", "common")
 
 
 @dataclass(frozen=True)
@@ -29,10 +33,10 @@ class Outcome:
     held: str | None = None
     verdicts: dict[str, str] = field(default_factory=dict)
     """Of the checks that do not pass, by name."""
-    nees: Consistency | None = None
-    """Of its cones; None without any, and without truth."""
-    squares_m2: tuple[float, float] = (0.0, 0.0)
-    """Sums of the squared errors of its cones, and of their stated variances."""
+    nees: dict[str, Nees] = field(default_factory=dict)
+    """Of its cones, by part; empty without any, and without truth."""
+    squares: tuple[float, int] = (0.0, 0)
+    """Sum of the squared errors of all coordinates, in their stated sigmas, and how many."""
 
     @property
     def name(self) -> str:
@@ -40,46 +44,46 @@ class Outcome:
 
     def with_checks(self, checks: Sequence[HealthCheck]) -> Outcome:
         found = {check.name: check.verdict.value for check in checks if check.verdict is not Verdict.PASS}
-        return Outcome(
-            self.shape, self.on, self.sigma_m, self.seed, hold_reason(checks), found, self.nees, self.squares_m2
-        )
+        return replace(self, held=hold_reason(checks), verdicts=found)
 
-    def with_cones(self, off_m: Floats, variance_m2: Floats, nees: Consistency | None) -> Outcome:
-        """off_m, variance_m2: (N, 3) errors of cones and their stated variances."""
-        squares = float(np.sum(off_m**2)), float(np.sum(variance_m2))
-        return Outcome(self.shape, self.on, self.sigma_m, self.seed, self.held, self.verdicts, nees, squares)
+    def with_cones(self, off_m: Floats, cov_m2: Floats, found: Consistency) -> Outcome:
+        """off_m (N, 3): errors of cones; cov_m2 (3N, 3N): as stated, of all together; found: the NEES of that."""
+        mean_m = off_m.mean(axis=0)
+        cov = cov_m2.reshape(len(off_m), 3, len(off_m), 3).mean(axis=(0, 2))
+        nees = {"centre": Nees(float(mean_m @ np.linalg.solve(cov, mean_m)), 3)}
+        nees |= {part: getattr(found, part) for part in PARTS[1:]}
+        squares = float(np.sum(off_m.ravel() ** 2 / np.diagonal(cov_m2)))
+        return replace(self, nees=nees, squares=(squares, off_m.size))
 
-    def as_dict(self) -> dict[str, object]:
-        """As JSON values."""
-        parts = {} if self.nees is None else {part: vars(getattr(self.nees, part)) for part in PARTS}
-        return vars(self) | {"nees": parts}
+
+def as_json(outcomes: Iterable[Outcome]) -> list[dict[str, object]]:
+    return [asdict(outcome) for outcome in outcomes]
+
+
+def pooled(part: str, outcomes: Iterable[Outcome]) -> Nees:
+    """Sum over drives."""
+    return reduce(add, (outcome.nees[part] for outcome in outcomes if part in outcome.nees), Nees(0.0, 0))
 
 
 def figures_of(name: str, outcomes: Sequence[Outcome]) -> dict[str, object]:
-    """A row of a table; NEES are per degree of freedom. Outside of its band of 95 % one is marked by +, of 99 % by ++; - and --
-    if it is too small."""
-    nees = pooled(outcome.nees for outcome in outcomes)
-    errors, variances = np.sum([outcome.squares_m2 for outcome in outcomes], axis=0)
-    others = Counter(
-        verdict for outcome in outcomes for verdict in outcome.verdicts.values() if verdict != Verdict.HOLD
-    )
+    """A row of a table; NEES are per degree of freedom."""
+    squares, count = (sum(column) for column in zip(*(outcome.squares for outcome in outcomes), strict=True))
+    others = Counter(verdict for one in outcomes for verdict in one.verdicts.values() if verdict != Verdict.HOLD)
     row: dict[str, object] = {
-        "": name, "recordings": len(outcomes), "held": sum(outcome.held is not None for outcome in outcomes),
-        "other verdicts": " ".join(f"{n} {verdict}" for verdict, n in sorted(others.items())),
+        "": name, "number": len(outcomes), "held": sum(outcome.held is not None for outcome in outcomes),
+        "other": " ".join(f"{n} {verdict}" for verdict, n in sorted(others.items())),
     }  # fmt: skip
     for part in PARTS:
-        row[part] = None if nees is None else marked(getattr(nees, part))
-    band = (
-        None if nees is None else " to ".join(f"{value / nees.absolute.dof:.2f}" for value in nees.absolute.band(0.99))
-    )
-    return row | {
-        "99 % band of absolute": band,
-        "rms / sigma": float(np.sqrt(errors / variances)) if variances else None,
-    }
+        nees = pooled(part, outcomes)
+        row[part] = marked(nees)
+        if part in PARTS[:2]:
+            band = [f"{value / nees.dof:.2f}" for value in nees.band(0.99)] if nees.dof else []
+            row[f"{part[:3]} 99 %"] = "-".join(band)
+    return row | {"rms/sigma": (squares / count) ** 0.5 if count else None}
 
 
 def marked(nees: Nees) -> str | None:
-    """NEES per degree of freedom, with its mark."""
+    """NEES per degree of freedom; + if it is above its band of 95 %, ++ of 99 %; - or -- if it is below."""
     if not nees.dof:
         return None
     low, high = nees.band()

@@ -7,9 +7,10 @@ without a log get poses by their own odometry. All images are those of an honest
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
 from unittest.mock import patch
@@ -30,17 +31,18 @@ from conetl.model.params import IngestParams
 from conetl.perception.visual_odometry import follow_drive
 from conetl.pipeline import detect, one_pair
 from conetl.pipeline.analysis import analyse
-from conetl.pipeline.odometry import grey_reader
+from conetl.pipeline.odometry import calibrate_drive, grey_reader
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from conetl.simulation.scenario import scenario_pass
 from conetl.simulation.simulate import timestamp, write_oxts
 from conetl.simulation.trajectory import SITE_MAP_M, oxts_records, true_poses
+from conetl.tracking.self_calibration import self_calibrated_rig
 from tests.folders import KITTI, SAMPLES, SHARED
 from tests.honest.drives import rng_of
 from tests.honest.logs import PARAMS, Floats, LogShape, TruePoses, logged
 from tests.honest.outcomes import Outcome
-from tests.honest.renders import renders
+from tests.honest.renders import DONE, renders
 from tests.mutants.images import ImageMutant, both, changed, compressed, copy_drive
 
 Image = NDArray[np.uint8]
@@ -67,8 +69,10 @@ class Base:
         return Base(f"{self.name} {first}-{last}", drive, lambda seconds: self.poses_at(seconds + since_s), self.truth)
 
 
-def outcome_of(seed: int, shape: LogShape, sigma_m: float, base: Base, settings: Settings) -> Outcome:
-    """Puts a log on the recording and analyses it. settings: with a folder in which results of the same images are found."""
+def outcome_of(seed: int, shape: LogShape, sigma_m: float, made: Callable[[], Base], settings: Settings) -> Outcome:
+    """Puts a log on the recording and analyses it. made: one of `bases`. settings: with a folder in which
+    results of the same images are found."""
+    base = made()
     rng = rng_of(seed, shape.name, sigma_m, base.name)
     log = logged(base.drive.frame_pairs, base.poses_at, rng, shape, sigma_m)
     clock_s = log.clock_sigma_s or base.drive.clock_sigma_s
@@ -79,8 +83,8 @@ def outcome_of(seed: int, shape: LogShape, sigma_m: float, base: Base, settings:
     if not base.truth or not found.tracks:
         return outcome
     tracks = evaluate_drive(base.truth, found, within_m=_WITHIN_M).tracks
-    variances = np.diagonal(tracks.cov_m2, axis1=1, axis2=2)
-    return outcome.with_cones(tracks.difference_m, variances, drive_consistency(tracks))
+    nees = drive_consistency(tracks)
+    return outcome if nees is None else outcome.with_cones(tracks.difference_m, tracks.joint_cov_m2(), nees)
 
 
 @contextmanager
@@ -133,24 +137,40 @@ CAMERAS: dict[str, ImageMutant] = {
 # ------------------------------------------------------------------ the recordings
 
 
-def bases(folder: Path, settings: Settings, rendered: Path | None) -> Iterator[Base]:
-    """All recordings of which there are files. folder: an empty one, for changed images; rendered: of `renders.py`."""
-    samples = [sample(number, SAMPLES[number - 1]) for number in (1, 2, 3)]
-    yield from samples
-    yield from (samples[0].part(0, 24), samples[2].part(14, 39))
-    for number, (name, change) in enumerate(CAMERAS.items()):
-        path = copy_drive(SAMPLES[number % 3], folder / name)
-        changed(both(change))(path)
-        yield sample(number % 3 + 1, path, name)
-    for name in renders() if rendered is not None else ():
-        if rendered is not None and (rendered / name / "right").is_dir():
-            yield of_render(rendered / name, name)
+def bases(folder: Path, settings: Settings, rendered: Path | None) -> list[Callable[[], Base]]:
+    """All recordings of which there are files, each made once, when it is asked for.
+
+    folder: an empty one, for changed images; rendered: of `renders.py`.
+    """
+    samples = [cache(partial(sample, number, SAMPLES[number - 1])) for number in (1, 2, 3)]
+    found: list[Callable[[], Base]] = [
+        *samples,
+        partial(part_of, samples[0], 0, 24),
+        partial(part_of, samples[2], 14, 39),
+    ]
+    found += [partial(with_camera, number % 3 + 1, folder, name) for number, name in enumerate(CAMERAS)]
+    if rendered is not None:
+        done = (name for name in renders() if (rendered / name / DONE).is_file())
+        found += [partial(of_render, rendered / name, name) for name in done]
     if KITTI.is_dir():
-        street = kitti(settings)
-        yield from (street, *(street.part(first, first + 51) for first in (0, 52, 103)))
-    for name, left in (("kitti_odometry_20", "image_2"), ("kitti_raw_guideposts", "image_02")):
-        if KITTI.is_dir() and (SHARED / name).is_dir():
-            yield excerpt(SHARED / name, left, folder / name)
+        street = cache(partial(kitti, settings))
+        found += [street, *(partial(part_of, street, first, first + 51) for first in (0, 52, 103))]
+        excerpts = (("kitti_odometry_20", "image_2"), ("kitti_raw_guideposts", "image_02"))
+        found += [
+            partial(excerpt, SHARED / name, left, folder / name) for name, left in excerpts if (SHARED / name).is_dir()
+        ]
+    return [cache(one) for one in found]
+
+
+def part_of(whole: Callable[[], Base], first: int, last: int) -> Base:
+    return whole().part(first, last)
+
+
+def with_camera(number: int, folder: Path, name: str) -> Base:
+    """A sample drive with images of a worse camera."""
+    path = copy_drive(SAMPLES[number - 1], folder / name)
+    changed(both(CAMERAS[name]))(path)
+    return sample(number, path, name)
 
 
 def sample(number: int, folder: Path, change: str = "") -> Base:
@@ -194,31 +214,34 @@ def excerpt(source: Path, left: str, folder: Path) -> Base:
 
 
 def driven(drive: Drive, speed_m_s: float) -> tuple[tuple[FramePair, ...], int]:
-    """The frame pairs with poses by odometry, and how many of its motions were measured. speed_m_s: a guess for the first run."""
-    pairs, rig = drive.frame_pairs, drive.rig
-    own, number = np.array(rig.body_SE3_left), 0
+    """The frame pairs with poses by odometry, and how many of its motions were measured. speed_m_s: a guess for the first run.
+
+    With the calibration as the images correct it: another one would make all distances longer.
+    """
+    first = se3.map_SE3_body(drive.frame_pairs[0].pose)
+    ahead_m = first[:3, :3] @ np.array([speed_m_s * _STEP_S, 0, 0])
+    poses = [first + np.pad((k * ahead_m)[:, None], ((0, 1), (3, 0))) for k in range(len(drive.frame_pairs))]
+    number = 0
     for _ in range(3):
-        if number == 0:
-            first = se3.map_SE3_body(pairs[0].pose)
-            along = first[:3, :3] @ np.array([speed_m_s * _STEP_S, 0, 0])
-            poses = [first, *(first + np.pad((k * along)[:, None], ((0, 1), (3, 0))) for k in range(1, len(pairs)))]
-        pairs = tuple(
-            p.model_copy(update={"pose": se3.to_pose(pose, np.ones(6))}) for p, pose in zip(pairs, poses, strict=True)
-        )
-        found = list(motions_of(follow_drive(pairs, rig, grey_reader(rig), PARAMS), pairs, rig, PARAMS))
-        steps = [None if one.second_SE3_first is None else se3.invert(np.array(one.second_SE3_first)) for one in found]
+        drive = with_poses(drive, poses)
+        rig = self_calibrated_rig(drive.rig, calibrate_drive(drive, PARAMS), PARAMS)
+        followed = follow_drive(drive.frame_pairs, drive.rig, grey_reader(drive.rig), PARAMS)
+        steps = [one.second_SE3_first for one in motions_of(followed, drive.frame_pairs, rig, PARAMS)]
         number = sum(step is not None for step in steps)
         if not number:
-            return pairs, 0
-        poses = [poses[0]]
-        last = next(step for step in steps if step is not None)
+            break
+        poses, own, last = poses[:1], np.array(rig.body_SE3_left), next(step for step in steps if step is not None)
         for step in steps:
             last = last if step is None else step
-            poses.append(poses[-1] @ own @ last @ se3.invert(own))
-    pairs = tuple(
-        p.model_copy(update={"pose": se3.to_pose(pose, np.ones(6))}) for p, pose in zip(pairs, poses, strict=True)
+            poses.append(poses[-1] @ own @ se3.invert(np.array(last)) @ se3.invert(own))
+    return with_poses(drive, poses).frame_pairs, number
+
+
+def with_poses(drive: Drive, poses: list[Floats]) -> Drive:
+    pairs = (
+        p.model_copy(update={"pose": se3.to_pose(x, np.ones(6))}) for p, x in zip(drive.frame_pairs, poses, strict=True)
     )
-    return pairs, number
+    return drive.model_copy(update={"frame_pairs": tuple(pairs)})
 
 
 def poses_between(pairs: tuple[FramePair, ...]) -> TruePoses:

@@ -24,6 +24,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.camera import matrix_k
 from conetl.geometry.geodesy import CAMERA_R_BODY, grid_convergence_rad, to_geodetic
 from conetl.model.rig import Camera
+from conetl.readers.drives.plain import Row
 from conetl.reports.camera_images import jpeg
 from conetl.simulation.mixed_world import mixed_pass
 from conetl.simulation.scenario import ScenarioPass, scenario_pass
@@ -39,6 +40,8 @@ STEP_S, _FINE_S = 0.1, 0.001
 _AROUND_S = 16.0
 _BODY_HEIGHT_M = 1.0
 _QUALITY = 85
+#: Written last.
+DONE = "truth.csv"
 
 
 def none(times_s: Floats) -> Floats:
@@ -127,14 +130,16 @@ def _turn(times_s: Floats) -> Floats:
 @cache
 def renders() -> dict[str, Render]:
     """By name."""
-    wide, narrow = _camera(960, 320, 640.0), _camera(1200, 400, 800.0)
+    wide, narrow = _camera(960, 320, 640.0), _camera(1056, 352, 704.0)
     left, right = _eyes(wide, 1.5)
+    fish = _camera(640, 384, 336.0)
     return {
         "bends": Render(
-            scenario_pass(1), *_eyes(wide, 0.54), 40, (-14.0, -1.5), lambda t: 8.0 + none(t), lambda t: 0.2 * np.sin(2 * np.pi * t / 5),
+            scenario_pass(1), *_eyes(wide, 0.54), 40, (-14.0, -1.5), lambda t: 8.0 + none(t),
+            lambda t: 0.2 * np.sin(2 * np.pi * t / 5),
         ),
         "stop and reverse": Render(
-            mixed_pass(11, 1), *_eyes(_camera(1120, 400, 900.0), 0.12, verged_deg=1.5), 66, (-12.0, -1.2), _stops,
+            mixed_pass(11, 1), *_eyes(_camera(800, 288, 640.0), 0.12, verged_deg=1.5), 66, (-12.0, -1.2), _stops,
             lambda t: 0.02 * np.sin(t),
         ),
         "bumps": Render(
@@ -142,26 +147,22 @@ def renders() -> dict[str, Render]:
             lambda t: 0.01 * np.sin(1.3 * t), lambda t: np.radians(1.5) * _bumps(t), lambda t: 0.04 * _bumps(t + 0.1),
         ),
         "fisheye": Render(
-            scenario_pass(2), *_eyes(_camera(800, 500, 420.0), 0.3, fisheye=True), 40, (2.0, -1.6), lambda t: 3.5 + 0.3 * np.sin(t), _turn,
+            scenario_pass(2), *_eyes(fish, 0.3, fisheye=True), 36, (2.0, -1.6), lambda t: 3.5 + 0.3 * np.sin(t), _turn,
         ),
     }  # fmt: skip
 
 
-def write_render(folder: Path, name: str) -> None:
+def write_render(folder: Path, name: str, samples: int = 8) -> None:
     """The drive folder. Equal names give equal files."""
     drive = renders()[name]
     times_s = np.arange(drive.pairs) * STEP_S
     poses = drive.poses_at(times_s)
     for side in ("left", "right"):
         (folder / side).mkdir(parents=True)
-    write_truth(folder, drive.scenario)
     (folder / "rig.yaml").write_text(yaml.safe_dump(_rig(name, drive), sort_keys=False))
     with (folder / "trajectory.csv").open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(
-            "stem captured_at lon_deg lat_deg height_m roll_deg pitch_deg yaw_deg sigma_e_m sigma_n_m sigma_u_m sigma_roll_deg "
-            "sigma_pitch_deg sigma_yaw_deg".split()
-        )
+        writer.writerow(Row.model_fields)
         lat, lon, height = to_geodetic(MAP_SRID, poses[:, :3, 3]).T
         angles = Rotation.from_matrix(poses[:, :3, :3]).as_euler("ZYX")[:, ::-1]
         angles[:, 2] -= grid_convergence_rad(MAP_SRID, lat, lon)
@@ -181,11 +182,14 @@ def write_render(folder: Path, name: str) -> None:
             rng = np.random.default_rng([len(name), k, number])
             place = road_SE3_map @ pose @ eye.body_SE3_camera
             shown = _seen_through(eye)
-            radiance = render(scene, shown, place, samples_per_pixel=8, seed=int(rng.integers(1 << 31)), fast=True)
+            radiance = render(
+                scene, shown, place, samples_per_pixel=samples, seed=int(rng.integers(1 << 31)), fast=True
+            )
             gain = exposure_gain(radiance) if np.isnan(gain) else gain
             path = folder / side / f"{k:06d}.jpg"
             path.write_bytes(jpeg(develop(_by_lens(radiance, shown, eye), gain, rng), _QUALITY))
         print(f"{name}: pair {k + 1} of {drive.pairs}", flush=True)
+    write_truth(folder, drive.scenario)
 
 
 def _rig(name: str, drive: Render) -> dict[str, object]:
@@ -210,9 +214,9 @@ def _seen_through(eye: Eye) -> Camera:
     if eye.fisheye is None:
         return eye.camera
     camera = eye.camera
-    corners = np.tan([camera.width_px / 2 / camera.fx_px + 0.06, camera.height_px / 2 / camera.fx_px + 0.2])
-    width, height = (2 * np.ceil(1.45 * camera.fx_px * corners)).astype(int).tolist()
-    focal = 1.45 * camera.fx_px
+    corners = np.tan([camera.width_px / 2 / camera.fx_px + 0.04, camera.height_px / 2 / camera.fx_px + 0.16])
+    width, height = (2 * np.ceil(1.3 * camera.fx_px * corners)).astype(int).tolist()
+    focal = 1.3 * camera.fx_px
     return Camera(
         width_px=width, height_px=height, fx_px=focal, fy_px=focal, cx_px=(width - 1) / 2, cy_px=(height - 1) / 2
     )

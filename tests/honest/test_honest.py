@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.consistency import pooled
+from conetl.pipeline.settings import Settings
+from tests.folders import SAMPLES
 from tests.honest.drives import outcome_of, rng_of
 from tests.honest.logs import PARAMS, SHAPES, Floats, LogShape, Times, recorded_poses
-from tests.honest.outcomes import Outcome
+from tests.honest.outcomes import Outcome, pooled
+from tests.honest.recordings import outcome_of as with_images
+from tests.honest.recordings import part_of, sample
 
 #: Shapes of error that the checks do not know yet, and those with wrong sigmas: to be removed, one by one.
 HELD_TODAY = (
@@ -24,11 +28,13 @@ WRONG_TODAY = (
     "white", "each axis another", "saw-tooth of 1 s", "wave of 1 to 20 s", "steps", "rounded to 1e-6 degrees",
     "stamps +-4 ms",
 )  # fmt: skip
+WITH_IMAGES = ("constant", "white", "saw-tooth of 1 s", "rounded to 1e-7 degrees", "attitudes white")
 _DRIVES = 3
+HALF = partial(part_of, partial(sample, 1, SAMPLES[0]), 0, 24)
 _VELOCITY_M_S = np.array([11.0, 7.0, 0.3])
 
 
-def marked(failing: tuple[str, ...]) -> list[object]:
+def marked(failing: tuple[str, ...]) -> list[Any]:
     """All shapes, as parameters of a test."""
     not_yet = pytest.mark.xfail(strict=True, reason="one model of the log's errors is missing")
     return [pytest.param(s, id=s.name, marks=[not_yet] if s.name in failing else []) for s in SHAPES]
@@ -48,9 +54,14 @@ def test_drives_with_errors_as_stated_are_not_held(shape: LogShape) -> None:
 @pytest.mark.parametrize("shape", marked(WRONG_TODAY))
 def test_cones_are_as_accurate_as_stated(shape: LogShape) -> None:
     """Not less, and not more."""
-    nees = pooled(one.nees for one in some(shape))
-    assert nees is not None
-    assert nees.absolute.holds(0.999), nees.absolute.per_dof
+    nees = pooled("absolute", some(shape))
+    assert nees.holds(0.999), nees.per_dof
+
+
+@pytest.mark.parametrize("shape", [one for one in marked(HELD_TODAY) if one.id in WITH_IMAGES])
+def test_recordings_with_errors_as_stated_are_not_held(sample_settings: Settings, shape: LogShape) -> None:
+    """A part of a sample drive, whose images are searched once."""
+    assert with_images(0, shape, shape.strengths_m[0], HALF, sample_settings).held is None
 
 
 def moving(times_s: Floats) -> Floats:
