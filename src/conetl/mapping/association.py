@@ -16,9 +16,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from conetl.geometry.packing import stack_rows
+from conetl.geometry.packing import cov_matrices, stack_rows
+from conetl.mapping.fusion import difference_cov, mean_jacobians
 from conetl.model.arrays import Floats, Ints
-from conetl.model.base import Cov3
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
@@ -32,6 +32,8 @@ _MAX_TRACKS = 2000
 _CANDIDATE_CELL_M = 0.1
 #: Distance of two classes in the search for the common offset; above the size of any map.
 _CLASSES_APART_M = 1e8
+#: Least variance of a drive and of the map beside the errors that both share, (1 mm)^2: something always differs.
+_LEAST_VARIANCE_M2 = 1e-6
 #: Cost of a forbidden pair in the assignment; far above any distance.
 _FORBIDDEN = 1e6
 #: Cost of a pair at the edge of the gate, and of leaving a track and a feature unpaired: chi-square of 3 sigma.
@@ -63,8 +65,7 @@ def common_offset(
         return zero, 0.0
     some = tracks[:: 1 + len(tracks) // _MAX_TRACKS]
     t, f = xyz_of(some), xyz_of(features)
-    drive_var = float(np.mean([track.cov_m2[0] + track.cov_m2[3] for track in tracks])) / 2
-    map_var = float(np.mean([feature.cov_m2[0] + feature.cov_m2[3] for feature in features])) / 2
+    drive_var, map_var = _own_variances(tracks, features)
     total_var = drive_var + map_var
     allowed_m = min(params.max_offset_m, MAX_SIGMAS * float(np.sqrt(total_var)))
     # A third coordinate keeps classes apart.
@@ -98,6 +99,17 @@ def common_offset(
     return offset_m, drive_var / total_var
 
 
+def _own_variances(tracks: Sequence[Track], features: Sequence[MapFeature]) -> tuple[float, float]:
+    """Mean horizontal variances (m^2, one axis) of a drive and of the map, without what both share: it is in no difference."""
+    own = [float(np.mean([one.cov_m2[0] + one.cov_m2[3] for one in side])) / 2 for side in (tracks, features)]
+    drive, on_map = (mean_jacobians([one.shared_jacobian for one in side]) for side in (tracks, features))
+    shared = 0.0
+    for key in drive.keys() & on_map.keys():
+        width = min(drive[key].shape[1], on_map[key].shape[1])
+        shared += float((drive[key][:2, :width] * on_map[key][:2, :width]).sum()) / 2
+    return max(own[0] - shared, _LEAST_VARIANCE_M2), max(own[1] - shared, _LEAST_VARIANCE_M2)
+
+
 def match_unmoved(comparison: Comparison, offset_m: Floats, weight: float) -> dict[int, int]:
     """Feature index -> track index of cones that are still at the same position.
 
@@ -113,11 +125,15 @@ def match_unmoved(comparison: Comparison, offset_m: Floats, weight: float) -> di
     feature_xyz_m = xyz_of(features)
     moved = map_xyz_m - (1 - weight) * offset_m
     j, i = near_pairs(feature_xyz_m[:, :2], moved[:, :2], max(params.min_gate_m, params.max_offset_m))
-    cov = _horizontal([track.relative_cov_m2 if known else track.cov_m2 for track in tracks])[i]
-    if not known:
-        cov = cov + _horizontal([feature.cov_m2 for feature in features])[j]
+    if known:
+        cov = cov_matrices([track.relative_cov_m2 for track in tracks])[i]
+    else:
+        cov = difference_cov(
+            [tracks[k].cov_m2 for k in i.tolist()], [tracks[k].shared_jacobian for k in i.tolist()],
+            [features[k].cov_m2 for k in j.tolist()], [features[k].shared_jacobian for k in j.tolist()],
+        )  # fmt: skip
     x, y, z = (moved[i] - feature_xyz_m[j]).T
-    xx, xy, yy = cov.T
+    xx, xy, yy = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
     distance2 = (yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
     distance = np.hypot(x, y)
     share = np.minimum((distance / params.min_gate_m) ** 2, distance2 / params.gate_chi2)
@@ -195,11 +211,6 @@ def _candidates(t: Floats, f: Floats, allowed_m: float) -> Floats:
     first = shortest_first[np.searchsorted(inverse[shortest_first], np.arange(len(counts)))]
     order = np.lexsort((lengths[first], -counts))[:_MAX_CANDIDATES]
     return differences[first[order]]
-
-
-def _horizontal(covariances: Sequence[Cov3]) -> Floats:
-    """(N, 3): xx, xy, yy of each covariance."""
-    return stack_rows(covariances, 6)[:, [0, 1, 3]]
 
 
 def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Ints, Ints]:

@@ -8,9 +8,9 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from conetl.geometry.packing import cov3, cov_matrices, stack_rows, vec3
+from conetl.geometry.packing import cov3, stack_rows, vec3
 from conetl.mapping.existence_update import missed, observed, sighting_evidence
-from conetl.mapping.fusion import birge_ratios, fuse
+from conetl.mapping.fusion import birge_ratios, difference_cov, fuse
 from conetl.model.arrays import Floats
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
@@ -145,17 +145,15 @@ def confirm_features(
     if not pairs:
         return []
     old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
-    gain, cov, jacobians = fuse(
-        [f.cov_m2 for f in old],
-        [f.shared_jacobian for f in old],
-        [t.cov_m2 for t in new],
-        [t.shared_jacobian for t in new],
-    )
+    estimates = (
+        [f.cov_m2 for f in old], [f.shared_jacobian for f in old],
+        [t.cov_m2 for t in new], [t.shared_jacobian for t in new],
+    )  # fmt: skip
+    gain, cov, jacobians = fuse(*estimates)
     old_xyz, new_xyz = (stack_rows([one.xyz_m for one in side], 3) for side in (old, new))
     apart = new_xyz - old_xyz
     fused = old_xyz + _matvec(gain, apart)
-    stated = cov_matrices([f.cov_m2 for f in old]) + cov_matrices([t.cov_m2 for t in new])
-    cov[:, range(3), range(3)] *= birge_ratios(apart, stated)
+    cov[:, range(3), range(3)] *= birge_ratios(apart, difference_cov(*estimates))
     centres, new_centres = (stack_rows([one.centre_xyz_m for one in side], 3) for side in (old, new))
     centres = centres + _matvec(gain, new_centres - centres)
     shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1).tolist()

@@ -7,7 +7,7 @@ Objects are compared at their positions, and by their arrangement, which can mat
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from math import hypot
 from typing import NamedTuple
@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry.packing import cov_matrices
 from conetl.mapping.association import MAX_SIGMAS, assign, classes_of, common_offset, near_pairs, xyz_of
+from conetl.mapping.fusion import difference_cov
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import Track
 from conetl.model.health import AGREEMENT, HealthCheck, hold
@@ -67,7 +68,7 @@ def check_positions(
         pairs = _same_positions(on_drive, on_map, shift_m, params)
         if pairs and 2 * len(pairs) >= len(near):
             i, j = list(pairs), list(pairs.values())
-            common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
+            common = _common_displacement((t[i] - f[j]) * compared, _mean_cov(tracks, features, pairs))
             if common is not None:
                 return common
     some = near[:: 1 + len(near) // _MAX_TRACKS]
@@ -110,13 +111,12 @@ def check_same_cones(
     if not stated or not features:
         return None
     t, f = xyz_of(stated), xyz_of(features)
-    covs = cov_matrices([one.cov_m2 for one in stated]), cov_matrices([one.cov_m2 for one in features])
     pairs = _same_positions(_located(stated), _located(features), np.zeros(3), params)
     if pairs:
         i, j = list(pairs), list(pairs.values())
         # If most have no cone near them, the rest match neighbours by chance: only heights are compared.
         compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(_with_near_features(t, f)) else (0.0, 0.0, 1.0)
-        common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
+        common = _common_displacement((t[i] - f[j]) * compared, _mean_cov(stated, features, pairs))
         if common is not None:
             return common
     return _match_arrangement(stated, features, len(pairs), params, _LEAST_SAME, within_m)
@@ -312,6 +312,16 @@ def agreement_hold(
 def _mean_sigma_m(cov_m2: Floats) -> float:
     """Mean horizontal sigma of a (3, 3) covariance."""
     return float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2))
+
+
+def _mean_cov(t: Sequence[Track | MapFeature], f: Sequence[Track | MapFeature], pairs: Mapping[int, int]) -> Floats:
+    """Mean covariance (3, 3) m^2 of the differences of pairs, t -> f, without the errors that both share."""
+    some, others = [t[i] for i in pairs], [f[j] for j in pairs.values()]
+    covs = difference_cov(
+        [one.cov_m2 for one in some], [one.shared_jacobian for one in some],
+        [one.cov_m2 for one in others], [one.shared_jacobian for one in others],
+    )  # fmt: skip
+    return np.asarray(covs.mean(axis=0))
 
 
 def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:

@@ -14,7 +14,7 @@ Jacobians A = 0.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple, TypeVar
 from uuid import UUID
 
@@ -54,17 +54,27 @@ def fuse(
     cov = (np.eye(3) - gain) @ old
     cov = (cov + np.swapaxes(cov, 1, 2)) / 2
     shared_jacobian: list[SharedErrorJacobian | None] = [None] * len(old)
-    shapes = [(_shape(one), _shape(other)) for one, other in zip(old_jacobian, new_jacobian, strict=True)]
-    for ((old_ids, old_errors), (new_ids, new_errors)), rows in _rows_by_shape(shapes).items():
-        ids = tuple(sorted({*old_ids, *new_ids}))
-        if not ids:
-            continue
-        errors = max(old_errors, new_errors)
-        a, b = (unpack_jacobians(ids, [side[k] for k in rows], errors) for side in (old_jacobian, new_jacobian))
+    for rows, ids, a, b in _correlated(old_jacobian, new_jacobian):
         gain[rows], cov[rows], moved = _fuse_correlated(old[rows], a, new[rows], b)
         for k, fused in zip(rows, pack_jacobians(ids, moved, most=MOST_CALIBRATIONS), strict=True):
             shared_jacobian[k] = fused
     return gain, cov, shared_jacobian
+
+
+def difference_cov(
+    old_cov: Sequence[Cov3],
+    old_jacobian: Sequence[SharedErrorJacobian | None],
+    new_cov: Sequence[Cov3],
+    new_jacobian: Sequence[SharedErrorJacobian | None],
+) -> Floats:
+    """Covariances (N, 3, 3) m^2 of the differences of N pairs of estimates, P1 + P2 - C - C': what both share cancels."""
+    old, new = cov_matrices(old_cov), cov_matrices(new_cov)
+    cov = old + new
+    for rows, _, a, b in _correlated(old_jacobian, new_jacobian):
+        flat_a, flat_b = _flat(a), _flat(b)
+        own = _independent_part(old[rows], flat_a) + _independent_part(new[rows], flat_b)
+        cov[rows] = own + _squared(flat_a - flat_b)  # positive definite for any pair
+    return cov
 
 
 def birge_ratios(apart_m: Floats, cov_m2: Floats) -> Floats:
@@ -90,14 +100,24 @@ def independent_parts(cov: Sequence[Cov3], shared_jacobian: Sequence[SharedError
     return own
 
 
+def _correlated(
+    old_jacobian: Sequence[SharedErrorJacobian | None], new_jacobian: Sequence[SharedErrorJacobian | None]
+) -> Iterator[tuple[list[int], tuple[UUID, ...], Floats, Floats]]:
+    """Rows of the pairs with shared errors, together where they have the same ones; ids and Jacobians (N, C, 3, K) of both."""
+    shapes = [(_shape(one), _shape(other)) for one, other in zip(old_jacobian, new_jacobian, strict=True)]
+    for ((old_ids, old_errors), (new_ids, new_errors)), rows in _rows_by_shape(shapes).items():
+        if ids := tuple(sorted({*old_ids, *new_ids})):
+            errors = max(old_errors, new_errors)
+            a, b = (unpack_jacobians(ids, [side[k] for k in rows], errors) for side in (old_jacobian, new_jacobian))
+            yield rows, ids, a, b
+
+
 def _fuse_correlated(old: Floats, a: Floats, new: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
     """Gain, covariance (N, 3, 3), shared-error Jacobian (N, C, 3, K) of pairs with Jacobians a, b of the same calibrations."""
     flat_a, flat_b = _flat(a), _flat(b)
     own_old, own_new = _independent_part(old, flat_a), _independent_part(new, flat_b)
-    apart = flat_a - flat_b
-    # P1 + P2 - C - C' and P1 - C by the independent parts: the former is positive definite for any pair.
-    difference = own_old + own_new + _squared(apart)
-    of_old = own_old + flat_a @ np.swapaxes(apart, 1, 2)
+    difference = own_old + own_new + _squared(flat_a - flat_b)  # P1 + P2 - C - C'
+    of_old = own_old + flat_a @ np.swapaxes(flat_a - flat_b, 1, 2)  # P1 - C
     gain = np.swapaxes(np.linalg.solve(difference, np.swapaxes(of_old, 1, 2)), 1, 2)
     rest = np.eye(3) - gain
     moved = (rest[:, None] @ a + gain[:, None] @ b).astype(np.float32).astype(np.float64)  # as stored
@@ -215,6 +235,11 @@ def in_map_frame(
         for k, packed in zip(rows, pack_jacobians(ids, after, most=MOST_CALIBRATIONS), strict=True):
             jacobians[k] = packed
     return list(map(cov3, (own + np.swapaxes(own, 1, 2)) / 2)), jacobians
+
+
+def mean_jacobians(shared_jacobian: Sequence[SharedErrorJacobian | None]) -> dict[UUID, Floats]:
+    """Mean (3, K) of the Jacobians of N positions, by calibration: by how much they are off together."""
+    return {key: moved_m / len(shared_jacobian) for key, moved_m in _sums(shared_jacobian, 0).items()}
 
 
 def _sums(shared_jacobian: Sequence[SharedErrorJacobian | None], errors: int) -> dict[UUID, Floats]:
