@@ -272,7 +272,10 @@ def fuse(
     distance.
     """
     motion, evidence = motion_error(trajectory), evidence or UNMEASURED
-    data = drive_data(drive.frame_pairs, drive.rig, detections, matches, params, evidence, motion)
+    data = drive_data(
+        drive.frame_pairs, drive.rig, detections, matches, params, evidence, motion,
+        common_errors=drive.common_errors, corrected=bool(drive.control_points),
+    )  # fmt: skip
     return fuse_tracks(positions, data)
 
 
