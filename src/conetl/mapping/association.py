@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from conetl.geometry.packing import cov_matrices, stack_rows
-from conetl.mapping.fusion import difference_cov, mean_jacobians
+from conetl.mapping.fusion import difference_cov, expected_covs, mean_jacobians
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
@@ -60,48 +60,73 @@ def common_offset(
     spaced cones decide against a shift by one cone. With fewer than two agreeing pairs, or an offset beyond the stated sigmas,
     the result is zero: one moved cone must not shift the drive.
     """
-    zero = np.zeros(3)
     if len(tracks) < 2 or len(features) < 2:
-        return zero, 0.0
-    some = tracks[:: 1 + len(tracks) // _MAX_TRACKS]
-    t, f = xyz_of(some), xyz_of(features)
+        return np.zeros(3), 0.0
     drive_var, map_var = _own_variances(tracks, features)
     total_var = drive_var + map_var
     allowed_m = min(params.max_offset_m, MAX_SIGMAS * float(np.sqrt(total_var)))
+    found = best_offset(tracks, features, params, allowed_m, total_var)
+    return (np.zeros(3), 0.0) if found is None else (found.offset_m, drive_var / total_var)
+
+
+class Offset(NamedTuple):
+    """A common offset of a drive, and the pairs that agree on it."""
+
+    offset_m: Floats
+    """(3,) in metres: their median difference."""
+    tracks: Ints
+    """(K,) indices of those whose nearest feature of their class is within the gate after subtracting it."""
+    features: Ints
+    """(K,) indices of these features."""
+
+
+def best_offset(
+    tracks: Sequence[Track],
+    features: Sequence[MapFeature],
+    params: ReconcileParams,
+    allowed_m: float,
+    variance_m2: float,
+) -> Offset | None:
+    """The offset of at most `allowed_m` that `common_offset` describes; None with fewer than two agreeing pairs.
+
+    variance_m2: expected, of one axis.
+    """
+    chosen = np.arange(0, len(tracks), 1 + len(tracks) // _MAX_TRACKS)
+    some = [tracks[i] for i in chosen.tolist()]
+    t, f = xyz_of(some), xyz_of(features)
     # A third coordinate keeps classes apart.
     apart_m = np.unique(classes_of([*some, *features]), return_inverse=True)[1] * _CLASSES_APART_M
     by_class = np.column_stack((t[:, :2], apart_m[: len(some)]))
     tree = cKDTree(np.column_stack((f[:, :2], apart_m[len(some) :])))
     scale_m = params.min_gate_m / 3
 
-    def cost_of(offset: Floats) -> tuple[float, Floats]:
-        """Cost, and the differences (K, 3) of the pairs within the gate."""
+    def cost_of(offset: Floats) -> tuple[float, Ints, Ints]:
+        """Cost, and the pairs within the gate."""
         misfits, nearest = (np.asarray(found) for found in tree.query(by_class - (*offset[:2], 0.0)))
-        close = misfits <= params.min_gate_m
+        close = np.flatnonzero(misfits <= params.min_gate_m)
         costs = np.minimum((misfits / scale_m) ** 2, _GATE_COST)
-        return float(costs.sum() + offset[:2] @ offset[:2] / total_var), t[close] - f[nearest[close]]
+        return float(costs.sum() + offset[:2] @ offset[:2] / variance_m2), close, nearest[close]
 
     best: tuple[float, Floats] | None = None
     for candidate in _candidates(t, f, allowed_m):
-        cost, agreeing = cost_of(candidate)
-        if len(agreeing) >= 2 and (best is None or cost < best[0]):
+        cost, i, _ = cost_of(candidate)
+        if len(i) >= 2 and (best is None or cost < best[0]):
             best = cost, candidate
     if best is None:
-        return zero, 0.0
-    offset_m = best[1]
+        return None
+    offset_m, i, j = best[1], np.empty(0, np.int64), np.empty(0, np.int64)
     for _ in range(2):  # the median of the pairs; they may change with the offset
-        _, agreeing = cost_of(offset_m)
-        if len(agreeing) < 2:
-            return zero, 0.0
-        offset_m = np.median(agreeing, axis=0)
-    if float(np.linalg.norm(offset_m[:2])) > allowed_m:
-        return zero, 0.0
-    return offset_m, drive_var / total_var
+        _, i, j = cost_of(offset_m)
+        if len(i) < 2:
+            return None
+        offset_m = np.median(t[i] - f[j], axis=0)
+    return Offset(offset_m, chosen[i], j) if float(np.linalg.norm(offset_m[:2])) <= allowed_m else None
 
 
 def _own_variances(tracks: Sequence[Track], features: Sequence[MapFeature]) -> tuple[float, float]:
     """Mean horizontal variances (m^2, one axis) of a drive and of the map, without what both share: it is in no difference."""
-    own = [float(np.mean([one.cov_m2[0] + one.cov_m2[3] for one in side])) / 2 for side in (tracks, features)]
+    covs = cov_matrices([track.cov_m2 for track in tracks]), expected_covs(features)
+    own = [float(np.trace(cov[:, :2, :2], axis1=1, axis2=2).mean()) / 2 for cov in covs]
     drive, on_map = (mean_jacobians([one.shared_jacobian for one in side]) for side in (tracks, features))
     shared = 0.0
     for key in drive.keys() & on_map.keys():

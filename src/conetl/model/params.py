@@ -136,6 +136,9 @@ class ReconcileParams(Params):
     """Cones at one position with a larger height difference, beyond their sigmas, are on two levels (a bridge and a road)."""
     max_offset_m: Positive = 2.0
     """Maximum common offset of a drive from the map that is estimated and removed (GNSS without a fix)."""
+    contradiction_max_m: Positive = 1.0
+    """A drive displaced against the map by at most this, beyond its stated sigmas, is fused with it, and the sigmas of both are
+    enlarged; one that is farther aside is held. Lever arms are wrong by less, base stations and datums often by more."""
     moved_max_m: Positive = 3.0
     """A vanished feature and a new track of similar height, at most this far apart, are one moved cone."""
     moved_height_tolerance_m: Positive = 0.15
