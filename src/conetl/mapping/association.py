@@ -23,8 +23,6 @@ from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 
-#: A common offset of more sigmas contradicts the stated ones: the drive is not corrected by it, but held (`displacement.py`).
-MAX_SIGMAS = 5.0
 #: Limits of the search for the common offset: candidate offsets, and tracks on which each is evaluated.
 _MAX_CANDIDATES = 200
 _MAX_TRACKS = 2000
@@ -64,7 +62,8 @@ def common_offset(
         return np.zeros(3), 0.0
     drive_var, map_var = _own_variances(tracks, features)
     total_var = drive_var + map_var
-    allowed_m = min(params.max_offset_m, MAX_SIGMAS * float(np.sqrt(total_var)))
+    # A larger offset contradicts the stated sigmas: the drive is not corrected by it, but held (`displacement.py`).
+    allowed_m = min(params.max_offset_m, params.agreement.sigmas * float(np.sqrt(total_var)))
     found = best_offset(tracks, features, params, allowed_m, total_var)
     return (np.zeros(3), 0.0) if found is None else (found.offset_m, drive_var / total_var)
 

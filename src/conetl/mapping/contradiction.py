@@ -15,19 +15,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from conetl.geometry.packing import cov3, cov_matrix, vec3
-from conetl.mapping.association import MAX_SIGMAS, Offset, best_offset, classes_of, xyz_of
-from conetl.mapping.displacement import LEAST_OFFSET_M, LEAST_PAIRS
+from conetl.mapping.association import Offset, best_offset, classes_of, xyz_of
+from conetl.mapping.displacement import HEIGHTS, POSITION
 from conetl.mapping.fusion import difference_cov
 from conetl.model.arrays import Floats
 from conetl.model.drive import Track
-from conetl.model.health import AGREEMENT, HealthCheck, Verdict
+from conetl.model.health import Finding
 from conetl.model.map_records import MapFeature
-from conetl.model.params import ReconcileParams
-
-#: Share of the cones beside some of the map that must agree on the displacement, and the root mean square of what remains then.
-_LEAST_SHARE, _MAX_RESIDUAL_M = 0.6, 0.1
-#: Cones stand this many displacements apart: each is nearest to its own position on the map.
-_LEAST_SPACING = 3.0
+from conetl.model.params import AgreementParams, ReconcileParams
 
 
 class Contradiction(NamedTuple):
@@ -35,7 +30,7 @@ class Contradiction(NamedTuple):
 
     offset_m: Floats
     """(3,) metres: the drive's cones less those of the map."""
-    check: HealthCheck
+    finding: Finding
 
     @property
     def excess_m2(self) -> Floats:
@@ -62,9 +57,9 @@ def find_contradiction(
         key=lambda track: track.members[0],
     )
     on_map = sorted(features, key=lambda feature: feature.feature_id.int)
-    if min(len(sure), len(on_map)) < LEAST_PAIRS or _agrees(sure, on_map):
+    limits, reach_m = params.agreement, params.agreement.widened_max_m
+    if min(len(sure), len(on_map)) < limits.least_pairs or _agrees(sure, on_map, limits):
         return None
-    reach_m = params.contradiction_max_m
     found = best_offset(sure, on_map, params, reach_m, reach_m**2)
     if found is None or not _is_sure(found, sure, on_map, params):
         return None
@@ -76,57 +71,43 @@ def find_contradiction(
     offset_m = found.offset_m.copy()
     for axes in (slice(2), slice(2, 3)):
         chi2 = float(offset_m[axes] @ np.linalg.solve(cov_m2[axes, axes], offset_m[axes]))
-        if chi2 <= MAX_SIGMAS**2 or np.linalg.norm(offset_m[axes]) <= LEAST_OFFSET_M:
+        if chi2 <= limits.sigmas**2 or np.linalg.norm(offset_m[axes]) <= limits.widened_least_m:
             offset_m[axes] = 0.0
-    return Contradiction(offset_m, _check(offset_m, cov_m2)) if offset_m.any() else None
+    return Contradiction(offset_m, _finding(offset_m, cov_m2, limits)) if offset_m.any() else None
 
 
-def _agrees(tracks: Sequence[Track], features: Sequence[MapFeature]) -> bool:
+def _agrees(tracks: Sequence[Track], features: Sequence[MapFeature], limits: AgreementParams) -> bool:
     """Whether most cones stand where the map has one: nothing to search for."""
     t, f = xyz_of(tracks), xyz_of(features)
     distance_m, nearest = cKDTree(f[:, :2]).query(t[:, :2])
     up_m = np.abs(t[:, 2] - f[nearest, 2])
-    return bool(np.median(np.maximum(distance_m, up_m)) <= LEAST_OFFSET_M)
+    return bool(np.median(np.maximum(distance_m, up_m)) <= limits.widened_least_m)
 
 
 def _is_sure(found: Offset, tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams) -> bool:
     """Whether it is known which cones are the same, and that they have one displacement."""
     t, f = xyz_of(tracks), xyz_of(features)
-    count, reach_m = len(found.tracks), params.contradiction_max_m
+    count, limits, reach_m = len(found.tracks), params.agreement, params.agreement.widened_max_m
     same_class = classes_of(tracks)[:, None] == np.unique(classes_of(features))
     beside = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= reach_m + params.min_gate_m)
-    if count < max(LEAST_PAIRS, _LEAST_SHARE * np.count_nonzero(same_class[beside].any(axis=1))):
+    if count < max(limits.least_pairs, limits.least_share * np.count_nonzero(same_class[beside].any(axis=1))):
         return False
     if len(np.unique(found.features)) < count or abs(found.offset_m[2]) > reach_m:
         return False
     left_m = t[found.tracks] - f[found.features] - found.offset_m
-    if np.sqrt((left_m**2).sum(axis=1).mean()) > _MAX_RESIDUAL_M:
+    if np.sqrt((left_m**2).sum(axis=1).mean()) > 2 * limits.same_zone_m:
         return False
     spacing_m = np.asarray(cKDTree(f[:, :2]).query(f[found.features, :2], 2)[0])[:, 1]
-    return bool(spacing_m.min() >= _LEAST_SPACING * np.linalg.norm(found.offset_m[:2]))
+    return bool(spacing_m.min() >= limits.widened_spacing * np.linalg.norm(found.offset_m[:2]))
 
 
-def _check(offset_m: Floats, cov_m2: Floats) -> HealthCheck:
-    """What a person reads of it, with rounded figures, so that a repeated computation gives the same."""
-    level_m, up_m = float(np.hypot(*offset_m[:2])), float(offset_m[2])
-    apart = [f"{level_m:.2f} m from"] * (level_m > 0) + [
-        f"{abs(up_m):.2f} m {'higher' if up_m > 0 else 'lower'} than"
-    ] * (up_m != 0)
-    causes = ["base station, datum, antenna offset"] * (level_m > 0) + ["height of antenna or cameras"] * (up_m != 0)
-    sigma_m = round(float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2 if level_m else cov_m2[2, 2])), 3)
-    detail = (
-        f"Its cones are {' and '.join(apart)} those of the map, with a stated sigma of {sigma_m:.2f} m: either the drive or an "
-        f"earlier one is displaced ({', '.join(causes)}), or all cones were moved by the same distance. The sigmas of both now "
-        "cover it, and further drives do not reduce them. When the cause is known, correct that drive and ingest it again, or "
-        "revert it: then they are as small as before."
-    )
-    value, limit = round(level_m or up_m, 3), round(max(LEAST_OFFSET_M, MAX_SIGMAS * sigma_m), 3)
-    return HealthCheck(
-        name=f"{AGREEMENT}: position",
-        verdict=Verdict.WARN,
-        value=value,
-        sigma=sigma_m,
-        limit=limit,
-        unit="m",
-        detail=detail,
-    )
+def _finding(offset_m: Floats, cov_m2: Floats, limits: AgreementParams) -> Finding:
+    level_m, up_m, size_m = float(np.hypot(*offset_m[:2])), float(offset_m[2]), float(np.linalg.norm(offset_m))
+    apart = [f"{level_m:.2f} m from"] * (level_m > 0)
+    apart += [f"{abs(up_m):.2f} m {'higher' if up_m > 0 else 'lower'} than"] * (up_m != 0)
+    sigma_m = float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2 if level_m else cov_m2[2, 2]))
+    return Finding(
+        check=POSITION if level_m else HEIGHTS, value=level_m or up_m, sigma=sigma_m,
+        limit=max(limits.widened_least_m, limits.sigmas * sigma_m), found=True, effect_m=size_m, covered_m=size_m,
+        says=("widened",), facts={"apart": " and ".join(apart)},
+    )  # fmt: skip

@@ -18,37 +18,23 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.packing import cov_matrices
-from conetl.mapping.association import MAX_SIGMAS, assign, classes_of, common_offset, near_pairs, xyz_of
+from conetl.mapping.association import assign, classes_of, common_offset, near_pairs, xyz_of
 from conetl.mapping.fusion import difference_cov
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import Track
-from conetl.model.health import AGREEMENT, HealthCheck, hold
+from conetl.model.health import AGREEMENT, Finding
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
-from conetl.model.params import ReconcileParams
+from conetl.model.params import AgreementParams, ReconcileParams
 
 #: Positions (N, 3) and classes (N,) of tracks or features.
 _Located = tuple[Floats, NDArray[np.str_]]
-#: Smaller displacements and height differences are left to the fusion.
-LEAST_OFFSET_M = 0.1
-#: Cones or stretches that must agree on a small displacement; on a height difference beyond any error of measurement one does.
-LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
-#: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
-_MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
-#: Rotation of two cones of a part of a drive by their errors; displacement by the lever arm of another vehicle.
-_MAX_PART_TURN, _MAX_LEVER_M = np.radians(0.5), 4.0
-#: No road connects two cones this near in plan with such a height difference; bridges are lower.
-_BESIDE_M, _CLIFF_M = 30.0, 20.0
+POSITION, HEIGHTS = f"{AGREEMENT}: position", f"{AGREEMENT}: heights"
+#: Two tracks that are tried are at most this far from each other.
+_LONGEST_BASE_M = 60.0
 #: A merge compares everything on the map within this distance.
 _NEAR_M = 50.0
-#: An imported map, or a drive, may be in another datum: ED50 is 80 m east and 200 m north of ETRS89.
-FARTHEST_M = 300.0
-#: This many of its cones must fit: two rows with similar spacing fit by chance. In a drive, some cones may be new.
-_LEAST_SAME, _LEAST_SAME_OF_DRIVE, _LEAST_SAME_SHARE = 5, 7, 0.6
-_LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
 #: A fit is distinct if no other one, this many gates apart, fits this share as many; else some of the map's cones must be absent.
 _APART_GATES, _RIVAL_SHARE, _LEAST_ABSENT_SHARE = 2.0, 0.8, 0.25
-#: Two different zones set up by people never match to this RMS distance of their cones.
-_SAME_ZONE_M = 0.05
 #: Limits of that search: tracks that it uses, tracks from which it starts, and how far two lengths may differ.
 _MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
 _MAX_NEAR, _MAX_TRIED = 150, 300
@@ -56,117 +42,120 @@ _MAX_NEAR, _MAX_TRIED = 150, 300
 
 def check_positions(
     tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
-) -> HealthCheck | None:
-    """A hold if the drive's cones have a common displacement against the map's that exceeds the stated sigmas."""
-    on_drive, on_map = _located(tracks), _located(features)
+) -> Finding | None:
+    """Whether the drive's cones have a common displacement against the map's that exceeds the stated sigmas."""
+    limits, on_drive, on_map = params.agreement, _located(tracks), _located(features)
     t, f = on_drive[0], on_map[0]
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
-    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
+    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= limits.max_displacement_m)
     # GNSS without a fix is metres off, as its sigmas state: only the heights are compared after its offset is taken out.
     offset_m = np.array([*common_offset(tracks, features, params)[0][:2], 0.0])
     for shift_m, compared in ((np.zeros(3), (1.0, 1.0, 1.0)), (offset_m, (0.0, 0.0, 1.0))):
         pairs = _same_positions(on_drive, on_map, shift_m, params)
         if pairs and 2 * len(pairs) >= len(near):
             i, j = list(pairs), list(pairs.values())
-            common = _common_displacement((t[i] - f[j]) * compared, _mean_cov(tracks, features, pairs))
+            common = _common_displacement((t[i] - f[j]) * compared, _mean_cov(tracks, features, pairs), limits)
             if common is not None:
                 return common
     some = near[:: 1 + len(near) // _MAX_TRACKS]
     share = len(some) / max(len(near), 1)
     found = share * (kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED])
-    least = max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(some), 2 * found + 1)
-    fit = _best_fit(t[some, :2], f[:, :2], params.min_gate_m, _MAX_DISPLACEMENT_M) if least <= len(some) else None
+    least = max(limits.least_agreeing, limits.least_share * len(some), 2 * found + 1)
+    fit = None
+    if least <= len(some):
+        fit = _best_fit(
+            t[some, :2], f[:, :2], params.min_gate_m, limits.max_displacement_m, np.radians(limits.max_turn_deg)
+        )
     if fit is None or fit.agreeing < least:
         return None
     absent = share * (kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED])
-    same_zone = fit.distinct and (fit.beside or fit.residual_m <= _SAME_ZONE_M)
+    same_zone = fit.distinct and (fit.beside or fit.residual_m <= limits.same_zone_m)
     if not same_zone and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
         return None  # the drive may see a continuation of the map's row, or a second row beside it
     sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
-    if fit.largest_m <= min(params.max_offset_m, MAX_SIGMAS * sigma_m):
+    allowed_m = limits.sigmas * sigma_m
+    if fit.largest_m <= min(params.max_offset_m, allowed_m):
         return None
-    turned = _turn_of(fit, 0.1)
-    if fit.largest_m <= MAX_SIGMAS * sigma_m:
-        detail = (
-            f"Its cones are {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
-            "to tell which cone is which: process its GNSS data with corrections, or ingest the drive into a separate map."
-        )
-        return agreement_hold("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
-    return _position_hold(fit.middle_m, sigma_m, turned, min(params.max_offset_m, MAX_SIGMAS * sigma_m))
+    if fit.largest_m <= allowed_m:
+        return _finding(POSITION, fit.middle_m, sigma_m, params.max_offset_m, "too far")
+    return _position(fit, sigma_m, min(params.max_offset_m, allowed_m), 0.1)
 
 
 def check_same_cones(
     stated: Sequence[Track | MapFeature],
     features: Sequence[Track | MapFeature],
     params: ReconcileParams,
-    within_m: float = FARTHEST_M,
-) -> HealthCheck | None:
-    """A hold if cones that are stated again, by an imported map or a second pass, have a common displacement that exceeds their
-    sigmas.
+    within_m: float | None = None,
+) -> Finding | None:
+    """Whether cones that are stated again, by an imported map or a second pass, have a common displacement beyond their sigmas.
 
     Cones at equal distances also fit a row farther along, or the same plan elsewhere: only an irregular arrangement that fits
     once, to within the difference of two surveys of the same cones, counts as the same cones. within_m: how far away they may
-    be.
+    be; default: `elsewhere_m`.
     """
     if not stated or not features:
         return None
     t, f = xyz_of(stated), xyz_of(features)
     pairs = _same_positions(_located(stated), _located(features), np.zeros(3), params)
+    within_m = within_m or params.agreement.elsewhere_m
     if pairs:
         i, j = list(pairs), list(pairs.values())
         # If most have no cone near them, the rest match neighbours by chance: only heights are compared.
-        compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(_with_near_features(t, f)) else (0.0, 0.0, 1.0)
-        common = _common_displacement((t[i] - f[j]) * compared, _mean_cov(stated, features, pairs))
+        compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(_near(t, f, params)) else (0.0, 0.0, 1.0)
+        common = _common_displacement((t[i] - f[j]) * compared, _mean_cov(stated, features, pairs), params.agreement)
         if common is not None:
             return common
-    return _match_arrangement(stated, features, len(pairs), params, _LEAST_SAME, within_m)
+    return _match_arrangement(stated, features, len(pairs), params, params.agreement.least_same, within_m)
 
 
 def check_far_positions(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
-) -> HealthCheck | None:
-    """A hold if a drive's cones have a common displacement that is too large for `check_agreement`.
+) -> Finding | None:
+    """Whether a drive's cones have a common displacement that is too large for `check_agreement`.
 
-    features: the map's point objects within `FARTHEST_M` of the tracks. A merge compares only what a drive may have in view, so
+    features: the map's point objects within `elsewhere_m` of the tracks. A merge compares only what a drive may have in view, so
     this is checked once, when the drive is ingested.
     """
     sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]
-    if (check := _check_other_section(sure, features)) is not None:
-        return check.model_copy(update={"name": "heights of another section"})
+    if (check := _check_other_section(sure, features, params)) is not None:
+        return check.model_copy(update={"check": "heights of another section"})
     check = check_arrangement(sure, features, params)
     if check is None or check.value is None or check.value <= _NEAR_M:
         return None
-    return check.model_copy(update={"name": "the same cones elsewhere"})
+    return check.model_copy(update={"check": "the same cones elsewhere"})
 
 
-def _check_other_section(tracks: Sequence[Track], features: Sequence[MapFeature]) -> HealthCheck | None:
+def _check_other_section(
+    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
+) -> Finding | None:
     """The height difference of a drive's cones against the map's nearest ones, if it proves another section of the road."""
     if not tracks or not features:
         return None
     t, f = xyz_of(tracks), xyz_of(features)
     apart_m, nearest = cKDTree(f[:, :2]).query(t[:, :2])
-    near = apart_m <= _BESIDE_M
+    near = apart_m <= params.agreement.beside_m
     up_m = (t[:, 2] - f[nearest, 2])[near]
-    if not up_m.size or np.abs(up_m).min() < _CLIFF_M:
+    if not up_m.size or np.abs(up_m).min() < params.agreement.cliff_m:
         return None
     covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
     sigma_m = float(np.sqrt((covs[0] + covs[1][nearest])[near, 2, 2].max()))
-    return check_heights(float(np.median(up_m)), sigma_m, len(up_m), "cones", "the nearest ones")
+    return check_heights(float(np.median(up_m)), sigma_m, len(up_m), params.agreement, those="the nearest ones")
 
 
 def check_arrangement(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
-) -> HealthCheck | None:
-    """A hold if the arrangement of enough cones matches the map elsewhere, even along a row from which no cone is missing."""
-    if len(tracks) < _LEAST_SAME_OF_DRIVE or not features:
+) -> Finding | None:
+    """Whether the arrangement of enough cones matches the map elsewhere, even along a row from which no cone is missing."""
+    if len(tracks) < params.agreement.least_same_of_drive or not features:
         return None
     found = len(_same_positions(_located(tracks), _located(features), np.zeros(3), params))
-    match = partial(_match_arrangement, tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
-    return match() or match(max_turn=np.pi)  # the direction of a local frame is typed by people
+    match = partial(_match_arrangement, tracks, features, found, params, params.agreement.least_same_of_drive)
+    within_m = params.agreement.elsewhere_m
+    return match(within_m) or match(within_m, max_turn_deg=180.0)  # the direction of a local frame is typed by people
 
 
-def check_parts(tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams) -> HealthCheck | None:
-    """A hold if the arrangement of a part of the drive matches the map elsewhere. No cone was observed both before and in it.
+def check_parts(tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams) -> Finding | None:
+    """Whether the arrangement of a part of the drive matches the map elsewhere. No cone was observed both before and in it.
 
     GNSS may get another fix while the vehicle waits or drives on without recording; it does not turn the positions. A drive with
     one part, which may show few cones, is compared with cones that a wrong lever arm can reach.
@@ -178,79 +167,76 @@ def check_parts(tracks: Sequence[Track], features: Sequence[MapFeature], params:
             parts.append([])
         parts[-1].append(track)
         end_ns = max(end_ns, track.last_seen_ns)
-    within_m = _MAX_DISPLACEMENT_M if len(parts) > 1 else _MAX_LEVER_M
+    within_m = params.agreement.max_displacement_m if len(parts) > 1 else params.agreement.lever_m
     for part in parts if features else ():
         found = len(_same_positions(_located(part), _located(features), np.zeros(3), params))
-        check = _match_arrangement(part, features, found, params, LEAST_PAIRS, within_m, _MAX_PART_TURN)
+        check = _match_arrangement(
+            part, features, found, params, params.agreement.least_pairs, within_m, params.agreement.part_turn_deg
+        )
         if check is not None:
             return _of_part(check, len(part)) if len(parts) > 1 else check
     return None
 
 
-def check_part(deltas: Sequence[Delta], params: ReconcileParams) -> HealthCheck | None:
-    """A hold if the cones that a drive moves, or misses and adds elsewhere, have one common displacement.
+def check_part(deltas: Sequence[Delta], params: ReconcileParams) -> Finding | None:
+    """Whether the cones that a drive moves, or misses and adds elsewhere, have one common displacement.
 
     GNSS may get another fix while the vehicle waits, and no images show the jump. People do not move cones by equal distances.
     """
-    check, count = _equal_moves(deltas)
+    check, count = _equal_moves(deltas, params.agreement)
     if check is None:
         came = _by_position(d.new for d in deltas if d.kind in (DeltaKind.ADDED, DeltaKind.MOVED))
         gone = _by_position(d.old for d in deltas if d.kind in (DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED))
         count = len(came)
-        check = _match_arrangement(came, gone, 0, params, _LEAST_AGREEING) if came and gone else None
+        within_m, least = params.agreement.elsewhere_m, params.agreement.least_agreeing
+        check = _match_arrangement(came, gone, 0, params, least, within_m) if came and gone else None
     if check is None:
         return None
     return _of_part(check, count)
 
 
-def _of_part(check: HealthCheck, count: int) -> HealthCheck:
-    few = f"{check.detail} Only {count} of its cones are: did its position jump where no images were taken?"
-    return check.model_copy(update={"detail": few})
+def _of_part(check: Finding, count: int) -> Finding:
+    return check.saying(*check.says, "part", count=count)
 
 
-def _equal_moves(deltas: Sequence[Delta]) -> tuple[HealthCheck | None, int]:
-    """A hold for the displacement that most of the moved cones have in common, and how many have it."""
+def _equal_moves(deltas: Sequence[Delta], limits: AgreementParams) -> tuple[Finding | None, int]:
+    """The displacement that most of the moved cones have in common, and how many have it."""
     moved = [(d.old, d.new) for d in deltas if d.kind is DeltaKind.MOVED and d.old and d.new]
-    if len(moved) < LEAST_PAIRS:
+    if len(moved) < limits.least_pairs:
         return None, 0
     old, new = zip(*sorted(moved, key=lambda pair: (pair[0].xyz_m, pair[1].xyz_m)), strict=True)
     apart_m = (xyz_of(new) - xyz_of(old)) * (1.0, 1.0, 0.0)
-    near = np.linalg.norm(apart_m[:, None] - apart_m, axis=2) <= 2 * _SAME_ZONE_M
+    near = np.linalg.norm(apart_m[:, None] - apart_m, axis=2) <= 2 * limits.same_zone_m
     alike = near[near.sum(axis=1).argmax()]
-    if np.hypot(*apart_m[alike, :2].std(axis=0)) > _SAME_ZONE_M:
+    if np.hypot(*apart_m[alike, :2].std(axis=0)) > limits.same_zone_m:
         return None, 0
     cov_m2 = 2 * cov_matrices([one.cov_m2 for one in (*old, *new)]).mean(axis=0)
-    return _common_displacement(apart_m[alike], cov_m2), int(alike.sum())
+    return _common_displacement(apart_m[alike], cov_m2, limits), int(alike.sum())
 
 
 def _by_position(features: Iterable[MapFeature | None]) -> list[MapFeature]:
     return sorted((feature for feature in features if feature), key=lambda feature: feature.xyz_m)
 
 
-def check_classes(
-    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
-) -> HealthCheck | None:
-    """A hold if most of the objects at positions of map objects are of another class."""
+def check_classes(tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams) -> Finding | None:
+    """Whether most of the objects at positions of map objects are of another class."""
     t, f = _located(tracks), _located(features)
     same = _same_positions(t, f, np.zeros(3), params)
     others = np.setdiff1d(np.arange(len(t[0])), list(same)), np.setdiff1d(np.arange(len(f[0])), list(same.values()))
     rows, columns = near_pairs(t[0][others[0], :2], f[0][others[1], :2], params.min_gate_m)
     pairs = assign(rows, columns, np.hypot(*(t[0][others[0][rows]] - f[0][others[1][columns]])[:, :2].T))
-    if len(pairs) < LEAST_PAIRS or len(pairs) <= len(same):
+    if len(pairs) < params.agreement.least_pairs or len(pairs) <= len(same):
         return None
     changes = Counter((f[1][others[1][j]], t[1][others[0][i]]) for i, j in pairs.items())
     (was, now), _ = max(changes.items(), key=lambda item: (item[1], item[0]))
-    detail = (
-        f"Of {len(pairs) + len(same)} objects at the positions of objects on the map, {len(pairs)} have another class, such as "
-        f"{now} instead of {was}: the class names in the sidecar of the detector's model are in the wrong order, or all objects "
-        "were replaced."
-    )
-    return agreement_hold("classes", len(pairs), detail, limit=max(len(same), LEAST_PAIRS - 1), unit="objects")
+    facts = {"objects": len(pairs) + len(same), "others": len(pairs), "now": str(now), "was": str(was)}
+    limit = max(len(same), params.agreement.least_pairs - 1)
+    return Finding(check=f"{AGREEMENT}: classes", value=len(pairs), limit=limit, found=True, facts=facts)
 
 
-def _with_near_features(t: Floats, f: Floats) -> Ints:
-    """Indices of the cones t (N, 3) that have one of f (M, 3) within `FARTHEST_M`."""
-    return np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
+def _near(t: Floats, f: Floats, params: ReconcileParams) -> Ints:
+    """Indices of the cones t (N, 3) that have one of f (M, 3) within `elsewhere_m`."""
+    return np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= params.agreement.elsewhere_m)
 
 
 def _match_arrangement(
@@ -259,32 +245,32 @@ def _match_arrangement(
     found: int,
     params: ReconcileParams,
     least_same: int,
-    within_m: float = FARTHEST_M,
-    max_turn: float = _MAX_TURN,
-) -> HealthCheck | None:
-    """A hold if the cones are displaced against cones of the map in the same arrangement.
+    within_m: float,
+    max_turn_deg: float | None = None,
+) -> Finding | None:
+    """Whether the cones are displaced against cones of the map in the same arrangement.
 
-    found: how many stand at a cone of the map; twice as many must fit elsewhere, and at least least_same. within_m, max_turn: see
-    `_best_fit`.
+    found: how many stand at a cone of the map; twice as many must fit elsewhere, and at least least_same. within_m, max_turn_deg:
+    largest displacement and rotation; default: `AgreementParams.max_turn_deg`.
     """
     t, f = xyz_of(cones), xyz_of(features)
-    near = _with_near_features(t, f)
+    near, limits = _near(t, f, params), params.agreement
+    most_deg = limits.max_turn_deg if max_turn_deg is None else max_turn_deg
     some = near[:: 1 + len(near) // _MAX_TRACKS]
     found_of_some = found * len(some) / max(len(near), 1)
-    least = max(least_same, _LEAST_SAME_SHARE * len(some), 2 * found_of_some + 1)
+    least = max(least_same, limits.least_share * len(some), 2 * found_of_some + 1)
     if least > len(some):
         return None
     spacing_m = np.asarray(cKDTree(t[near, :2]).query(t[some, :2], 2)[0])[:, 1]
-    if spacing_m.std() < 2 * _SAME_ZONE_M:
+    if spacing_m.std() < 2 * limits.same_zone_m:
         return None
-    fit = _best_fit(t[some, :2], f[:, :2], 2 * _SAME_ZONE_M, within_m, max_turn)
-    if fit is None or fit.agreeing < least or not fit.distinct or fit.residual_m > _SAME_ZONE_M:
+    fit = _best_fit(t[some, :2], f[:, :2], 2 * limits.same_zone_m, within_m, np.radians(most_deg))
+    if fit is None or fit.agreeing < least or not fit.distinct or fit.residual_m > limits.same_zone_m:
         return None
     covs = cov_matrices([one.cov_m2 for one in cones]), cov_matrices([one.cov_m2 for one in features])
     sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
-    limit_m = min(params.max_offset_m, MAX_SIGMAS * sigma_m)
-    turned = _turn_of(fit, np.degrees(_MAX_TURN))
-    return _position_hold(fit.middle_m, sigma_m, turned, limit_m) if fit.largest_m > limit_m else None
+    limit_m = min(params.max_offset_m, limits.sigmas * sigma_m)
+    return _position(fit, sigma_m, limit_m, limits.max_turn_deg) if fit.largest_m > limit_m else None
 
 
 def _located(objects: Sequence[Track | MapFeature]) -> _Located:
@@ -300,13 +286,8 @@ def _same_positions(tracks: _Located, features: _Located, shift_m: Floats, param
     return assign(rows, columns, np.hypot(*(t[rows] - shift_m - f[columns])[:, :2].T))
 
 
-def agreement_hold(
-    what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str
-) -> HealthCheck:
-    """A hold with rounded figures, so that repeated computations give the same ones."""
-    value, limit = round(value, 3), round(float(limit), 3)
-    sigma = None if sigma is None else round(sigma, 3)
-    return hold(f"{AGREEMENT}: {what}", detail, value=value, sigma=sigma, limit=limit, unit=unit)
+def _finding(check: str, value: float, sigma: float, limit: float, says: str = "") -> Finding:
+    return Finding(check=check, value=float(value), sigma=float(sigma), limit=float(limit), found=True, says=(says,))
 
 
 def _mean_sigma_m(cov_m2: Floats) -> float:
@@ -324,40 +305,45 @@ def _mean_cov(t: Sequence[Track | MapFeature], f: Sequence[Track | MapFeature], 
     return np.asarray(covs.mean(axis=0))
 
 
-def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
-    """A hold for the median displacement. apart_m (K, 3): tracks minus their features; cov_m2 (3, 3): of one difference."""
+def _common_displacement(apart_m: Floats, cov_m2: Floats, limits: AgreementParams) -> Finding | None:
+    """The median displacement, if it is significant. apart_m (K, 3): tracks minus their features; cov_m2 (3, 3): of one
+    difference."""
     east, north, up = np.median(apart_m, axis=0).tolist()
-    check = check_heights(up, float(np.sqrt(cov_m2[2, 2])), len(apart_m), "cones", "the same cones")
-    if check is not None:
-        return check
+    heights = check_heights(up, float(np.sqrt(cov_m2[2, 2])), len(apart_m), limits)
+    if heights is not None:
+        return heights
     offset = np.array([east, north])
     chi2 = float(offset @ np.linalg.solve(cov_m2[:2, :2], offset))
-    if len(apart_m) >= LEAST_PAIRS and chi2 > MAX_SIGMAS**2 and hypot(east, north) > LEAST_OFFSET_M:
-        sigma_m = _mean_sigma_m(cov_m2)
-        return _position_hold(hypot(east, north), sigma_m, "", max(LEAST_OFFSET_M, MAX_SIGMAS * sigma_m))
-    return None
+    significant = chi2 > limits.sigmas**2 and hypot(east, north) > limits.least_offset_m
+    if len(apart_m) < limits.least_pairs or not significant:
+        return None
+    sigma_m = _mean_sigma_m(cov_m2)
+    return _finding(POSITION, hypot(east, north), sigma_m, max(limits.least_offset_m, limits.sigmas * sigma_m))
 
 
-def check_heights(up_m: float, sigma_m: float, count: int, what: str, those: str) -> HealthCheck | None:
-    """A hold for a common height difference `up_m`. count: pairs that agree on it."""
-    limit_m = max(LEAST_OFFSET_M if count >= LEAST_PAIRS else _GROSS_RISE_M, MAX_SIGMAS * sigma_m)
+def check_heights(
+    up_m: float,
+    sigma_m: float,
+    count: int,
+    limits: AgreementParams,
+    *,
+    what: str = "cones",
+    those: str = "the same cones",
+) -> Finding | None:
+    """A common height difference `up_m`, if it is significant. count: pairs that agree on it."""
+    least_m = limits.least_offset_m if count >= limits.least_pairs else limits.gross_rise_m
+    limit_m = max(least_m, limits.sigmas * sigma_m)
     if abs(up_m) <= limit_m:
         return None
     apart = f"{abs(up_m):.{1 if abs(up_m) >= 1 else 2}f} m {'higher' if up_m > 0 else 'lower'}"
-    detail = (
-        f"Its {what} are {apart} than {those} of the map, with a stated sigma of {sigma_m:.2f} m: the heights refer to another "
-        "datum (ellipsoid or geoid), or the height of antenna or cameras is wrong."
-    )
-    return agreement_hold("heights", up_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
+    return _finding(HEIGHTS, up_m, sigma_m, limit_m).saying("", apart=apart, what=what, those=those)
 
 
-def _position_hold(distance_m: float, sigma_m: float, turned: str, limit_m: float) -> HealthCheck:
-    detail = (
-        f"Its cones are {distance_m:.1f} m from those of the map{turned}, with a stated sigma of {sigma_m:.2f} m: one of the two "
-        "has a wrong position, or all cones were moved by the same distance. Check base station, datum and antenna offset of the "
-        f"drive{' and heading_deg of its georeference' if turned else ''}."
-    )
-    return agreement_hold("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
+def _position(fit: _Fit, sigma_m: float, limit_m: float, least_turn_deg: float) -> Finding:
+    """A displacement of the whole arrangement; rotations from `least_turn_deg` on are named."""
+    turn_deg = float(np.degrees(fit.turn))
+    says = "turned" if abs(turn_deg) >= least_turn_deg else ""
+    return _finding(POSITION, fit.middle_m, sigma_m, limit_m).saying(says, turn_deg=turn_deg)
 
 
 class _Fit(NamedTuple):
@@ -377,12 +363,7 @@ class _Fit(NamedTuple):
     """Whether no other displacement fits nearly as well, as along a row of equal distances."""
 
 
-def _turn_of(fit: _Fit, least_deg: float) -> str:
-    """The rotation of a fit in messages; empty below `least_deg`."""
-    return f" and rotated by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= least_deg else ""
-
-
-def _best_fit(t: Floats, f: Floats, gate_m: float, within_m: float, max_turn: float = _MAX_TURN) -> _Fit | None:
+def _best_fit(t: Floats, f: Floats, gate_m: float, within_m: float, max_turn: float) -> _Fit | None:
     """The displacement with which most tracks fit, of all that put two tracks onto two features; of several the smallest.
 
     t (N, 2), f (M, 2): tracks and features; gate_m: of a fit; within_m, max_turn: largest displacement (m) and rotation (rad).

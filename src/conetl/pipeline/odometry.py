@@ -22,8 +22,8 @@ from conetl.geometry.motion.stereo_tracks import (
 )
 from conetl.model.arrays import Image
 from conetl.model.drive import Drive, FramePair
-from conetl.model.health import HealthCheck
-from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
+from conetl.model.health import Finding
+from conetl.model.params import CheckParams, ImageCheckParams, IngestParams, TrajectoryParams, params_sha256
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig, Side
 from conetl.perception import visual_odometry
@@ -184,9 +184,11 @@ def motions_across(drive: Drive, motions: Sequence[RelativeMotion], params: Traj
     return found
 
 
-def torn_pairs(drive: Drive, motions: Sequence[RelativeMotion]) -> tuple[HealthCheck, list[Rejection]]:
-    """A check whether too many frame pairs have a torn image; rejections of these pairs."""
-    return check_torn(find_torn(drive, motions, grey_reader(drive.rig.rectified_from or drive.rig)), drive)
+def torn_pairs(
+    drive: Drive, motions: Sequence[RelativeMotion], params: ImageCheckParams
+) -> tuple[Finding, list[Rejection]]:
+    """How many frame pairs have a torn image; rejections of these pairs."""
+    return check_torn(find_torn(drive, motions, grey_reader(drive.rig.rectified_from or drive.rig), params), drive)
 
 
 def check_poses(
@@ -194,17 +196,21 @@ def check_poses(
     motions: Sequence[RelativeMotion],
     trajectory: RefinedTrajectory,
     params: TrajectoryParams,
-) -> list[HealthCheck]:
-    """Checks of the logged poses against the images. drive: with the detail of its images (`FramePair.detail`)."""
+    limits: CheckParams,
+) -> list[Finding]:
+    """The logged poses against the images. drive: with the detail of its images (`FramePair.detail`)."""
     details = {pair.frame_index: pair.detail for pair in drive.frame_pairs}
     pairs = [pair.model_copy(update={"detail": details[pair.frame_index]}) for pair in trajectory.logged]
-    checks = check_trajectory(pairs, drive.rig, motions, trajectory, _with_clock_sigma(drive, params))
+    findings = check_trajectory(pairs, drive.rig, motions, trajectory, _with_clock_sigma(drive, params), limits)
     if motions and len(pairs) > 1:
         read = grey_reader(drive.rig)
-        checks += [check(pairs, drive.rig, motions, read, params) for check in (check_lost_frames, check_recording)]
+        findings += [
+            check(pairs, drive.rig, motions, read, params, limits.exposures)
+            for check in (check_lost_frames, check_recording)
+        ]
         lost = np.isnan(shifts_between(pairs, motions)[:, 0]).tolist()
-        checks += check_lost_parts(drive.model_copy(update={"frame_pairs": tuple(pairs)}), lost)
-    return checks if trajectory.control is None else [*checks, trajectory.control]
+        findings += check_lost_parts(drive.model_copy(update={"frame_pairs": tuple(pairs)}), lost, limits.stereo)
+    return findings if trajectory.control is None else [*findings, trajectory.control]
 
 
 def _with_clock_sigma(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:

@@ -96,4 +96,4 @@ def test_inspect_exits_with_1_for_a_smeared_lens(tmp_path: Path, capsys: pytest.
     images_changed(only_right(smeared(7.0)))(drive)
     code, text, _ = run(["inspect", str(drive)], capsys)
     assert code == 1
-    assert "Warning, blurred parts of the lenses: " in text and "Clean the lens." in text
+    assert "Note, blurred parts of the lenses: " in text and "Clean the lens." in text

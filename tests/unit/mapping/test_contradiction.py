@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from conetl.checks.verdict import judge
 from conetl.geometry.packing import cov_matrix
 from conetl.mapping.contradiction import Contradiction, find_contradiction
 from conetl.mapping.fusion import EXCESS, excess_of, larger_excess, with_excess, without_excess
@@ -35,7 +36,7 @@ def found_in(places: Floats, sigma_m: float = SIGMA_M, seed: int = 0) -> Contrad
     tracks, features = tracks_at(places, sigma_m, seed), features_at(UNEVEN, sigma_m)
     found = find_contradiction(tracks, features, PARAMS)
     again = find_contradiction(tracks[::-1], features[::-1], PARAMS)
-    assert (found and found.check) == (again and again.check), "the order matters"
+    assert (found and found.finding) == (again and again.finding), "the order matters"
     return found
 
 
@@ -43,10 +44,11 @@ def found_in(places: Floats, sigma_m: float = SIGMA_M, seed: int = 0) -> Contrad
 def test_a_displacement_of_the_same_cones_is_found(shift_m: tuple[float, float, float]) -> None:
     for seed in range(3):
         found = found_in(UNEVEN + shift_m, seed=seed)
-        assert found is not None and found.check.verdict is Verdict.WARN
+        assert found is not None
+        check = judge(found.finding)
+        assert check.verdict is Verdict.WIDENED and "those of the map" in check.detail
         np.testing.assert_allclose(found.offset_m, shift_m, atol=0.03)
-        assert found.check.value is not None and found.check.limit is not None
-        assert abs(found.check.value) > found.check.limit
+        assert check.value is not None and check.limit is not None and abs(check.value) > check.limit
 
 
 MOVED = UNEVEN.copy()
@@ -91,7 +93,7 @@ def drive(day: int, shift_m: Floats, places: Floats = UNEVEN, sigma_m: float = S
     key = (later["first_seen_ns"], later["last_seen_ns"], f"{day}")
     return DriveEvidence(
         key=key, changeset_id=uuid5(EXCESS, f"{day} {shift_m} {len(places)}"), founding_key=f"drive {day}", tracks=tracks,
-        path_m=(ORIGIN_M + UNEVEN)[:, :2], influence_m=60.0, check_visibility=lambda *_: None, params=PARAMS,
+        path_m=(ORIGIN_M + UNEVEN)[:, :2], influence_m=60.0, check_visibility=lambda *_: None, params=PARAMS, judge=judge,
     )  # fmt: skip
 
 
