@@ -24,6 +24,17 @@ _POSITION = {
         "distance. Check base station, datum and antenna offset of the drive and heading_deg of its georeference."
     ),
 }
+_WIDENED = (
+    "Its cones are {apart} those of the map, with a stated sigma of {sigma:.2f} m: either the drive or an earlier one is "
+    "displaced (%s), or all cones were moved by the same distance. The sigmas of both now cover it, and further drives "
+    "do not reduce them. When the cause is known, correct that drive and ingest it again, or revert it: then they are as "
+    "small as before."
+)
+_TREATED = (
+    "a displacement of at most {agreement.widened_max_m:g} m of cones {agreement.widened_spacing:g} times as far from "
+    "each other, above {agreement.widened_least_m:g} m and {agreement.sigmas:g} stated sigmas: drive and map are fused, "
+    "with sigmas enlarged by it; the drive's lane markings are not used"
+)
 
 CHECKS = (
     Check(
@@ -37,8 +48,11 @@ CHECKS = (
         measured="median height difference of cones at the same positions (at least half of those nearby), and from "
                  "the nearest lines of lane markings within 1 m",
         observable="one cone; {agreement.least_pairs} for less than {agreement.gross_rise_m:g} m", limit=_BEYOND,
-        unit="m", effect="the difference",
-        messages=_HEIGHTS | {"part": "Only {count} of its cones are: did its position jump where no images were taken?"},
+        unit="m", effect="the difference", treated=_TREATED,
+        messages=_HEIGHTS | {
+            "widened": _WIDENED % "height of antenna or cameras, datum",
+            "part": "Only {count} of its cones are: did its position jump where no images were taken?",
+        },
         passed="The heights agree with the map.",
     ),
     Check(
@@ -49,8 +63,9 @@ CHECKS = (
                  "{agreement.lever_m:g} m; offset across the same lane markings",
         observable="{agreement.least_pairs} cones at the same positions; else {agreement.least_agreeing}, with no "
                    "other displacement that fits as well",
-        limit=_BEYOND + ", or `max_offset_m`", unit="m", effect="the displacement",
+        limit=_BEYOND + ", or `max_offset_m`", unit="m", effect="the displacement", treated=_TREATED,
         messages=_POSITION | {
+            "widened": _WIDENED % "base station, datum, antenna offset, mount of the cameras",
             "too far": "Its cones are {value:.1f} m from those of the map. Its stated sigmas allow that, but it is too "
                        "far to tell which cone is which: process its GNSS data with corrections, or ingest the drive "
                        "into a separate map.",

@@ -20,6 +20,7 @@ from scipy.spatial import cKDTree
 from conetl.geometry.packing import cov_matrices
 from conetl.mapping.arrangement import ArrangementFit, best_fit
 from conetl.mapping.association import assign, classes_of, common_offset, near_pairs, xyz_of
+from conetl.mapping.fusion import difference_cov
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import Track
 from conetl.model.health import AGREEMENT, Finding
@@ -72,10 +73,11 @@ class _Objects(NamedTuple):
     classes: NDArray[np.str_]
     cov_m2: Floats
     """(N, 3, 3)"""
+    some: Sequence[Track | MapFeature]
 
 
 def _objects(some: Sequence[Track | MapFeature]) -> _Objects:
-    return _Objects(xyz_of(some), classes_of(some), cov_matrices([one.cov_m2 for one in some]))
+    return _Objects(xyz_of(some), classes_of(some), cov_matrices([one.cov_m2 for one in some]), some)
 
 
 def check_displacement(
@@ -199,7 +201,12 @@ def _at_same_positions(
     if not pairs or 2 * len(pairs) < len(_near(cones, on_map, near_m)):
         return None
     i, j = list(pairs), list(pairs.values())
-    apart_m, cov_m2 = cones.xyz_m[i] - on_map.xyz_m[j], cones.cov_m2[i] + on_map.cov_m2[j]
+    ours, theirs = [cones.some[k] for k in i], [on_map.some[k] for k in j]
+    cov_m2 = difference_cov(
+        [one.cov_m2 for one in ours], [one.shared_jacobian for one in ours],
+        [one.cov_m2 for one in theirs], [one.shared_jacobian for one in theirs],
+    )  # fmt: skip
+    apart_m = cones.xyz_m[i] - on_map.xyz_m[j]
     return _common_displacement(apart_m * axes, cov_m2.mean(axis=0), params.agreement)
 
 

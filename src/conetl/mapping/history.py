@@ -19,6 +19,7 @@ from conetl.geometry.packing import stack_rows
 from conetl.mapping.agreement import check_agreement, check_marking_agreement, is_confirmed
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import reconcile
+from conetl.mapping.contradiction import find_contradiction
 from conetl.mapping.deltas import ReconcileContext
 from conetl.mapping.existence_update import ended, missed
 from conetl.mapping.imported_maps import reconcile_imported
@@ -81,6 +82,8 @@ class MapUpdate:
     """One per delta that changes a feature or the evidence for it, open."""
     hold: HealthCheck | None = None
     """Why the drive contradicts the map and changes nothing until a person accepts it; None where it counts."""
+    widened: HealthCheck | None = None
+    """Why the sigmas of drive and map were enlarged; None where they were not."""
 
 
 @dataclass
@@ -167,20 +170,25 @@ def apply_drive(
     if drive.imported:
         deltas = reconcile_imported(drive.imported, points, context, at_ns=drive.key[0], known=known)
     else:
+        contradiction = find_contradiction(drive.tracks, points, drive.params)
+        context = context._replace(contradiction=contradiction)
         deltas = reconcile(drive.tracks, points, drive.check_visibility, context)
         line_deltas: list[Delta] = []
-        if drive.markings or lines:
+        if contradiction is None and (drive.markings or lines):
             offset = common_offset(sorted(drive.tracks, key=lambda track: track.members[0]), points, drive.params)
             line_deltas = reconcile_markings(drive.markings, lines, drive.check_view, context, offset=offset)
         if drive.changeset_id not in decisions.accepted:
-            found = None if is_confirmed(deltas, drive.key[0]) else drive.doubt
-            found = found or check_agreement(drive.tracks, points, deltas, drive.params)
-            found = found or check_marking_agreement(drive.markings, lines, line_deltas, drive.params)
+            tracks = drive.tracks if contradiction is None else list(map(contradiction.on_map, drive.tracks))
+            found = None if contradiction is None and is_confirmed(deltas, drive.key[0]) else drive.doubt
+            found = found or check_agreement(tracks, points, deltas, drive.params)
+            if contradiction is None:
+                found = found or check_marking_agreement(drive.markings, lines, line_deltas, drive.params)
             for hold in hold_checks([] if found is None else [drive.judge(found)]):
                 return MapUpdate([], [], hold)
         if line_deltas:
             deltas = sorted([*deltas, *line_deltas], key=attrgetter("changed_at_ns", "feature_id.int"))
-    return MapUpdate(deltas, next_rows(deltas, current, drive.changeset_id, decisions))
+    widened = None if context.contradiction is None else drive.judge(context.contradiction.finding)
+    return MapUpdate(deltas, next_rows(deltas, current, drive.changeset_id, decisions), widened=widened)
 
 
 def next_rows(

@@ -138,6 +138,13 @@ class AgreementParams(Params):
     """Cones, or stretches of lane markings, that must agree on a displacement, a class or an absence ..."""
     gross_rise_m: Positive = 1.5
     """... but on a height difference beyond this, larger than any error of measurement, one does."""
+    widened_max_m: Positive = 1.0
+    """A drive displaced by at most this, beyond its stated sigmas, is fused with the map, and the sigmas of both are enlarged;
+    one that is farther aside is held. Lever arms are wrong by less, base stations and datums often by more."""
+    widened_least_m: Positive = 0.04
+    """Smaller displacements do not enlarge them: networks and rectification move all cones of a drive by up to 2 cm."""
+    widened_spacing: Positive = 3.0
+    """Cones must stand this many displacements apart, so that each is nearest to its own position on the map."""
     max_displacement_m: Positive = 60.0
     """Displacements of a whole drive that are tried ..."""
     max_turn_deg: Positive = 10.0

@@ -34,12 +34,7 @@ from conetl.tracking.checks.exposures import check_doubled, check_exposures
 from conetl.tracking.checks.poses import check_calibration
 from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
 from conetl.tracking.positions import locate_positions
-from conetl.tracking.self_calibration import (
-    SWITCHED_OFF,
-    SelfCalibration,
-    self_calibrated_rig,
-    widened_by_offset,
-)
+from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig, widened_by_offset
 from conetl.tracking.standing import without_moving
 from conetl.tracking.tracks import drive_data, fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory
@@ -279,7 +274,10 @@ def fuse(
     distance.
     """
     motion, evidence = motion_error(trajectory), evidence or UNMEASURED
-    data = drive_data(drive.frame_pairs, drive.rig, detections, matches, params, evidence, motion)
+    data = drive_data(
+        drive.frame_pairs, drive.rig, detections, matches, params, evidence, motion,
+        common_errors=drive.common_errors, corrected=bool(drive.control_points),
+    )  # fmt: skip
     return fuse_tracks(positions, data)
 
 

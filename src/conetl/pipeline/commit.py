@@ -123,7 +123,7 @@ def commit(
             return CommittedDrive(merged, analysed, (), _report_of_known(conn, merged, drive, settings.map_name))
     deltas = merged.changeset.deltas
     if not hold_checks(health):  # a recording that contradicts itself is not compared with the map
-        health = (*health, merged.extension.hold or AGREES)
+        health = (*health, merged.extension.hold or merged.extension.widened or AGREES)
     report = report_of(
         merged.committed,
         settings.map_name,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import pack_jacobians, unpack_jacobians
 from conetl.geometry.packing import cov3, cov_matrix
-from conetl.mapping.fusion import MOST_CALIBRATIONS, fuse, tracks_in_map_frame
+from conetl.mapping.fusion import MOST_CALIBRATIONS, difference_cov, fuse, tracks_in_map_frame
 from conetl.model.base import Cov3, SharedErrorJacobian
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
@@ -94,6 +94,19 @@ def test_weights_and_covariances_are_those_of_the_formula(pair: tuple[Estimate, 
     if kept is not None:
         moved = unpack_jacobians(kept.calibrations, [kept])[0]
         assert np.linalg.eigvalsh(cov - sum(a @ a.T for a in moved)).min() > -1e-7 * scale
+
+
+@settings(max_examples=100, deadline=None)
+@given(estimates())
+def test_the_covariance_of_a_difference_is_without_what_both_share(pair: tuple[Estimate, Estimate]) -> None:
+    (old_cov, old), (new_cov, new) = pair
+    [cov] = difference_cov([old_cov], [old], [new_cov], [new])
+    gain, _ = by_formula(*pair)
+    _, fused_cov, _ = fused(*pair)
+    # The covariance after the fusion is that before less gain times the difference's times gain'.
+    expected = cov_matrix(old_cov) - gain @ cov @ gain.T
+    scale = float(np.trace(cov_matrix(old_cov)))
+    np.testing.assert_allclose(fused_cov, expected, rtol=1e-4, atol=1e-5 * scale)
 
 
 def test_jacobians_of_opposite_sides_cancel_and_independent_parts_average() -> None:
