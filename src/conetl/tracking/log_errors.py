@@ -20,16 +20,22 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from conetl.geometry.linear_reference import evenly_spaced
-from conetl.geometry.motion.pose_graph import POSE, LoggedPoses, MeasuredMotions, motion_residuals
+from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
 from conetl.model.arrays import Floats, Ints
 from conetl.model.params import TrajectoryParams
+from conetl.tracking.path_difference import (
+    LEAST_APART_S,
+    UNKNOWN,
+    PathDifference,
+    measured_cov,
+    path_changes,
+    path_difference,
+)
 
 #: Axes whose errors have the same shares: easting and northing, height, roll and pitch, heading.
 GROUPS = ((0, 1), (2,), (3, 4), (5,))
 #: Frames that are compared: so many evenly spaced ones, and runs of successive ones.
 _SPACED, _RUNS, _RUN = 48, 3, 24
-#: Variance of what is not known at all, in units of the largest stated variance.
-_UNKNOWN = 1e4
 #: Prior sigmas of the logarithms of white and fast over slow share, of the times of the fast and the slow part, of the jitter of
 #: the stamps, and of the factor on the stated variance.
 _PRIOR_SIGMA = np.array([5.0, 5.0, 0.7, 2.0, 1.0, 0.7])
@@ -45,14 +51,9 @@ _HALF_NORMAL = 0.4
 _SIGMA_OF_MEDIAN, _LEAST_SLOW = 1.4826, 1e-3
 #: Stated sigmas that differ by less than this factor have the same cause.
 _SAME_SIGMA = 1.1
-_LEAST_APART_S, _LEAST_VAR = 1e-3, 1e-6
+_LEAST_VAR = 1e-6
 #: Sigma of the alignment of cameras and body in addition to the stated attitudes, which is checked separately.
 _ALIGNMENT_RAD = 0.004
-
-
-#: Columns of `path_changes`: images show longer distances (share); cameras look to the left, or up (rad); they are mounted
-#: forward, left and up of where the lever arm says (m); the stamps of the log lag (s).
-SCALE, ASIDE, UP, LEVER, CLOCK = 0, 1, 2, slice(3, 6), 6
 
 
 class ErrorShares(NamedTuple):
@@ -145,72 +146,6 @@ def sigma_levels(stated: Floats) -> tuple[Floats, Floats]:
     return levels, np.cumsum(np.abs(np.diff(np.log(levels), axis=0, prepend=np.log(levels[:1]))), axis=0)
 
 
-class PathDifference(NamedTuple):
-    """Logged minus measured path of K frames, since the first: of the left camera (m, map frame), and of the attitude (rad, axes
-    of the body)."""
-
-    off: Floats
-    """(K, 6)"""
-    measured_var: Floats
-    """(K, 6): variance of the measured path."""
-    path_m: Floats
-    """(K, 3): the measured one."""
-    velocity: Floats
-    """(K, 3) m/s"""
-    rotations: Floats
-    """(K, 3, 3) of the body."""
-    driven_m: Floats
-    """(K,) along the direction of the cameras."""
-
-
-def path_difference(
-    log: LoggedPoses, rotations: Floats, motions: MeasuredMotions, times_s: Floats, params: TrajectoryParams
-) -> PathDifference:
-    """The difference of the log from the path that the motions show; a gap between them is bridged by the log.
-
-    rotations: (K, 3, 3) of the body, adjusted to both. motions: without those that are implausible.
-    """
-    body_R_left, lever = log.body_SE3_left[:3, :3], log.body_SE3_left[:3, 3]
-    count, k = len(times_s), motions.start
-    path = log.positions + rotations @ lever
-    left = rotations @ body_R_left
-    off, var = np.zeros((count, POSE)), np.zeros((count, POSE))
-    var[1:] = _UNKNOWN
-    shifts = -np.einsum("mij,mj->mi", left[k + 1], motions.next_SE3_first[:, :3, 3])
-    off[k + 1, :3] = path[k + 1] - path[k] - shifts
-    turns, _, _ = motion_residuals(log, log.rotations, log.positions, motions, 0.0)
-    off[k + 1, 3:] = turns[:, :3] @ body_R_left.T
-    lengths_m = np.linalg.norm(shifts, axis=1)
-    var[k + 1, :3] = np.einsum("mij,mjk,mik->mi", left[k + 1], motions.cov[:, 3:, 3:], left[k + 1])
-    var[k + 1, :3] += (params.floor_rad * lengths_m[:, None]) ** 2
-    var[k + 1, 3:] = np.einsum("ij,mjk,ik->mi", body_R_left, motions.cov[:, :3, :3], body_R_left)
-    off = np.cumsum(off, axis=0)
-    path = (
-        path - path[0] - off[:, :3]
-    )  # as measured: noise of the log would make changes in proportion to the path too small
-    velocity = np.gradient(path, rising(times_s), axis=0)
-    steps_m = np.diff(path, axis=0, prepend=path[:1])
-    driven_m = np.cumsum((steps_m[:, :2] * left[:, :2, 2]).sum(axis=1))
-    return PathDifference(off, np.cumsum(var, axis=0), path, velocity, rotations, driven_m)
-
-
-def rising(times_s: Floats) -> Floats:
-    """(K,): the times, each later than the one before."""
-    return np.asarray(np.maximum.accumulate(times_s + _LEAST_APART_S * np.arange(len(times_s))))
-
-
-def path_changes(difference: PathDifference) -> Floats:
-    """(K, 3, 7) m: by how much the logged path differs from the measured one for each unit of `ROTATED` to `CLOCK`."""
-    path = difference.path_m
-    changes = np.zeros((len(path), 3, 7))
-    changes[:, :, SCALE] = -path
-    changes[:, 0, ASIDE], changes[:, 1, ASIDE] = -path[:, 1], path[:, 0]
-    changes[:, 2, UP] = -difference.driven_m
-    changes[:, :, LEVER] = -(difference.rotations - difference.rotations[0])
-    changes[:, :, CLOCK] = -(difference.velocity - difference.velocity[0])
-    return changes
-
-
 def estimate_log_errors(
     log: LoggedPoses, rotations: Floats, motions: MeasuredMotions, records: StatedErrors, params: TrajectoryParams
 ) -> LogErrors:
@@ -225,32 +160,15 @@ def estimate_log_errors(
     frames = compared_frames(records)
     shares = []
     for group, axes in enumerate(GROUPS):
-        parts = [_terms(difference, records, frames, axis, columns if axis < 3 else None, group == 0) for axis in axes]
+        parts = [
+            difference_terms(difference, records, frames, axis, columns if axis < 3 else None, group == 0)
+            for axis in axes
+        ]
         shares.append(_estimated(parts, assumed[group], 0.0 if group else params.clock_sigma_s))
     return LogErrors(*shares)
 
 
-def fitted_changes(
-    difference: PathDifference, records: StatedErrors, errors: LogErrors, changes: Floats, prior: Floats
-) -> tuple[Floats, Floats]:
-    """Generalised least squares of the difference of positions by changes (K, 3, C): (C,) and its covariance (C, C).
-
-    errors: of the log. prior: (C,) sigmas.
-    """
-    frames = compared_frames(records)
-    normal, right = np.diag(prior**-2.0), np.zeros(len(prior))
-    for group, axes in enumerate(GROUPS[:2]):
-        for axis in axes:
-            part = _terms(difference, records, frames, axis, None, group == 0)
-            by = changes[frames, axis]
-            solved = cho_solve(cho_factor(_covariance(part, errors[group])), np.column_stack([by, part.off]))
-            normal += by.T @ solved[:, :-1]
-            right += by.T @ solved[:, -1]
-    cov = np.linalg.inv(normal)
-    return np.asarray(cov @ right), np.asarray((cov + cov.T) / 2)
-
-
-class _Terms(NamedTuple):
+class DifferenceTerms(NamedTuple):
     """The parts of the covariance (N, N) of one difference."""
 
     off: Floats
@@ -265,7 +183,7 @@ class _Terms(NamedTuple):
     """(N,) squared rates."""
 
 
-def _estimated(parts: Sequence[_Terms], assumed: ErrorShares, jitter_s: float) -> ErrorShares:
+def _estimated(parts: Sequence[DifferenceTerms], assumed: ErrorShares, jitter_s: float) -> ErrorShares:
     """The shares of one group of axes. assumed: without evidence; jitter_s: likewise, 0 where it is left to the white part."""
     middle = np.array([
         np.log(assumed.white / assumed.slow), np.log(_FAST_SHARE), np.log(_FAST_S), np.log(assumed.slow_s),
@@ -329,7 +247,7 @@ def compared_frames(records: StatedErrors) -> Ints:
     """
     times_s, every = records.times_s, np.arange(len(records.times_s))
     if records.apart_s.any():
-        record = np.round(times_s / max(float(np.median(records.apart_s)), _LEAST_APART_S)).astype(int)
+        record = np.round(times_s / max(float(np.median(records.apart_s)), LEAST_APART_S)).astype(int)
         order = np.lexsort((records.between[:, 0], record))
         every = np.sort(order[np.concatenate([[True], np.diff(record[order]) > 0])])
     count = len(every)
@@ -340,38 +258,24 @@ def compared_frames(records: StatedErrors) -> Ints:
     return np.asarray(every[np.unique(np.concatenate([runs, np.array(evenly_spaced(range(count), _SPACED))]))])
 
 
-def _terms(
+def difference_terms(
     difference: PathDifference, records: StatedErrors, frames: Ints, axis: int, columns: Floats | None, jitters: bool
-) -> _Terms:
+) -> DifferenceTerms:
     """columns (K, 3, C): changes by one sigma of errors that are not the log's."""
     times_s, sigma = records.times_s[frames], records.stated[frames, axis]
     apart_s, stated = np.abs(times_s[:, None] - times_s), np.outer(sigma, sigma)
     off = difference.off[frames, axis]
-    base = measured_cov(difference, records, frames, axis) + _UNKNOWN * stated.max()
+    base = measured_cov(difference, records.stated, frames, axis) + UNKNOWN * stated.max()
     if columns is not None:
         base += columns[frames, axis] @ columns[frames, axis].T
     base[np.diag_indices_from(base)] += records.between[frames, axis] ** 2 + _LEAST_VAR * stated.min()
     levels, changes = (part[frames, 0] for part in sigma_levels(records.stated[:, axis : axis + 1]))
     changed = np.outer(levels, levels) / stated * np.exp(-np.abs(changes[:, None] - changes))
     rate = difference.velocity[frames, axis] if jitters else np.zeros(len(frames))
-    return _Terms(off - off.mean(), base, stated, apart_s, changed, rate**2)
+    return DifferenceTerms(off - off.mean(), base, stated, apart_s, changed, rate**2)
 
 
-def measured_cov(difference: PathDifference, records: StatedErrors, frames: Ints, axis: int) -> Floats:
-    """(N, N): covariance of the measured path at some frames, also by the errors of the turns that the images show."""
-    var = difference.measured_var[frames, axis]
-    cov = np.minimum.outer(var, var)
-    if axis >= 3:
-        return np.asarray(cov)
-    aside = (-difference.path_m[:, 1], difference.path_m[:, 0], difference.driven_m)[axis]
-    attitude = 4 if axis == 2 else 5
-    turn_var = np.diff(difference.measured_var[:, attitude], prepend=0.0)
-    sigma = np.sqrt(np.minimum(turn_var, np.median(records.stated[:, attitude]) ** 2))
-    by_turns = (aside[frames, None] - aside) * sigma * (np.arange(len(aside)) < frames[:, None])
-    return np.asarray(cov + by_turns @ by_turns.T)
-
-
-def _covariance(part: _Terms, shares: ErrorShares) -> Floats:
+def log_cov(part: DifferenceTerms, shares: ErrorShares) -> Floats:
     """(N, N)"""
     own = shares.fast * np.exp(-part.apart_s / shares.fast_s)
     own += shares.slow * part.changed * np.exp(-part.apart_s / shares.slow_s)
@@ -381,7 +285,7 @@ def _covariance(part: _Terms, shares: ErrorShares) -> Floats:
     return np.asarray(cov)
 
 
-def _misfit(part: _Terms, values: Floats) -> tuple[float, Floats]:
+def _misfit(part: DifferenceTerms, values: Floats) -> tuple[float, Floats]:
     """Minus the logarithm of the likelihood, and its derivatives (6,).
 
     values: logarithms of white and fast over slow share, of the correlation times (s), of the jitter (s), of the factor.

@@ -7,7 +7,7 @@ pairs; `geometry/motion/pose_graph.py` has the adjustment. Motions that contradi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -38,10 +38,11 @@ from conetl.tracking.log_errors import (
     StatedErrors,
     assumed_errors,
     estimate_log_errors,
-    rising,
     rough_errors,
     sigma_levels,
 )
+from conetl.tracking.path_difference import rising
+from conetl.tracking.path_fit import PathFit, fit_path
 
 #: Least sigmas (m, rad) and time step (s): zero would have no finite weight.
 _LEAST_SIGMA_M, _LEAST_SIGMA_RAD, LEAST_STEP_S, _LEAST_SHARE = 1e-4, 1e-6, 1e-3, 1e-6
@@ -83,8 +84,8 @@ class RefinedTrajectory:
     """(4, 4)"""
     covariance: ChainCovariance | None
     """Of the states; None unless refined."""
-    scale: tuple[float, float] | None = None
-    """By what share the images show longer distances than GNSS/INS, with its sigma; None unless refined."""
+    path: PathFit | None = None
+    """What the path of GNSS/INS and that of the images differ by; None unless refined."""
     clock: ClockOffset | None = None
     """Between cameras and GNSS/INS; None where the drive does not show it."""
     changes: bool = False
@@ -146,16 +147,19 @@ def refine_trajectory(
     solved = adjust(log, only(measured, good), observed, params.robust_sigmas, common_sigmas, priors)
     if solved is None:
         return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
-    rotations, places, scale, normal = solved
+    rotations, places, _, normal = solved
     shift = places - log.positions
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
+    path = fit_path(
+        log, rotations, only(measured, good), stated_errors(frame_pairs), errors or assumed_errors(params), params
+    )
     worst = float(np.max(np.sum((shift / log.sigma_p) ** 2, axis=1)))
     if worst > params.max_shift_chi2:
         detail = (
             f"visual odometry would move a pose by {worst**0.5:.1f} of its stated sigmas, more than "
             f"{params.max_shift_chi2**0.5:.1f}; the stated sigmas of GNSS/INS or of the calibration are too small"
         )
-        return as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail)
+        return replace(as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail), path=path)
     cov = chain_solver.covariance(normal)
     sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
     map_SE3_body = se3.se3(rotations, places)
@@ -168,7 +172,7 @@ def refine_trajectory(
     map_SE3_left = se3.compose(map_SE3_body, log.body_SE3_left)
     return RefinedTrajectory(
         pairs, RefinementOutcome.REFINED, detail, map_SE3_left, log.body_SE3_left, cov,
-        (scale, float(cov.shared[0, 0]) ** 0.5), errors=errors,
+        path, errors=errors,
     )  # fmt: skip
 
 

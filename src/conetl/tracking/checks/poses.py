@@ -72,7 +72,7 @@ def check_trajectory(
         check_jumps(frame_pairs, rig, measured, good, limits.jumps, params.clock_sigma_s),
         check_turn_jumps(frame_pairs, rig, measured, good, limits.jumps),
         _clock(trajectory.clock, params),
-        *check_path(frame_pairs, log, measured, good, trajectory, params, limits.path),
+        *check_path(frame_pairs, trajectory, params, limits.path),
         *([] if is_interpolated(frame_pairs) else check_mount(log, measured, good, residual, limits.mount)),
         *_directions(frame_pairs, log, measured, residual),
     ]
