@@ -21,7 +21,13 @@ from pydantic import Field
 from scipy.linalg import block_diag
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.covariance import calibration_id, known_covariance, square_root, with_covariance
+from conetl.geometry.calibration.covariance import (
+    calibration_id,
+    known_covariance,
+    shared_errors,
+    square_root,
+    with_covariance,
+)
 from conetl.geometry.calibration.self_calibration import SpanPoints, equivalent_camera, estimate_right_camera
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import as_rows, vec3
@@ -204,6 +210,22 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
     if rig.rectified_from is None:
         rig = rig.model_copy(update={"right": rig.right.model_copy(update={"cx_px": rig.right.cx_px + shift_px})})
     return with_covariance(rig, covariance)
+
+
+def with_measured_scale(rig: Rig, given: Rig, scale: tuple[float, float] | None, params: TrajectoryParams) -> Rig:
+    """The rig of a drive with the error of its scale that distances in GNSS/INS leave open.
+
+    given: as it was read; of stated errors none is changed. scale: distances in the images relative to those in GNSS/INS, less 1,
+    and its sigma; the rig is not corrected by it. None: not measured.
+    """
+    covariance, shared = known_covariance(rig), shared_errors(rig)
+    if known_covariance(given) is not None or scale is None or covariance is None or shared is None:
+        return rig
+    part = min(float(np.hypot(*scale)) / params.scale_sigma, 1.0)
+    factor = np.array([part if name in _BASELINE_NAMES else 1.0 for name in covariance.names])
+    common = shared.model_copy(update={"matrix": as_rows(np.array(shared.matrix) * factor[:, None])})
+    matrix = as_rows(np.array(covariance.matrix) * np.outer(factor, factor))
+    return with_covariance(rig, CalibrationCovariance(names=covariance.names, matrix=matrix, shared=common))
 
 
 def _shared_after(prior: Floats, by_parameter: Floats, gain: Floats, found: SelfCalibration, floor: Floats) -> Floats:

@@ -23,6 +23,7 @@ from conetl.tracking.self_calibration import (
     self_calibrate,
     self_calibrated_rig,
     with_assumed_errors,
+    with_measured_scale,
 )
 from tests.synthetic.spans import CX_PX, FOCAL_PX, followed, make_span, motion
 from tests.synthetic.world import calibrated, make_rig
@@ -247,6 +248,24 @@ def test_a_standing_or_turning_car_gives_no_estimate() -> None:
         assert disparity_sigma_px(rig) == pytest.approx(PARAMS.self_calibration_prior_px, rel=0.1)
     stated = calibrated(RIG, FULL)
     assert self_calibrated_rig(stated, SWITCHED_OFF, PARAMS) is stated
+
+
+def test_distances_of_the_log_show_the_scale_of_a_calibration_that_states_no_errors() -> None:
+    assumed = with_assumed_errors(RIG, PARAMS)
+    sigmas = [
+        rig.calibration_covariance.sigmas["relative.tx_m"] / RIG.baseline_m
+        for rig in (
+            with_measured_scale(assumed, RIG, scale, PARAMS) for scale in (None, (0.0003, 0.0004), (0.01, 0.001))
+        )
+        if rig.calibration_covariance is not None
+    ]
+    assert sigmas == pytest.approx([PARAMS.scale_sigma, 0.0005, PARAMS.scale_sigma])
+    measured = with_measured_scale(assumed, RIG, (0.0003, 0.0004), PARAMS)
+    one, other = shared_errors(assumed), shared_errors(measured)
+    assert one is not None and other is not None and one.calibration == other.calibration
+    assert disparity_sigma_px(measured) == pytest.approx(disparity_sigma_px(assumed), rel=0.03)
+    stated = calibrated(RIG, FULL)
+    assert with_measured_scale(stated, stated, (0.0003, 0.0004), PARAMS) is stated
 
 
 def test_drives_of_an_unstated_calibration_share_its_errors_measured_or_not() -> None:
