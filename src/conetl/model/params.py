@@ -247,17 +247,17 @@ class TrajectoryParams(Params):
     """Like `epipolar_tolerance_px`, for these points, whose row error is to be estimated."""
     self_calibration_corners_per_cell: int = Field(default=3, ge=1)
     """Like `corners_per_cell`, for these points, because spans are few."""
-    self_calibration_prior_px: Positive = 1.0
-    """Prior sigma of a calibration of unknown covariance: of a shift of disparities and of rows, and, at the image's side, of
-    rows by a tilt and of disparities by a bend."""
+    self_calibration_prior_px: Positive = 0.7
+    """Sigma of a calibration that states none: of a shift of disparities and of rows, and, at the image's side, of rows by a tilt
+    and of disparities by a bend. Root mean square of what KITTI's two calibrations are off (docs/reference/uncertainty.md)."""
     self_calibration_sigma_floor_px: Positive = 0.05
     """Added to the sigma of each of these from the spans: errors of lenses and focal lengths are not turns of a camera."""
     self_calibration_least_px: Positive = 0.1
     """A correction that is smaller in all four is not applied."""
     self_calibration_significance: Positive = 3.0
     """A correction below this many of its own sigmas is not applied."""
-    self_calibration_max_chi2: Positive = 18.5
-    """A correction farther from the prior is not applied: chi-square of 4 degrees of freedom at 0.001."""
+    self_calibration_max_chi2: Positive = 37.8
+    """A correction farther from the prior is not applied. 6 sigmas, 4.3 px of an assumed one: cameras are also knocked."""
     max_width_px: int = Field(default=1280, ge=64)
     """Wider images are reduced for tracking points."""
     cell_px: int = Field(default=40, ge=8)
@@ -310,6 +310,19 @@ class TrajectoryParams(Params):
     """Cones are landmarks if GNSS/INS states at least this median horizontal sigma; with an RTK fix they do harm."""
     max_shift_chi2: Positive = 36.0
     """Largest squared shift of a pose in its stated sigmas: 3 sigma of a GNSS/INS that states half its sigmas."""
+
+
+class PairParams(Params):
+    """What one pair shows of its calibration (`conetl locate`)."""
+
+    min_points: int = Field(default=50, ge=10)
+    """Fewer points in both images show nothing."""
+    least_scatter_px: Positive = 0.1
+    """Least scatter of the rows of a point. KITTI and the sample drives: 0.09 to 0.25."""
+    beyond_share: Annotated[float, Field(gt=0, lt=0.5)] = 0.02
+    """Share of points that may be beyond infinity by wrong matches: at most 0.01 in KITTI and the sample drives."""
+    farthest_sigma_px: Positive = 0.2
+    """Sigma of the disparity that all but this share exceed."""
 
 
 class MarkingParams(Params):
@@ -500,6 +513,8 @@ class IngestParams(Params):
     """Comparison with the map."""
     trajectory: TrajectoryParams = TrajectoryParams()
     """Poses and calibration."""
+    pair: PairParams = PairParams()
+    """Single pairs."""
     marking: MarkingParams = MarkingParams()
     """Lane markings."""
     check: CheckParams = CheckParams()

@@ -34,13 +34,14 @@ from conetl.model.rig import SIDES, Side
 from conetl.perception.image_detail import SQUARE_PX, detail_by_octaves, local_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.lens_check import check_distortion
+from conetl.perception.pair_points import SHRINK as _SHRINK
+from conetl.perception.pair_points import Corners, find_corners, match_corners
 from conetl.perception.rectified_image import read_pair_image, rectify_image
 from conetl.perception.torn_images import MOST_OTHERS, check_seams, thinned
 
 TRIGGER = "trigger of both cameras"
 _DEFAULT = StereoCheckParams()
-_PAIRS, _FEATURES, _MIN_MATCHES = 5, 1000, 50
-_SHRINK, _MAX_HAMMING = 2, 50
+_PAIRS, _MIN_MATCHES = 5, 50
 #: Share of the matches below which the right images of other frames are tried.
 _FITTING_SHARE = 0.7
 #: Rows by which right images may be off, and scatter of a match (px of the whole image).
@@ -60,15 +61,11 @@ _BLURRED, _BLURRED_BESIDE, _FAINT_BESIDE, _NOISE = (0.6, 0.75), (0.68, 0.74), (0
 class _Features(NamedTuple):
     """What one image shows; empty if it is broken or blank."""
 
-    points_px: Floats = np.empty((0, 2))
-    """(N, 2) corners, px of the whole image."""
-    descriptors: Image = np.empty((0, 32), np.uint8)
+    corners: Corners = Corners()
     detail: NDArray[np.float32] = np.empty((0, 0), np.float32)
     """`local_detail`."""
     octaves: NDArray[np.float32] = np.empty((2, 0, 0), np.float32)
     """`detail_by_octaves`."""
-    small: Image = np.empty((0, 0), np.uint8)
-    """The image in which corners were found."""
     thin: Image = np.empty((0, 0), np.uint8)
     """The stored image, `thinned`."""
 
@@ -113,7 +110,7 @@ def check_stereo(drive: Drive, params: StereoCheckParams = _DEFAULT) -> tuple[Dr
     if len(rows) < _MIN_MATCHES or trigger.value != 0:
         return drive, findings
     findings.append(_check_columns(near[np.abs(near[:, 1] - np.median(rows)) <= _SCATTER_PX, 0]))
-    seen = [(features(k, "left").small, features(k, "right").small, *points(k, 0)) for k in chosen]
+    seen = [(features(k, "left").corners.small, features(k, "right").corners.small, *points(k, 0)) for k in chosen]
     findings.append(check_distortion(seen, drive.rig, _SHRINK))
     off_px, sigma_px = float(rows.mean()), float(np.hypot(rows.std() / np.sqrt(len(rows)), _FLOOR_PX))
     off = Finding(check="rows of the right images", value=off_px, sigma=sigma_px)
@@ -158,7 +155,9 @@ class _Matching(NamedTuple):
 def _matching(drive: Drive) -> _Matching:
     count, at_infinity_px = len(drive.frame_pairs), drive.rig.left.cx_px - drive.rig.right.cx_px
     features = cache(lambda number, side: _features(drive, number, side))
-    points = cache(lambda number, lag: _matched_points(features(number, "left"), features(number + lag, "right")))
+    points = cache(
+        lambda number, lag: match_corners(features(number, "left").corners, features(number + lag, "right").corners)
+    )
 
     def offsets(numbers: Sequence[int], lag: int) -> Floats:
         found = [points(k, lag) for k in numbers if 0 <= k + lag < count]
@@ -291,15 +290,7 @@ def _features(drive: Drive, number: int, side: Side) -> _Features:
     except ImageFileError:
         return _Features()
     image = stored if drive.rig.rectified_from is None else rectify_image(stored, drive.rig, side)
-    shown = _Features(detail=local_detail(image), octaves=detail_by_octaves(image), thin=thinned(stored))
-    small = cv2.resize(image, None, fx=1 / _SHRINK, fy=1 / _SHRINK, interpolation=cv2.INTER_AREA)
-    points, found = cv2.ORB.create(_FEATURES).detectAndCompute(small, None)
-    if found is None:
-        return shown
-    corners_px = np.array([point.pt for point in points]) * _SHRINK
-    return shown._replace(
-        points_px=corners_px, descriptors=np.asarray(found, np.uint8), small=np.asarray(small, np.uint8)
-    )
+    return _Features(find_corners(image), local_detail(image), detail_by_octaves(image), thinned(stored))
 
 
 def _stored(drive: Drive, number: int, side: Side) -> Image:
@@ -314,13 +305,3 @@ def _others(drive: Drive, chosen: Sequence[int], side: Side) -> list[Image]:
         with suppress(ImageFileError):
             found.append(thinned(_stored(drive, number, side)))
     return found
-
-
-def _matched_points(left: _Features, right: _Features) -> tuple[Floats, Floats]:
-    """(M, 2) px each: mutually best matches."""
-    if not len(left.points_px) or not len(right.points_px):
-        return np.empty((0, 2)), np.empty((0, 2))
-    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(left.descriptors, right.descriptors)
-    close = [(m.queryIdx, m.trainIdx) for m in matches if m.distance < _MAX_HAMMING]
-    i, j = np.array(close, dtype=np.intp).reshape(-1, 2).T
-    return left.points_px[i], right.points_px[j]

@@ -34,7 +34,13 @@ from conetl.tracking.checks.exposures import check_doubled, check_exposures
 from conetl.tracking.checks.poses import check_calibration
 from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
 from conetl.tracking.positions import locate_positions
-from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig, widened_by_offset
+from conetl.tracking.self_calibration import (
+    SWITCHED_OFF,
+    SelfCalibration,
+    self_calibrated_rig,
+    widened_by_offset,
+    with_measured_scale,
+)
 from conetl.tracking.standing import without_moving
 from conetl.tracking.tracks import drive_data, fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory
@@ -100,6 +106,7 @@ def analyse(
 
         # Calibrate: the right camera, from points that are followed over pieces of the drive.
         drive, chunks, findings = _chunks(drive, params, settings)
+        given = drive.rig
         calibration, rig = _calibrate(drive, chunks[0], executor)
 
         # Detect and match, chunk by chunk in parallel; the same images give the motions and the points of lane markings.
@@ -109,7 +116,10 @@ def analyse(
 
         # Refine: one adjustment of all poses, by motions, matches and what was logged.
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, matched, params)
-        drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
+        rig = with_measured_scale(
+            rig, given, None if trajectory.path is None else trajectory.path.scale, params.trajectory
+        )
+        drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs, "rig": rig})
 
         # Locate: a position for every match, by forward intersection.
         positions, unlocated = executor.run(locate, drive, matched, params)

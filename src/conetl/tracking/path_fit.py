@@ -39,6 +39,11 @@ class PathFit(NamedTuple):
     """(K, 3, 7), see `path_changes`."""
 
     @property
+    def scale(self) -> tuple[float, float]:
+        """By what share the images show longer distances than the log, and its sigma."""
+        return float(self.found[SCALE]), float(self.sigma[SCALE])
+
+    @property
     def doubtful(self) -> Bools:
         """(3,): whether neither calibration nor log, as they are stated, explain the scale, and the directions."""
         least = np.maximum(_DOUBTFUL_SIGMAS * self.stated, _SIGNIFICANT_SIGMAS * self.sigma[:3])
