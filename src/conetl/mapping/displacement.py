@@ -296,8 +296,9 @@ def _mean_sigma_m(cov_m2: Floats) -> float:
 
 
 def _mean_cov(t: Sequence[Track | MapFeature], f: Sequence[Track | MapFeature], pairs: Mapping[int, int]) -> Floats:
-    """Mean covariance (3, 3) m^2 of the differences of pairs, t -> f, without the errors that both share."""
-    some, others = [t[i] for i in pairs], [f[j] for j in pairs.values()]
+    """Mean covariance (3, 3) m^2 of the differences of pairs, t -> f, without the errors that both share; of some pairs."""
+    chosen = sorted(pairs.items())[:: 1 + len(pairs) // _MAX_TRACKS]
+    some, others = [t[i] for i, _ in chosen], [f[j] for _, j in chosen]
     covs = difference_cov(
         [one.cov_m2 for one in some], [one.shared_jacobian for one in some],
         [one.cov_m2 for one in others], [one.shared_jacobian for one in others],
