@@ -70,8 +70,10 @@ def find_contradiction(
     ).mean(axis=0)  # fmt: skip
     offset_m = found.offset_m.copy()
     for axes in (slice(2), slice(2, 3)):
-        chi2 = float(offset_m[axes] @ np.linalg.solve(cov_m2[axes, axes], offset_m[axes]))
-        if chi2 <= limits.sigmas**2 or np.linalg.norm(offset_m[axes]) <= limits.widened_least_m:
+        if (
+            _chi2(offset_m, cov_m2, axes) <= limits.sigmas**2
+            or np.linalg.norm(offset_m[axes]) <= limits.widened_least_m
+        ):
             offset_m[axes] = 0.0
     return Contradiction(offset_m, _finding(offset_m, cov_m2, limits)) if offset_m.any() else None
 
@@ -101,11 +103,16 @@ def _is_sure(found: Offset, tracks: Sequence[Track], features: Sequence[MapFeatu
     return bool(spacing_m.min() >= limits.widened_spacing * np.linalg.norm(found.offset_m[:2]))
 
 
+def _chi2(offset_m: Floats, cov_m2: Floats, axes: slice) -> float:
+    return float(offset_m[axes] @ np.linalg.solve(cov_m2[axes, axes], offset_m[axes]))
+
+
 def _finding(offset_m: Floats, cov_m2: Floats, limits: AgreementParams) -> Finding:
     level_m, up_m, size_m = float(np.hypot(*offset_m[:2])), float(offset_m[2]), float(np.linalg.norm(offset_m))
     apart = [f"{level_m:.2f} m from"] * (level_m > 0)
     apart += [f"{abs(up_m):.2f} m {'higher' if up_m > 0 else 'lower'} than"] * (up_m != 0)
-    sigma_m = float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2 if level_m else cov_m2[2, 2]))
+    axes = slice(2) if level_m else slice(2, 3)
+    sigma_m = (level_m or abs(up_m)) / _chi2(offset_m, cov_m2, axes) ** 0.5  # in its direction
     return Finding(
         check=POSITION if level_m else HEIGHTS, value=level_m or up_m, sigma=sigma_m,
         limit=max(limits.widened_least_m, limits.sigmas * sigma_m), found=True, effect_m=size_m, covered_m=size_m,

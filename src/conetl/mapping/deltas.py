@@ -11,7 +11,7 @@ import numpy as np
 from conetl.geometry.packing import cov3, stack_rows, vec3
 from conetl.mapping.contradiction import Contradiction
 from conetl.mapping.existence_update import missed, observed, sighting_evidence
-from conetl.mapping.fusion import birge_ratios, difference_cov, excess_of, fuse, larger_excess, with_excess
+from conetl.mapping.fusion import birge_ratios, excess_of, fuse, larger_excess, with_excess
 from conetl.model.arrays import Floats
 from conetl.model.base import Cov3, SharedErrorJacobian
 from conetl.model.drive import Track
@@ -152,14 +152,14 @@ def confirm_features(
         return []
     old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
     excess = [larger_excess(excess_of(f.shared_jacobian), excess_m2) for f in old]
-    estimates = (*_with_excess(old, excess), *_with_excess(new, excess))
-    gain, cov, jacobians = fuse(*estimates)
+    gain, cov, jacobians, difference_m2 = fuse(*_with_excess(old, excess), *_with_excess(new, excess))
     old_xyz, new_xyz = (stack_rows([one.xyz_m for one in side], 3) for side in (old, new))
     apart = new_xyz - old_xyz
     fused = old_xyz + _matvec(gain, apart)
-    excess_m2_of = np.array([np.zeros(3) if one is None else np.diag(one) for one in excess])
-    variances = cov[:, range(3), range(3)] - excess_m2_of  # the excess covers both already
-    cov[:, range(3), range(3)] = excess_m2_of + variances * birge_ratios(apart, difference_cov(*estimates))
+    in_excess = np.array([np.zeros((3, 3)) if one is None else one for one in excess])
+    of_excess = np.diagonal(in_excess, axis1=1, axis2=2)  # it covers both already
+    ratios = birge_ratios(apart, difference_m2 + in_excess)
+    cov[:, range(3), range(3)] = of_excess + ratios * (cov[:, range(3), range(3)] - of_excess)
     centres, new_centres = (stack_rows([one.centre_xyz_m for one in side], 3) for side in (old, new))
     centres = centres + _matvec(gain, new_centres - centres)
     shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1).tolist()

@@ -201,7 +201,8 @@ def _at_same_positions(
     if not pairs or 2 * len(pairs) < len(_near(cones, on_map, near_m)):
         return None
     i, j = list(pairs), list(pairs.values())
-    ours, theirs = [cones.some[k] for k in i], [on_map.some[k] for k in j]
+    few = slice(None, None, 1 + len(pairs) // _MAX_TRACKS)  # covariances of all would take long, and differ little
+    ours, theirs = [cones.some[k] for k in i[few]], [on_map.some[k] for k in j[few]]
     cov_m2 = difference_cov(
         [one.cov_m2 for one in ours], [one.shared_jacobian for one in ours],
         [one.cov_m2 for one in theirs], [one.shared_jacobian for one in theirs],

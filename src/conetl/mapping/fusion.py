@@ -47,26 +47,36 @@ _LEAST_INDEPENDENT_M2 = 1e-12
 _COVERED_CHI2 = 10.0
 
 
+class Fused(NamedTuple):
+    """N fused positions."""
+
+    gain: Floats
+    """(N, 3, 3) of the new estimates; those of the old ones are I less it."""
+    cov_m2: Floats
+    """(N, 3, 3), symmetric."""
+    shared_jacobian: list[SharedErrorJacobian | None]
+    difference_m2: Floats
+    """(N, 3, 3): covariance of the differences of both estimates, to which shared errors contribute only if they differ."""
+
+
 def fuse(
     old_cov: Sequence[Cov3],
     old_jacobian: Sequence[SharedErrorJacobian | None],
     new_cov: Sequence[Cov3],
     new_jacobian: Sequence[SharedErrorJacobian | None],
-) -> tuple[Floats, Floats, list[SharedErrorJacobian | None]]:
-    """Gains, covariances and shared-error Jacobians of N pairs of estimates of one position each; covariances in m^2.
-
-    Gains (N, 3, 3) are those of the new estimates; those of the old ones are I less it. Covariances (N, 3, 3) are symmetric.
-    """
+) -> Fused:
+    """Fuse N pairs of estimates of one position each; covariances in m^2."""
     old, new = cov_matrices(old_cov), cov_matrices(new_cov)
-    gain = old @ np.linalg.inv(old + new)
+    difference = old + new
+    gain = old @ np.linalg.inv(difference)
     cov = (np.eye(3) - gain) @ old
     cov = (cov + np.swapaxes(cov, 1, 2)) / 2
     shared_jacobian: list[SharedErrorJacobian | None] = [None] * len(old)
     for rows, ids, a, b in _correlated(old_jacobian, new_jacobian):
-        gain[rows], cov[rows], moved = _fuse_correlated(old[rows], a, new[rows], b)
+        gain[rows], cov[rows], moved, difference[rows] = _fuse_correlated(old[rows], a, new[rows], b)
         for k, fused in zip(rows, pack_jacobians(ids, moved, most=MOST_CALIBRATIONS), strict=True):
             shared_jacobian[k] = fused
-    return gain, cov, shared_jacobian
+    return Fused(gain, cov, shared_jacobian, difference)
 
 
 def difference_cov(
@@ -182,8 +192,9 @@ def _correlated(
             yield rows, ids, a, b
 
 
-def _fuse_correlated(old: Floats, a: Floats, new: Floats, b: Floats) -> tuple[Floats, Floats, Floats]:
-    """Gain, covariance (N, 3, 3), shared-error Jacobian (N, C, 3, K) of pairs with Jacobians a, b of the same calibrations."""
+def _fuse_correlated(old: Floats, a: Floats, new: Floats, b: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+    """Gain, covariance (N, 3, 3), shared-error Jacobian (N, C, 3, K) of pairs with Jacobians a, b of the same calibrations; the
+    covariance of their differences."""
     flat_a, flat_b = _flat(a), _flat(b)
     own_old, own_new = _independent_part(old, flat_a), _independent_part(new, flat_b)
     difference = own_old + own_new + _squared(flat_a - flat_b)  # P1 + P2 - C - C'
@@ -193,7 +204,7 @@ def _fuse_correlated(old: Floats, a: Floats, new: Floats, b: Floats) -> tuple[Fl
     moved = (rest[:, None] @ a + gain[:, None] @ b).astype(np.float32).astype(np.float64)  # as stored
     own = rest @ own_old @ np.swapaxes(rest, 1, 2) + gain @ own_new @ np.swapaxes(gain, 1, 2)
     cov = own + _squared(_flat(moved))
-    return gain, (cov + np.swapaxes(cov, 1, 2)) / 2, moved
+    return gain, (cov + np.swapaxes(cov, 1, 2)) / 2, moved, difference
 
 
 def _independent_part(cov: Floats, shared_jacobian: Floats) -> Floats:

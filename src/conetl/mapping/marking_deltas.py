@@ -13,7 +13,7 @@ from conetl.geometry.calibration.covariance import pack_jacobians, unpack_jacobi
 from conetl.geometry.packing import cov3, cov_matrices, vec3
 from conetl.mapping.deltas import add_counts
 from conetl.mapping.existence_update import observed
-from conetl.mapping.fusion import OffsetErrors, birge_ratios, difference_cov, fuse, in_map_frame
+from conetl.mapping.fusion import OffsetErrors, birge_ratios, fuse, in_map_frame
 from conetl.mapping.marking_lines import Feet, Lines, lines_of
 from conetl.mapping.visibility import MarkingView
 from conetl.model.arrays import Bools, Floats, Ints
@@ -123,12 +123,13 @@ def confirm_stretches(
     apart = (across @ (found.at(drive.lines.vertices_m) - on_map.vertices_m[at])[:, :, None])[:, :, 0]
     measured = found.at(drive.cov_m2) + _ALONG_M2 * along[:, :, None] * along[:, None, :]
     old_cov = [cov for feature in features for cov in shape_of(feature).cov_m2]
-    estimates = (
-        [old_cov[k] for k in at.tolist()], [features[j].shared_jacobian for j in number.tolist()],
-        list(map(cov3, measured)), _turned_jacobians(drive, found),
-    )  # fmt: skip
-    gain, cov, jacobians = fuse(*estimates)
-    cov[:, range(3), range(3)] *= birge_ratios(apart, difference_cov(*estimates))
+    gain, cov, jacobians, difference_m2 = fuse(
+        [old_cov[k] for k in at.tolist()],
+        [features[j].shared_jacobian for j in number.tolist()],
+        list(map(cov3, measured)),
+        _turned_jacobians(drive, found),
+    )
+    cov[:, range(3), range(3)] *= birge_ratios(apart, difference_m2)
     vertices_m = on_map.vertices_m.copy()
     vertices_m[at] += (across @ gain @ apart[:, :, None])[:, :, 0]
     new_cov = dict(zip(at.tolist(), map(cov3, cov), strict=True))

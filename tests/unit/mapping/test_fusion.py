@@ -43,7 +43,7 @@ def estimate(own: Floats, moved_m: dict[UUID, Floats]) -> Estimate:
 
 
 def fused(old: Estimate, new: Estimate) -> tuple[Floats, Floats, Estimate]:
-    [gain], [cov_m2], [jacobian] = fuse([old[0]], [old[1]], [new[0]], [new[1]])
+    [gain], [cov_m2], [jacobian], _ = fuse([old[0]], [old[1]], [new[0]], [new[1]])
     return gain, cov_m2, (cov3(cov_m2), jacobian)
 
 
@@ -101,6 +101,7 @@ def test_weights_and_covariances_are_those_of_the_formula(pair: tuple[Estimate, 
 def test_the_covariance_of_a_difference_is_without_what_both_share(pair: tuple[Estimate, Estimate]) -> None:
     (old_cov, old), (new_cov, new) = pair
     [cov] = difference_cov([old_cov], [old], [new_cov], [new])
+    np.testing.assert_array_equal(cov, fuse([old_cov], [old], [new_cov], [new]).difference_m2[0])
     gain, _ = by_formula(*pair)
     _, fused_cov, _ = fused(*pair)
     # The covariance after the fusion is that before less gain times the difference's times gain'.
@@ -148,11 +149,11 @@ def test_rows_do_not_depend_on_the_rows_beside_them() -> None:
     for k in range(20):
         moved = [{one: rounded(rng.normal(0, 0.05, (3, 5))) for one in CALIBRATIONS[: k % n]} for n in (3, 4)]
         rows.append((estimate(spd(rng, 0.02), moved[0]), estimate(spd(rng, 0.02), moved[1])))
-    gains, covs_m2, jacobians = fuse(
+    gains, covs_m2, jacobians, _ = fuse(
         [o[0] for o, _ in rows], [o[1] for o, _ in rows], [n[0] for _, n in rows], [n[1] for _, n in rows]
     )
     for k, (old, new) in enumerate(rows):
-        [gain], [cov_m2], [jacobian] = fuse([old[0]], [old[1]], [new[0]], [new[1]])
+        [gain], [cov_m2], [jacobian], _ = fuse([old[0]], [old[1]], [new[0]], [new[1]])
         np.testing.assert_array_equal(gain, gains[k])
         np.testing.assert_array_equal(cov_m2, covs_m2[k])
         assert jacobian == jacobians[k]
