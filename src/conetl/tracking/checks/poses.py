@@ -116,10 +116,11 @@ def _with_likely_cause(finding: Finding, clock: ClockOffset | None, params: Traj
 
 def check_calibration(calibration: SelfCalibration) -> Finding:
     """Whether the images contradict the calibration, and by more than it can be corrected."""
-    outcome = calibration.outcome
+    outcome, found = calibration.outcome, calibration.outcome is SelfCalibrationOutcome.IMPLAUSIBLE
     return Finding(
         check=CALIBRATION,
-        found=outcome is SelfCalibrationOutcome.IMPLAUSIBLE,
+        found=found,
+        says=("implausible" if found else "",),
         treated="corrected" if outcome is SelfCalibrationOutcome.APPLIED else "",
         facts={"outcome": _sentence(calibration.detail)},
     )
