@@ -15,7 +15,7 @@ from conetl.model.health import CALIBRATION, Finding
 from conetl.model.params import CheckParams, PathCheckParams, TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.checks.jumps import JUMPS, check_jumps, check_slow_jumps, check_turn_jumps
-from conetl.tracking.checks.mount import check_mount
+from conetl.tracking.checks.mount import STRETCH, check_mount
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
 from conetl.tracking.drive_refinement import scale_is_doubtful
 from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOutcome
@@ -30,7 +30,7 @@ from conetl.tracking.trajectory import (
 
 ALIGNMENT, DISTANCES = "alignment of cameras and GNSS/INS", "distances by images and by GNSS/INS"
 #: Checks that no offset of the clocks explains.
-_NOT_OF_CLOCKS = (JUMPS, DISTANCES)
+_NOT_OF_CLOCKS = (JUMPS, DISTANCES, STRETCH)
 #: A drive of fewer intervals has too little evidence, except for jumps.
 _LEAST_INTERVALS = 8
 #: Of normally distributed values, from the median of their absolute deviations and the square root of their number.
