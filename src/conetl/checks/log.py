@@ -229,9 +229,9 @@ CHECKS = (
     ),
     Check(
         name="cones passed twice",
-        measured="common displacement of cones that the drive passes again more than 5 s later",
-        observable="{agreement.least_pairs} of them, or beyond 1.5 m {agreement.least_same} at unequal distances, up "
-                   "to 4 m",
+        measured="common displacement of cones that the drive passes again more than {agreement.again_s:g} s later",
+        observable="{agreement.least_pairs} of them, or beyond {agreement.again_gate_m:g} m {agreement.least_same} at "
+                   "unequal distances, up to {agreement.again_m:g} m",
         limit="above {agreement.least_offset_m:g} m and {agreement.sigmas:g} sigmas of both", unit="m",
         effect="the displacement, in one of both passes",
         messages={"": "The drive passes {count} cones again from frame pair {first} on, and locates them {size:.2f} m "

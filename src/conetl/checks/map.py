@@ -12,6 +12,8 @@ _HEIGHTS = {
         "refer to another datum (ellipsoid or geoid), or the height of antenna or cameras is wrong."
     ),
 }
+_ONLY_SOME = "Only {count} of its cones are displaced: did its position jump where no images were taken?"
+_CHECK_HEIGHTS = "Check the height system of its log, and its lever arm."
 _POSITION = {
     "": (
         "Its cones are {value:.1f} m from those of the map, with a stated sigma of {sigma:.2f} m: either one of the "
@@ -48,10 +50,10 @@ CHECKS = (
         measured="median height difference of cones at the same positions (at least half of those nearby), and from "
                  "the nearest lines of lane markings within 1 m",
         observable="one cone; {agreement.least_pairs} for less than {agreement.gross_rise_m:g} m", limit=_BEYOND,
-        unit="m", effect="the difference", treated=_TREATED,
+        unit="m", effect="the difference", treated=_TREATED, remedy=_CHECK_HEIGHTS,
         messages=_HEIGHTS | {
             "widened": _WIDENED % "height of antenna or cameras, datum",
-            "part": "Only {count} of its cones are: did its position jump where no images were taken?",
+            "part": _ONLY_SOME,
         },
         passed="The heights agree with the map.",
     ),
@@ -72,7 +74,7 @@ CHECKS = (
             "markings": "Its lane markings are {value:.2f} m beside those of the map, with a stated sigma of "
                         "{sigma:.2f} m: either one of the two has a wrong position, or the road was repainted. Check "
                         "base station, datum and antenna offset of the drive.",
-            "part": "Only {count} of its cones are: did its position jump where no images were taken?",
+            "part": _ONLY_SOME,
         },
         passed="The positions agree with the map.",
     ),
@@ -91,7 +93,8 @@ CHECKS = (
                  "Once, when the drive arrives",
         observable="cones of the map nearby",
         limit="all above {agreement.cliff_m:g} m (bridges are lower) and {agreement.sigmas:g} stated sigmas", unit="m",
-        effect="the difference", messages=_HEIGHTS, passed="The heights are those of this section.",
+        effect="the difference", messages=_HEIGHTS, remedy=_CHECK_HEIGHTS,
+        passed="The heights are those of this section.",
     ),
     Check(
         name=f"{AGREEMENT}: classes", measured="objects at positions where the map has an object of another class",
@@ -139,7 +142,7 @@ CHECKS = (
                  "Once, when the drive arrives",
         observable="nothing on the map within 1 km", limit="above {region.least_on_roads:.0%}", unit="degrees",
         effect="a zone",
-        messages={"": "The drive is more than 1 km from everything on the map, but would be on roads of the map if it "
+        messages={"": "The drive is more than {far_km:g} km from everything on the map, but would be on roads of the map if it "
                       "were {size:g} degrees farther {direction}, one UTM zone."},
         passed="The drive is in its UTM zone.",
         remedy="Correct the zone of its coordinates (trajectory.crs in drive.yaml).",

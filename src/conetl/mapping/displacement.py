@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from math import hypot
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,7 @@ def searches(params: ReconcileParams) -> dict[str, Search]:
         "few cones": Search(own.lever_m, own.part_turn_deg, own.least_pairs, far_m),  # lever arm of another vehicle
         "moved": Search(far_m, own.max_turn_deg, own.least_agreeing, far_m),
         "stated again": Search(far_m, own.max_turn_deg, own.least_same, far_m),
+        "passed again": Search(own.again_m, own.max_turn_deg, own.least_same, far_m),
     }
 
 
@@ -109,16 +110,15 @@ def check_same_cones(
     stated: Sequence[Track | MapFeature],
     features: Sequence[Track | MapFeature],
     params: ReconcileParams,
-    within_m: float | None = None,
+    tried: Literal["stated again", "passed again"] = "stated again",
 ) -> Finding | None:
     """Whether cones that are stated again, by an imported map or a second pass, have a common displacement beyond their sigmas.
 
-    within_m: how far away they may be; default: `elsewhere_m`.
+    tried: which of the `searches`.
     """
     if not stated or not features:
         return None
-    cones, on_map, search = _objects(stated), _objects(features), searches(params)["stated again"]
-    search = search if within_m is None else search._replace(within_m=within_m)
+    cones, on_map, search = _objects(stated), _objects(features), searches(params)[tried]
     # If most have no cone near them, the rest match neighbours by chance: only heights are compared.
     return (
         _at_same_positions(cones, on_map, params, search.near_m)

@@ -169,6 +169,12 @@ class AgreementParams(Params):
     """No road connects two cones this near in plan ..."""
     cliff_m: Positive = 20.0
     """... with such a height difference; bridges are lower."""
+    again_s: Positive = 5.0
+    """A cone that a drive did not observe for longer than this may be passed again ..."""
+    again_m: Positive = 4.0
+    """... displaced by at most this distance; ..."""
+    again_gate_m: Positive = 1.5
+    """... cones nearer to each other are compared even if their displacements differ, as by a drift."""
     blind_probability: Annotated[float, Field(gt=0, lt=1)] = 0.01
     """Prior probability that a drive does not detect what its model card promises ..."""
     max_blind: Annotated[float, Field(gt=0, lt=1)] = 0.05
@@ -459,6 +465,25 @@ class MountCheckParams(Params):
     """Factor by which the log climbs more than the images, minus 1."""
 
 
+class ControlCheckParams(Params):
+    """Limits of control points against each other and the log."""
+
+    gate_chi2: Positive = 16.3
+    """A point beyond contradicts the others: chi-square of 3 degrees of freedom at 0.001."""
+    ambiguous_chi2: Positive = 9.0
+    """Another assignment of points to cones that fits worse by less may be the right one."""
+    near_m: Positive = 2.0
+    """The cone of a point is at most this far away, beside three sigmas of the log."""
+    least_agreeing: int = Field(default=3, ge=2)
+    """Points that must agree where the log contradicts them ..."""
+    free_m: Positive = 1.0
+    """... and may be wrong by this much more than it states (1 sigma)."""
+    same_plan_m: Positive = 0.1
+    """Points that differ from the log in height, but in plan by less than this, may be wrong themselves."""
+    drift_sigmas: Positive = 10.0
+    """Points may as well be wrong as a log that drifts against the images by fewer sigmas of both."""
+
+
 class RegionCheckParams(Params):
     """Limits of the checks of a drive against the extent and the other drives of the map."""
 
@@ -489,6 +514,8 @@ class CheckParams(Params):
     """Drift, direction and distances."""
     mount: MountCheckParams = MountCheckParams()
     """Mount of the cameras."""
+    control: ControlCheckParams = ControlCheckParams()
+    """Control points."""
     region: RegionCheckParams = RegionCheckParams()
     """Extent of the map."""
 

@@ -142,15 +142,14 @@ def _rejection(torn: TornImage) -> Rejection:
     )
 
 
-def check_seams(
-    images: dict[Side, list[Image]], others: Callable[[Side], list[Image]], params: ImageCheckParams = _DEFAULT
-) -> Finding:
-    """Whether the images of a drive are torn at one row. images: some of each side, `thinned`; others: more of a side."""
+def check_seams(images: dict[Side, list[Image]], others: Callable[[Side], list[Image]]) -> Finding:
+    """How strong a seam at one row of all images is. images: some of each side, `thinned`; others: more of a side."""
     found = {side: _mean_seam(images[side], partial(others, side)) for side in SIDES}
     known = {side: seam for side, seam in found.items() if seam is not None}
-    torn = [f"row {row} of the {side} images" for side, (size, row) in known.items() if size > params.max_seam]
-    value = max((size for size, _ in known.values()), default=None)
-    return Finding(check="seams in the images", value=value, facts={"rows": " and ".join(torn)})
+    strongest = max((size for size, _ in known.values()), default=None)
+    # The seam of a side without one is 1.
+    rows = [f"row {row} of the {side} images" for side, (size, row) in known.items() if 2 * size > 1 + (strongest or 1)]
+    return Finding(check="seams in the images", value=strongest, facts={"rows": " and ".join(rows)})
 
 
 def _mean_seam(images: Sequence[Image], others: Callable[[], list[Image]]) -> tuple[float, int] | None:

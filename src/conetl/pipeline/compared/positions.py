@@ -50,7 +50,9 @@ def check_positions_on_map(
             continue
         if far_from_all(conn, info, there_m, _ON_ROADS_M).mean() <= 1.0 - limits.least_on_roads:
             direction = "east" if east_deg > 0 else "west"
-            yield Finding(check="UTM zone", value=-east_deg, found=True, facts={"direction": direction})
+            yield Finding(
+                check="UTM zone", value=-east_deg, found=True, facts={"direction": direction, "far_km": FAR_M / 1000}
+            )
             return
     if far_from_all(conn, info, path_m, 1000 * limits.unusual_km).all():
         facts = {"km": limits.unusual_km}

@@ -20,6 +20,7 @@ from conetl.tracking.clock import robust_fit
 
 #: What is known beforehand (one sigma) of roll, pitch, yaw (rad), of right, down, forward (m), and of the scale of the motions.
 _PRIOR = (0.1, 0.1, 0.1, 3.0, 3.0, 3.0, 0.02)
+STRETCH = "aspect ratio of the images"
 _LEAST_MOTIONS, _ROUNDS = 20, 6
 #: Prior of the share by which images show more pitch than the log, and of what smoothing takes from turns, in their second
 #: differences.
@@ -61,4 +62,4 @@ def _check_stretch(residual: Floats, by: Floats, turns: Floats, limits: MountChe
         found.append((100 * float(fit.solution[first]), 100 * float(np.linalg.inv(fit.normal)[first, first] ** 0.5)))
     share, sigma = min(found, key=lambda one: abs(one[0]) / max(limits.stretch_percent, limits.stretch_sigmas * one[1]))
     opposite = found[0][0] * found[1][0] <= 0
-    return Finding(check="aspect ratio of the images", value=share, sigma=sigma, found=False if opposite else None)
+    return Finding(check=STRETCH, value=share, sigma=sigma, found=False if opposite else None)

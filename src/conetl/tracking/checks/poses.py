@@ -14,7 +14,7 @@ from conetl.model.health import CALIBRATION, Finding
 from conetl.model.params import CheckParams, TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.checks.jumps import JUMPS, check_jumps, check_turn_jumps
-from conetl.tracking.checks.mount import check_mount
+from conetl.tracking.checks.mount import STRETCH, check_mount
 from conetl.tracking.checks.path import DISTANCES, check_path
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
 from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOutcome
@@ -28,7 +28,7 @@ from conetl.tracking.trajectory import (
 )
 
 #: Checks that no offset of the clocks explains.
-_NOT_OF_CLOCKS = (JUMPS, DISTANCES)
+_NOT_OF_CLOCKS = (JUMPS, DISTANCES, STRETCH)
 #: A drive of fewer intervals has too little evidence, except for jumps.
 _LEAST_INTERVALS = 8
 #: A vehicle reverses in intervals in which it moves this many metres, and this many of the sigmas of the log's change.
@@ -100,10 +100,11 @@ def _with_likely_cause(finding: Finding, clock: ClockOffset | None, params: Traj
 
 def check_calibration(calibration: SelfCalibration) -> Finding:
     """Whether the images contradict the calibration, and by more than it can be corrected."""
-    outcome = calibration.outcome
+    outcome, found = calibration.outcome, calibration.outcome is SelfCalibrationOutcome.IMPLAUSIBLE
     return Finding(
         check=CALIBRATION,
-        found=outcome is SelfCalibrationOutcome.IMPLAUSIBLE,
+        found=found,
+        says=("implausible" if found else "",),
         treated="corrected" if outcome is SelfCalibrationOutcome.APPLIED else "",
         facts={"outcome": _sentence(calibration.detail)},
     )
