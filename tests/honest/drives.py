@@ -18,6 +18,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.drive import FramePair, Pose
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams
+from conetl.checks.verdict import judge_all
 from conetl.tracking.checks.poses import check_trajectory
 from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.error_propagation import moved_by_poses, pose_cov
@@ -76,7 +77,7 @@ def checked(drive: HonestDrive) -> tuple[RefinedTrajectory, list[HealthCheck]]:
     params = PARAMS.model_copy(update={"clock_sigma_s": drive.log.clock_sigma_s or PARAMS.clock_sigma_s})
     refined = refine_with_cones(drive.log.frame_pairs, RIG, drive.motions, [], IngestParams(trajectory=params))
     seen = [pair.model_copy(update={"detail": 10.0}) for pair in refined.logged or drive.log.frame_pairs]
-    return refined, check_trajectory(seen, RIG, drive.motions, refined, params)
+    return refined, judge_all(check_trajectory(seen, RIG, drive.motions, refined, params))
 
 
 def outcome_of(seed: int, shape: LogShape, sigma_m: float) -> Outcome:

@@ -23,8 +23,6 @@ from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 
-#: A common offset of more sigmas contradicts the stated ones: the drive is not corrected by it, but held (`displacement.py`).
-MAX_SIGMAS = 5.0
 #: Limits of the search for the common offset: candidate offsets, and tracks on which each is evaluated.
 _MAX_CANDIDATES = 200
 _MAX_TRACKS = 2000
@@ -66,7 +64,8 @@ def common_offset(
     drive_var = float(np.mean([track.cov_m2[0] + track.cov_m2[3] for track in tracks])) / 2
     map_var = float(np.mean([feature.cov_m2[0] + feature.cov_m2[3] for feature in features])) / 2
     total_var = drive_var + map_var
-    allowed_m = min(params.max_offset_m, MAX_SIGMAS * float(np.sqrt(total_var)))
+    # A larger offset contradicts the stated sigmas: the drive is not corrected by it, but held (`displacement.py`).
+    allowed_m = min(params.max_offset_m, params.agreement.sigmas * float(np.sqrt(total_var)))
     # A third coordinate keeps classes apart.
     apart_m = np.unique(classes_of([*some, *features]), return_inverse=True)[1] * _CLASSES_APART_M
     by_class = np.column_stack((t[:, :2], apart_m[: len(some)]))

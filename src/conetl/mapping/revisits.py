@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from conetl.mapping.association import xyz_of
-from conetl.mapping.displacement import LEAST_PAIRS, check_same_cones
+from conetl.mapping.displacement import HEIGHTS, check_same_cones
 from conetl.model.drive import FramePair, Position, Track
-from conetl.model.health import HealthCheck, hold
+from conetl.model.health import Finding
 from conetl.model.params import IngestParams, TrackParams
 
 #: A cone that was not observed for longer than this may be passed again, displaced by at most this distance.
@@ -22,8 +22,8 @@ _GATE_M = 1.5
 
 def check_revisits(
     tracks: Sequence[Track], positions: Sequence[Position], pairs: Sequence[FramePair], params: IngestParams
-) -> Iterator[HealthCheck]:
-    """A hold if cones that the drive passes twice have a common displacement beyond their stated sigmas.
+) -> Iterator[Finding]:
+    """The common displacement of cones that the drive passes twice, if it is beyond their stated sigmas.
 
     positions: from which the tracks were computed. Cones that people moved are not displaced by equal distances.
     """
@@ -43,18 +43,14 @@ def check_revisits(
             starts.append(k)
     for start, end in pairwise([*starts[1:], len(visits)]):
         again = [visits[k] for k in range(start, end) if min(near[k]) < start]
-        if len(again) < LEAST_PAIRS:
+        if len(again) < limits.agreement.least_pairs:
             continue
-        check = check_same_cones(again, visits[:start], limits, _WITHIN_M)
-        if check is None or check.value is None:
+        apart = check_same_cones(again, visits[:start], limits, _WITHIN_M)
+        if apart is None:
             continue
-        apart = "higher or lower than before" if "heights" in check.name else "from where they were"
-        detail = (
-            f"The drive passes {len(again)} cones again from frame pair {again[0].members[0][0]} on, and locates them "
-            f"{abs(check.value):.2f} m {apart}: GNSS/INS drifted or jumped in between, or all cones were moved by the same "
-            "distance. Reprocess the GNSS/INS log."
-        )
-        yield hold("cones passed twice", detail, **check.model_dump(include={"value", "sigma", "limit", "unit"}))
+        how = "higher or lower than before" if apart.check == HEIGHTS else "from where they were"
+        facts = {"count": len(again), "first": again[0].members[0][0], "how": how}
+        yield apart.model_copy(update={"check": "cones passed twice", "says": ("",), "facts": facts})
         return
 
 

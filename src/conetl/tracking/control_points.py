@@ -18,7 +18,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.model.arrays import Bools, Floats
 from conetl.model.drive import FramePair, Position, StereoMatch, SurveyedPoint
-from conetl.model.health import HealthCheck, Verdict
+from conetl.model.health import Finding
 from conetl.model.params import IngestParams
 from conetl.model.rig import Rig
 from conetl.tracking.drive_refinement import cone_groups, refine_with_cones
@@ -113,11 +113,11 @@ def refine_with_control(
             return replace(refined, control=check)
         return replace(
             plain,
-            control=_unused(f"The poses cannot be adjusted to the control points: {refined.detail}.", Verdict.HOLD),
+            control=_unused("not adjusted", why=refined.detail),
         )
 
     found = adjusted(frame_pairs, plain)
-    if found.control is not None and found.control.verdict is not Verdict.PASS:
+    if found.control is not None and found.control.found:
         loose = [pair.with_pose(sigma_enu_m=vec3(np.hypot(pair.pose.sigma_enu_m, _FREE_M))) for pair in frame_pairs]
         stated_m = np.median([pair.pose.sigma_enu_m for pair in frame_pairs], axis=0)
         freely = refine_with_cones(loose, rig, motions, matches, params)
@@ -267,57 +267,47 @@ def _without_contradictions(cones: _Cones, survey: Floats, off: Floats, chosen: 
     return chosen
 
 
-def _check(points: Sequence[SurveyedPoint], tie: _Tie, log: _Log | None) -> HealthCheck:
-    """The check of the points; its value is how many are used. log: if it may be wrong by more than it states."""
-    used, wrong, count = len(tie.cone_of), len(tie.wrong), f"{len(points)} control points"
+def _check(points: Sequence[SurveyedPoint], tie: _Tie, log: _Log | None) -> Finding:
+    """What was found about the points; its value is how many are used. log: if it may be wrong by more than it states."""
+    used, wrong, count = len(tie.cone_of), len(tie.wrong), len(points)
     named = ", ".join(f"{points[k].name} ({metres:.2f} m from the cone there)" for k, metres in tie.wrong.items())
     if not used and not wrong:
-        return _none_near(len(points))
+        return _none_near(count)
     if (wrong and (used < 2 or used <= wrong)) or (log is not None and used < _LEAST_AGREEING):
-        agreeing = f" Only {', '.join(points[k].name for k in tie.cone_of)} fit." if used else ""
-        return _unused(
-            f"The control points contradict each other or GNSS/INS: {named}.{agreeing} Check the points, their datum and that of "
-            f"GNSS/INS, or survey more: {_LEAST_AGREEING} points must agree.",
-            Verdict.HOLD,
-        )
+        agreeing = ", ".join(points[k].name for k in tie.cone_of)
+        says = ("contradict", *(["only"] if used else []), "survey")
+        return _unused(*says, named=named, agreeing=agreeing, least=_LEAST_AGREEING)
     if tie.ambiguous:
         twins = [
             f"{one.name} and {other.name}"
             for one, other in combinations(points, 2)
             if np.linalg.norm(np.subtract(one.xyz_m, other.xyz_m)) < _SAME_M
         ]
-        advice = (
-            f"one cone is surveyed twice ({', '.join(twins)}): keep one of the points"
-            if twins
-            else "survey more points"
-        )
-        return _unused(f"The {count} match the cones in more than one way: {advice}.")
-    detail = f"{used} of {count} match a cone and agree: the poses are adjusted to them."
-    verdict = Verdict.WARN if wrong else Verdict.PASS
+        return _unused("twins" if twins else "ambiguous", count=count, twins=", ".join(twins))
+    finding = Finding(
+        check=NAME, value=float(used), found=wrong > 0, says=("used",), facts={"used": used, "count": count}
+    )
     if log is not None:
-        stated_m, drift_m = log
-        mean_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
-        both_m = np.hypot(stated_m, np.mean([points[i].sigma_m for i in tie.cone_of], axis=0))
-        sigmas = float(np.abs(mean_m / both_m).max())
-        off = f"{np.linalg.norm(mean_m):.2f} m"
-        if np.hypot(*mean_m[:2]) < _SAME_PLAN_M:
-            verdict, off = Verdict.HOLD, f"{off} in height only"
-            advice = "were feet surveyed, not tips, with the right pole and height system? If so, accept the drive"
-        elif (drift_m < _DRIFT_SIGMAS * both_m).all():
-            verdict, off = Verdict.WARN, f"{off}, all along the drive"
-            advice = "one of the two is wrong, and the map uses the points. Check datum and base station of both"
-        else:
-            verdict = Verdict.WARN if wrong else Verdict.CORRECTED
-            advice = "it drifts, or jumps: check its log"
-        detail += f" GNSS/INS differs from them by {off} ({sigmas:.0f} sigmas of both): {advice}."
-    if wrong:
-        detail += f" Not used, because the others contradict them: {named}."
-    return HealthCheck(name=NAME, verdict=verdict, value=float(used), detail=detail)
+        finding = _with_log(finding, points, tie, log)
+    return finding.saying(*finding.says, "wrong", named=named) if wrong else finding
 
 
-def _unused(detail: str, verdict: Verdict = Verdict.WARN) -> HealthCheck:
-    return HealthCheck(name=NAME, verdict=verdict, value=0.0, detail=detail)
+def _with_log(finding: Finding, points: Sequence[SurveyedPoint], tie: _Tie, log: _Log) -> Finding:
+    """The finding with how the log differs from the points that are used: in height only, all along the drive, or by a drift."""
+    stated_m, drift_m = log
+    mean_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
+    both_m = np.hypot(stated_m, np.mean([points[i].sigma_m for i in tie.cone_of], axis=0))
+    off = {"off_m": float(np.linalg.norm(mean_m)), "sigmas": float(np.abs(mean_m / both_m).max())}
+    if np.hypot(*mean_m[:2]) < _SAME_PLAN_M:
+        return finding.model_copy(update={"found": True}).saying("used", "in height", **off)
+    if (drift_m < _DRIFT_SIGMAS * both_m).all():
+        return finding.model_copy(update={"found": True}).saying("used", "all along", **off)
+    return finding.model_copy(update={"treated": "corrected"}).saying("used", "drift", **off)
 
 
-def _none_near(count: int) -> HealthCheck:
-    return _unused(f"None of the {count} control points is near a cone: check their CRS and height system.")
+def _unused(*says: str, **facts: int | str) -> Finding:
+    return Finding(check=NAME, value=0.0, found=True, says=says, facts=facts)
+
+
+def _none_near(count: int) -> Finding:
+    return _unused("none near", count=count)

@@ -23,6 +23,7 @@ from conetl.model.rig import Rig
 from conetl.tracking.association import CameraMotion, chain_positions
 from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
 from conetl.tracking.error_propagation import motion_error
+from conetl.tracking.log_errors import assumed_errors
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.trajectory import (
     LEAST_STEP_S,
@@ -68,7 +69,7 @@ def refine_with_cones(
         frame_pairs = at_images(frame_pairs, log, clock.offset_s)
     refined = refine_trajectory(frame_pairs, rig, motions, params.trajectory, control=control)
     if cones := _landmarks(refined, frame_pairs, rig, matches, params, control):
-        together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control)
+        together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control, refined.errors)
         if together.outcome is RefinementOutcome.REFINED:
             pairs = [
                 pair.with_pose(sigma_enu_m=alone.pose.sigma_enu_m, sigma_rpy_rad=alone.pose.sigma_rpy_rad)
@@ -130,9 +131,9 @@ def scale_is_doubtful(scale: float, sigma: float, prior_sigma: float) -> bool:
 def _with_common_errors(
     refined: RefinedTrajectory, params: TrajectoryParams, control: Sequence[ControlCone]
 ) -> RefinedTrajectory:
-    """The trajectory with the errors of clock and lever arm, and of GNSS/INS as its best record (or control point) states it,
-    which move all poses together: however many records there are, their common error is not averaged out. Where images and log
-    show different distances, the log may drift by the difference."""
+    """The trajectory with the errors of clock and lever arm, and of what GNSS/INS errs by in all records alike, which move all
+    poses together: however many records there are, it is not averaged out. The best record (or control point) limits it. Where
+    images and log show different distances, the log may drift by the difference."""
     assert refined.covariance is not None
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
     times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
@@ -141,7 +142,9 @@ def _with_common_errors(
     stated = [np.array(pair.pose.sigma_enu_m) for pair in refined.logged]
     best = np.min([*stated, *(np.sqrt(np.diag(cone.cov_m2)) for cone in control)], axis=0)
     known = np.diagonal(refined.covariance.cov, axis1=1, axis2=2)[:, :3].min(axis=0)
-    systematic = np.sqrt(np.maximum(best**2 - known, 0.0))
+    errors = refined.errors or assumed_errors(params)
+    lasting, constant, factor = (errors.by_axis(field)[:3] for field in ("slow", "constant", "factor"))
+    systematic = np.sqrt(constant * np.maximum(lasting * factor * best**2 - known, 0.0))
     reach = np.zeros((len(poses), STATE, 9))
     reach[:, :POSE, 0] = (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]])) / 2
     reach[:, :3, 1:4], reach[:, :3, 4:7] = poses[:, :3, :3], np.eye(3)

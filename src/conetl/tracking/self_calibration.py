@@ -32,6 +32,11 @@ _TURN_NAMES = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
 _DECENTRING = "lens.3"
 
 
+#: Offsets of the right camera beyond this many of their sigmas are in the sigmas of positions.
+DOUBTFUL_SIGMAS = 3.0
+_FORWARD = "relative.tz_m"
+
+
 class Span(NamedTuple):
     """Part of a drive over which points are compared; first and last are positions in its frame pairs, not frame indices."""
 
@@ -66,7 +71,7 @@ class SelfCalibration(Record):
     model_gap: tuple[float, ...] = ()
     """(rx, ry, rz, bend): their change if disparities may also follow another field; empty without an estimate."""
     right_ahead: tuple[float, ...] = ()
-    """Offset of the right camera forward of its calibrated position, and its sigma (`checks/exposures.py`); empty if unknown."""
+    """Offset of the right camera forward of its calibrated position, and its sigma (`right_camera_ahead`); empty if unknown."""
     span_count: int = Field(default=0, ge=0)
 
 
@@ -174,6 +179,32 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
     if rig.rectified_from is None:
         rig = rig.model_copy(update={"right": rig.right.model_copy(update={"cx_px": rig.right.cx_px + shift_px})})
     return with_covariance(rig, covariance)
+
+
+def is_ahead(ahead: Sequence[float]) -> bool:
+    """Whether an offset of the right camera (`SelfCalibration.right_ahead`) is more than noise."""
+    return bool(ahead) and abs(ahead[0]) > DOUBTFUL_SIGMAS * ahead[1]
+
+
+def widened_by_offset(rig: Rig, found: SelfCalibration) -> Rig:
+    """The rig whose `calibration_covariance` contains the offset of its right camera, if there is one.
+
+    It is not corrected: other brightness curves of the two cameras look the same, and move nothing.
+    """
+    if not is_ahead(found.right_ahead):
+        return rig
+    known = known_covariance(rig)
+    given = () if known is None else known.names
+    names = given if _FORWARD in given else (*given, _FORWARD)
+    matrix = np.zeros((len(names), len(names)))
+    if known is not None:
+        matrix[: len(given), : len(given)] = known.matrix
+    at = names.index(_FORWARD)
+    matrix[at, at] += (found.right_ahead[0] * rig.baseline_m) ** 2
+    shared = None if known is None else known.shared
+    if shared is not None and len(names) > len(given):
+        shared = shared.model_copy(update={"matrix": (*shared.matrix, (0.0,) * len(shared.matrix[0]))})
+    return with_covariance(rig, CalibrationCovariance(names=names, matrix=as_rows(matrix), shared=shared))
 
 
 def _shared_after(prior: Floats, by_parameter: Floats, gain: Floats, found: SelfCalibration, floor: Floats) -> Floats:

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from conetl.checks.verdict import judge
 from conetl.geometry.motion.stereo_motion import StereoCameras
 from conetl.model.drive import FramePair, Track
 from conetl.model.health import Verdict
@@ -84,11 +85,11 @@ def survey(columns_m: Sequence[float], *, doubled: bool = False) -> tuple[list[T
 
 @pytest.mark.parametrize("spacing_m", [0.9, 1.2, 2.4, 5.0])
 def test_rows_of_objects_pass(spacing_m: float) -> None:
-    assert check_doubled(*survey([30.0 + spacing_m * k for k in range(9)])).verdict is Verdict.PASS
+    assert judge(check_doubled(*survey([30.0 + spacing_m * k for k in range(9)]))).verdict is Verdict.PASS
 
 
 def test_doubled_objects_are_held() -> None:
     row = [30.0 + 5.0 * k for k in range(9)]
-    assert check_doubled(*survey(row, doubled=True)).verdict is Verdict.HOLD
-    assert check_doubled(*survey(row[:3], doubled=True)).verdict is Verdict.PASS  # two rows of three may be real
-    assert check_doubled([], []).verdict is Verdict.PASS
+    assert judge(check_doubled(*survey(row, doubled=True))).verdict is Verdict.HOLD
+    assert judge(check_doubled(*survey(row[:3], doubled=True))).verdict is Verdict.PASS  # two rows of three may be real
+    assert judge(check_doubled([], [])).verdict is Verdict.PASS
