@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.checks.verdict import judge_all
 from conetl.evaluation.accuracy import pose_parts
 from conetl.geometry import pose as se3
 from conetl.geometry.consistency import Consistency, consistency
@@ -18,7 +19,6 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.drive import FramePair, Pose
 from conetl.model.health import HealthCheck
 from conetl.model.params import IngestParams
-from conetl.checks.verdict import judge_all
 from conetl.tracking.checks.poses import check_trajectory
 from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.error_propagation import moved_by_poses, pose_cov
