@@ -55,17 +55,16 @@ def recordings(
 
 
 def run(title: str, work: Iterable[Callable[[], Outcome]]) -> list[Outcome]:
-    """Outcomes of all, with a table by shape and the reasons of holds."""
+    """Outcomes of all; prints the reason of each hold at once, and a table by shape."""
     outcomes, start = [], time.monotonic()
     for number, step in enumerate(work, 1):
         outcomes.append(step())
+        if (said := outcomes[-1].held) is not None:
+            print(f"held: {outcomes[-1].name}: {said}", flush=True)
         if sys.stderr.isatty() or number % 20 == 0:
             print(f"\r{title}: {number}, {time.monotonic() - start:.0f} s", end="", file=sys.stderr, flush=True)
     if outcomes:
         print_rows(f"{title}, {time.monotonic() - start:.0f} s", by(lambda one: one.shape, outcomes))
-    for outcome in outcomes:
-        if outcome.held is not None:
-            print(f"held: {outcome.name}: {outcome.held}")
     return outcomes
 
 

@@ -134,16 +134,20 @@ def saw_tooth(rng: np.random.Generator, times: Times) -> Floats:
     return np.sqrt(3) * since[:, None] * rng.normal(0, 1, 3)
 
 
-def ramp(rng: np.random.Generator, times: Times) -> Floats:
-    """Changes at a constant rate over the whole drive, from minus to plus."""
-    share = np.linspace(-1, 1, times.count)
-    return np.sqrt(3) * share[:, None] * rng.normal(0, 1, 3)
-
-
 def wave(rng: np.random.Generator, times: Times) -> Floats:
-    """An oscillation of 0.05 to 1 Hz, as of a filter that is badly damped."""
-    hz, phase = np.exp(rng.uniform(np.log(0.05), 0, 3)), rng.uniform(0, 2 * np.pi, 3)
-    return np.sqrt(2) * np.sin(2 * np.pi * hz * times.seconds[:, None] + phase) * np.abs(rng.normal(0, 1, 3))
+    """An oscillation of 1 to 20 s, as of a filter that is badly damped."""
+    return _oscillation(rng, times, np.exp(rng.uniform(0, np.log(20), 3)))
+
+
+def long_wave(rng: np.random.Generator, times: Times) -> Floats:
+    """An oscillation of 1.5 to 4 times the length of the drive, within which it is nearly a steady drift."""
+    return _oscillation(rng, times, rng.uniform(1.5, 4.0, 3) * times.seconds[-1])
+
+
+def _oscillation(rng: np.random.Generator, times: Times, period_s: Floats) -> Floats:
+    """Of the same variance at all times."""
+    angle = 2 * np.pi * times.seconds[:, None] / period_s
+    return np.asarray(np.cos(angle) * rng.normal(0, 1, 3) + np.sin(angle) * rng.normal(0, 1, 3))
 
 
 def steps(rng: np.random.Generator, times: Times) -> Floats:
@@ -319,7 +323,7 @@ def heading_only(rng: np.random.Generator, times: Times, sigma_m: float) -> LogE
 
 SHAPES = (
     LogShape("constant", of_positions(constant)),
-    LogShape("ramp over the drive", of_positions(ramp)),
+    LogShape("wave longer than the drive", of_positions(long_wave)),
     LogShape("slow, 5 to 100 s", of_positions(slow_by_chance)),
     LogShape("white", of_positions(white)),
     LogShape("constant, slow and white", of_positions(mixed)),

@@ -9,7 +9,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +27,7 @@ from conetl.evaluation.truth import TruthCone, read_truth_cones
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.stereo_tracks import motions_of
 from conetl.model.drive import Drive, FramePair
+from conetl.model.errors import ConetlError
 from conetl.model.params import IngestParams
 from conetl.perception.visual_odometry import follow_drive
 from conetl.pipeline import detect, one_pair
@@ -77,9 +78,13 @@ def outcome_of(seed: int, shape: LogShape, sigma_m: float, made: Callable[[], Ba
     log = logged(base.drive.frame_pairs, base.poses_at, rng, shape, sigma_m)
     clock_s = log.clock_sigma_s or base.drive.clock_sigma_s
     drive = base.drive.model_copy(update={"frame_pairs": log.frame_pairs, "clock_sigma_s": clock_s})
-    with same_detections(base):
-        found = analyse(drive, settings=settings)
-    outcome = Outcome(shape.name, base.name, sigma_m, seed).with_checks(found.health)
+    outcome = Outcome(shape.name, base.name, sigma_m, seed)
+    try:
+        with same_detections(base):
+            found = analyse(drive, settings=settings)
+    except ConetlError as error:
+        return replace(outcome, held=f"refused: {error}")
+    outcome = outcome.with_checks(found.health)
     if not base.truth or not found.tracks:
         return outcome
     tracks = evaluate_drive(base.truth, found, within_m=_WITHIN_M).tracks

@@ -132,7 +132,7 @@ def renders() -> dict[str, Render]:
     """By name."""
     wide, narrow = _camera(960, 320, 640.0), _camera(1056, 352, 704.0)
     left, right = _eyes(wide, 1.5)
-    fish = _camera(640, 384, 336.0)
+    fish = _camera(640, 384, 400.0)
     return {
         "bends": Render(
             scenario_pass(1), *_eyes(wide, 0.54), 40, (-14.0, -1.5), lambda t: 8.0 + none(t),
@@ -209,29 +209,30 @@ def _rig(name: str, drive: Render) -> dict[str, object]:
     }  # fmt: skip
 
 
+def _rays(eye: Eye) -> Floats:
+    """(H, W, 2) direction of each pixel behind a fisheye lens, at depth 1."""
+    camera = eye.camera
+    pixels = np.stack(np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px)), axis=-1).reshape(-1, 1, 2)
+    rays = cv2.fisheye.undistortPoints(pixels.astype(np.float64), matrix_k(camera), np.array(eye.fisheye))
+    return np.asarray(rays.reshape(camera.height_px, camera.width_px, 2))
+
+
 def _seen_through(eye: Eye) -> Camera:
     """The camera without a lens whose image shows all that the lens does."""
     if eye.fisheye is None:
         return eye.camera
-    camera = eye.camera
-    corners = np.tan([camera.width_px / 2 / camera.fx_px + 0.04, camera.height_px / 2 / camera.fx_px + 0.16])
-    width, height = (2 * np.ceil(1.3 * camera.fx_px * corners)).astype(int).tolist()
-    focal = 1.3 * camera.fx_px
-    return Camera(
-        width_px=width, height_px=height, fx_px=focal, fy_px=focal, cx_px=(width - 1) / 2, cy_px=(height - 1) / 2
-    )
+    focal = 1.1 * eye.camera.fx_px
+    lowest, highest = ((focal * end(_rays(eye), axis=(0, 1))) for end in (np.min, np.max))
+    width, height = (np.ceil(highest - lowest).astype(int) + 4).tolist()
+    cx, cy = (2 - lowest).tolist()
+    return Camera(width_px=width, height_px=height, fx_px=focal, fy_px=focal, cx_px=cx, cy_px=cy)
 
 
 def _by_lens(radiance: NDArray[np.float32], shown: Camera, eye: Eye) -> NDArray[np.float32]:
     """The image as the lens has it."""
     if eye.fisheye is None:
         return radiance
-    camera = eye.camera
-    pixels = np.stack(np.meshgrid(np.arange(camera.width_px), np.arange(camera.height_px)), axis=-1).reshape(-1, 1, 2)
-    rays = cv2.fisheye.undistortPoints(pixels.astype(np.float64), matrix_k(camera), np.array(eye.fisheye))
-    at = (rays.reshape(camera.height_px, camera.width_px, 2) * shown.fx_px + [shown.cx_px, shown.cy_px]).astype(
-        np.float32
-    )
+    at = (_rays(eye) * shown.fx_px + [shown.cx_px, shown.cy_px]).astype(np.float32)
     return np.asarray(cv2.remap(radiance, at[..., 0], at[..., 1], cv2.INTER_CUBIC), np.float32)
 
 
