@@ -38,15 +38,15 @@ GROUPS = ((0, 1), (2,), (3, 4), (5,))
 _SPACED, _RUNS, _RUN = 48, 3, 24
 #: Prior sigmas of the logarithms of white and fast over slow share, of the times of the fast and the slow part, of the jitter of
 #: the stamps, and of the factor on the stated variance.
-_PRIOR_SIGMA = np.array([5.0, 5.0, 0.7, 2.0, 1.0, 0.7])
+_PRIOR_SIGMA = np.array([15.0, 15.0, 0.7, 2.0, 1.0, 0.7])
 _FAST_SHARE, _FAST_S, _FAST_RANGE_S, _SLOW_RANGE_S = 0.01, 0.7, (0.15, 3.0), (5.0, 600.0)
 _LEAST_JITTER_S, _MOST_FACTOR = 1e-6, 20.0
 #: Chi-square of one degree of freedom at 1e-4 above which the stated variance is too small.
 _SIGNIFICANT = 15.1
 #: Unknowns that are fitted to the same records.
 _FITTED = 4
-#: Mean of the positive half of a standard normal variable.
-_HALF_NORMAL = 0.4
+#: Share of its sampling error that a share of nearly 1 leaves to the slow part.
+_LEFT = 0.1
 #: Of normal errors, from the median of their absolute values; what the white part leaves at least.
 _SIGMA_OF_MEDIAN, _LEAST_SLOW = 1.4826, 1e-3
 #: Stated sigmas that differ by less than this factor have the same cause.
@@ -227,7 +227,7 @@ def _estimated(parts: Sequence[DifferenceTerms], assumed: ErrorShares, jitter_s:
     freedom = max(count - _FITTED, 1)
     white, fast = (share * (freedom + 4) / freedom for share in (white, fast))
     # A share is known to its sampling error only.
-    slow = max(1.0 - white - fast, _HALF_NORMAL * (2 / count) ** 0.5 * max(white, fast))
+    slow = max(1.0 - white - fast, _LEFT * (2 / count) ** 0.5 * max(white, fast))
     return ErrorShares(
         white / (white + fast + slow), fast / (white + fast + slow), float(np.exp(full[2])), float(np.exp(full[3])),
         float(np.exp(full[4])) if jitter_s else 0.0, float(np.exp(full[5])), misfit2, constant,

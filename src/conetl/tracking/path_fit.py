@@ -21,6 +21,8 @@ from conetl.tracking.path_difference import ASIDE, SCALE, UP, PathDifference, pa
 
 #: What is known beforehand of scale, direction (rad), lever arm (m) and clock (s): one sigma.
 PRIOR = np.array([0.1, 0.2, 0.2, 3.0, 3.0, 3.0, 0.05])
+#: Ends of a drift at a constant rate whose root mean square is one.
+_RAMP = 3**0.5
 #: Beyond this many sigmas of what is stated, and of the estimate, positions may have drifted.
 _DOUBTFUL_SIGMAS, _SIGNIFICANT_SIGMAS = 2.0, 3.0
 
@@ -31,7 +33,9 @@ class PathFit(NamedTuple):
     found: Floats
     """(7,)"""
     sigma: Floats
-    """(7,) by the drive alone."""
+    """(7,) if the errors of the log have the spectrum that the drive shows."""
+    sigma_of_any: Floats
+    """(7,) if they may as well be a drift at a constant rate, within its stated sigmas."""
     stated: Floats
     """(3,): stated sigmas of scale and of both directions."""
     difference: PathDifference
@@ -68,7 +72,14 @@ def fit_path(
     stated = np.zeros(3)
     stated[SCALE] = params.scale_sigma
     stated[ASIDE], stated[UP] = (np.median(records.stated[:, axes].max(axis=1)) for axes in ((5,), (3, 4)))
-    return PathFit(found, np.sqrt(np.diag(cov)), stated, difference, changes)
+    drift = np.linspace(-1.0, 1.0, len(changes))[:, None, None] * np.diag(
+        _RAMP * np.median(records.stated[:, :3], axis=0)
+    )
+    with_drift = np.concatenate([changes, drift], axis=2)
+    _, cov_of_any = fitted_changes(difference, records, errors, with_drift, np.append(PRIOR, np.ones(3)))
+    return PathFit(
+        found, np.sqrt(np.diag(cov)), np.sqrt(np.diag(cov_of_any)[: len(PRIOR)]), stated, difference, changes
+    )
 
 
 def fitted_changes(

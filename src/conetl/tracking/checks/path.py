@@ -28,7 +28,7 @@ def check_path(
     findings, fit = [_stated_sigmas(trajectory, limits)], trajectory.path
     if fit is None:
         return findings
-    sigma = fit.sigma.copy()
+    sigma = fit.sigma_of_any.copy()
     sigma[:3] = np.hypot(sigma[:3], fit.stated)
     k, way = max(((ASIDE, "sideways"), (UP, "up or down")), key=lambda one: abs(fit.found[one[0]]) / sigma[one[0]])
     arms = list(zip(fit.found[LEVER], sigma[LEVER], ("forward", "left"), strict=False))
