@@ -32,7 +32,7 @@ def test_a_part_of_a_drive_whose_images_cannot_be_followed_is_held() -> None:
 
 
 @pytest.mark.parametrize(
-    ("roll_deg", "ahead_m", "found"), [(3.0, 0.0, "rolled by -3."), (0.0, 1.0, "mounted by -1."), (0.0, 0.0, None)]
+    ("roll_deg", "ahead_m", "found"), [(3.0, 0.0, "rolled by -3."), (0.0, 2.0, "mounted by -2."), (0.0, 0.0, None)]
 )
 def test_turns_show_a_wrong_mount_of_the_cameras(roll_deg: float, ahead_m: float, found: str | None) -> None:
     """Poses of a body that is rolled, or farther ahead, are not those of the body that the calibration means."""

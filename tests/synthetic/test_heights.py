@@ -7,16 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from conetl.checks.verdict import judge_all
 from conetl.geometry import pose as se3
-from conetl.geometry.motion.pose_graph import motion_residuals
 from conetl.geometry.packing import vec3
 from conetl.model.health import HealthCheck, Verdict
-from conetl.model.params import MountCheckParams
-from conetl.tracking.checks.mount import check_mount
-from conetl.tracking.trajectory import measured_motions, plausible_motions, read_log
 from tests.synthetic import good_drives
-from tests.synthetic.good_drives import PARAMS, RIG, GoodDrive, draw_drive
+from tests.synthetic.good_drives import GoodDrive, checked, draw_drive
 from tests.synthetic.world import ORIGIN_M
 
 
@@ -42,12 +37,10 @@ def of_heights(seed: int, factor: float, monkeypatch: pytest.MonkeyPatch) -> tup
         off_m = np.subtract(pair.pose.map_t_body_m, ORIGIN_M) * (1.0, 1.0, factor)
         pose = pair.pose.model_copy(update={"map_t_body_m": vec3(off_m + ORIGIN_M)})
         logged.append(pair.model_copy(update={"pose": pose}))
-    log, measured = read_log(logged, RIG, PARAMS), measured_motions(logged, drive.motions, PARAMS)
-    residual = motion_residuals(log, log.rotations, log.positions, measured, 0.0)[0]
-    good = plausible_motions(log, measured, PARAMS.scale_sigma)
-    checks = judge_all(check_mount(log, measured, good, residual, MountCheckParams()))
+    drive = replace(drive, logged=logged)
+    _, checks = checked(drive)
     [check] = [check for check in checks if check.name == "heights of GNSS/INS"]
-    return replace(drive, logged=logged), check
+    return drive, check
 
 
 RTK = [3000, 3001, 3008]

@@ -240,8 +240,8 @@ def _shares(values: Floats) -> Floats:
     return np.asarray(raw / raw.sum())
 
 
-def compared_frames(records: StatedErrors) -> Ints:
-    """The frames that are compared: their number squared is kept, to the third power it takes time.
+def compared_frames(records: StatedErrors, most: int = _SPACED + _RUNS * _RUN) -> Ints:
+    """The frames that are compared, about so many: their number squared is kept, to the third power it takes time.
 
     Between two records an interpolated path has no errors of its own: of these frames, those nearest to the records.
     """
@@ -251,11 +251,11 @@ def compared_frames(records: StatedErrors) -> Ints:
         order = np.lexsort((records.between[:, 0], record))
         every = np.sort(order[np.concatenate([[True], np.diff(record[order]) > 0])])
     count = len(every)
-    if count <= _SPACED + _RUNS * _RUN:
+    if count <= most:
         return every
     starts = np.linspace(0, count - _RUN, _RUNS).round().astype(int)
     runs = (starts[:, None] + np.arange(_RUN)).ravel()
-    return np.asarray(every[np.unique(np.concatenate([runs, np.array(evenly_spaced(range(count), _SPACED))]))])
+    return np.asarray(every[np.unique(np.concatenate([runs, np.array(evenly_spaced(range(count), most - _RUNS * _RUN))]))])
 
 
 def difference_terms(

@@ -19,8 +19,10 @@ from conetl.model.params import TrajectoryParams
 from conetl.tracking.log_errors import GROUPS, LogErrors, StatedErrors, compared_frames, difference_terms, log_cov
 from conetl.tracking.path_difference import ASIDE, SCALE, UP, PathDifference, path_changes, path_difference
 
-#: What is known beforehand of scale, direction (rad), lever arm (m) and clock (s): one sigma.
-PRIOR = np.array([0.1, 0.2, 0.2, 3.0, 3.0, 3.0, 0.05])
+#: What is known beforehand of scale, direction (rad) and lever arm (m): one sigma; and of the clock (s) after its correction.
+_PRIOR, _CLOCK_S = (0.1, 0.2, 0.2, 3.0, 3.0, 3.0), 0.005
+#: So many frames show the turns of a drive; see `compared_frames`.
+_MOST_FRAMES = 400
 #: Ends of a drift at a constant rate whose root mean square is one.
 _RAMP = 3**0.5
 #: Beyond this many sigmas of what is stated, and of the estimate, positions may have drifted.
@@ -38,6 +40,8 @@ class PathFit(NamedTuple):
     """(7,) if they may as well be a drift at a constant rate, within its stated sigmas."""
     stated: Floats
     """(3,): stated sigmas of scale and of both directions."""
+    prior: Floats
+    """(7,) sigmas beforehand."""
     difference: PathDifference
     changes: Floats
     """(K, 3, 7), see `path_changes`."""
@@ -68,7 +72,8 @@ def fit_path(
     """rotations: (K, 3, 3) of the body, adjusted. motions: without those that are implausible. errors: of the log."""
     difference = path_difference(log, rotations, motions, records.times_s, params)
     changes = path_changes(difference)
-    found, cov = fitted_changes(difference, records, errors, changes, PRIOR)
+    prior = np.array([*_PRIOR, np.hypot(_CLOCK_S, params.clock_sigma_s)])  # a clock turns as a lever arm does
+    found, cov = fitted_changes(difference, records, errors, changes, prior)
     stated = np.zeros(3)
     stated[SCALE] = params.scale_sigma
     stated[ASIDE], stated[UP] = (np.median(records.stated[:, axes].max(axis=1)) for axes in ((5,), (3, 4)))
@@ -76,9 +81,9 @@ def fit_path(
         _RAMP * np.median(records.stated[:, :3], axis=0)
     )
     with_drift = np.concatenate([changes, drift], axis=2)
-    _, cov_of_any = fitted_changes(difference, records, errors, with_drift, np.append(PRIOR, np.ones(3)))
+    _, cov_of_any = fitted_changes(difference, records, errors, with_drift, np.append(prior, np.ones(3)))
     return PathFit(
-        found, np.sqrt(np.diag(cov)), np.sqrt(np.diag(cov_of_any)[: len(PRIOR)]), stated, difference, changes
+        found, np.sqrt(np.diag(cov)), np.sqrt(np.diag(cov_of_any)[: len(prior)]), stated, prior, difference, changes
     )
 
 
@@ -89,7 +94,7 @@ def fitted_changes(
 
     errors: of the log. prior: (C,) sigmas.
     """
-    frames = compared_frames(records)
+    frames = compared_frames(records, _MOST_FRAMES)
     normal, right = np.diag(prior**-2.0), np.zeros(len(prior))
     for group, axes in enumerate(GROUPS[:2]):
         for axis in axes:

@@ -53,6 +53,8 @@ _TURN_RAD_PER_M = 5e-5
 _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
 _LONE_SIGMAS = 4.5
+#: Share of the motions that has to be plausible for the others to be wrong.
+_MOST = 0.5
 #: A step of the log is so many times as rough as the images there.
 _STEPS_BY = 2.0
 #: The error of interpolation comes and goes between two records: from one of n frame pairs to the next this share over n of it.
@@ -139,20 +141,27 @@ def refine_trajectory(
     errors = errors or log_errors_of(frame_pairs, rig, measured, params)
     log = read_log(frame_pairs, rig, params, errors)
     good = plausible_motions(log, measured, params.scale_sigma)
+
+    def path_of(rotations: Floats) -> PathFit:
+        # Where most motions contradict the log, they show what is wrong with it.
+        shown = good if good.mean() > _MOST else np.ones_like(good)
+        return fit_path(
+            log, rotations, only(measured, shown), stated_errors(frame_pairs), errors or assumed_errors(params), params
+        )
+
     if not good.any():
         detail = f"all {len(good)} measured motions contradict GNSS/INS or each other"
-        return as_logged(RefinementOutcome.NO_MEASUREMENT, detail)
+        return replace(as_logged(RefinementOutcome.NO_MEASUREMENT, detail), path=path_of(log.rotations))
     observed = _observations(frame_pairs, [*(cone.positions for cone in control), *cones])
     priors = [LandmarkPrior(k, cone.xyz_m, np.asarray(np.linalg.inv(cone.cov_m2))) for k, cone in enumerate(control)]
     solved = adjust(log, only(measured, good), observed, params.robust_sigmas, common_sigmas, priors)
     if solved is None:
-        return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
+        found = as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
+        return replace(found, path=path_of(log.rotations))
     rotations, places, _, normal = solved
     shift = places - log.positions
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
-    path = fit_path(
-        log, rotations, only(measured, good), stated_errors(frame_pairs), errors or assumed_errors(params), params
-    )
+    path = path_of(rotations)
     worst = float(np.max(np.sum((shift / log.sigma_p) ** 2, axis=1)))
     if worst > params.max_shift_chi2:
         detail = (

@@ -10,8 +10,8 @@ from conetl.model.drive import FramePair
 from conetl.model.health import Finding
 from conetl.model.params import PathCheckParams, TrajectoryParams
 from conetl.tracking.log_errors import GROUPS, LogErrors, StatedErrors, assumed_errors, compared_frames
-from conetl.tracking.path_difference import ASIDE, LEVER, SCALE, UP, measured_cov
-from conetl.tracking.path_fit import PRIOR, PathFit, fitted_changes
+from conetl.tracking.path_difference import ASIDE, LEVER, SCALE, UNKNOWN, UP, measured_cov
+from conetl.tracking.path_fit import PathFit, fitted_changes
 from conetl.tracking.trajectory import RefinedTrajectory, RefinementOutcome, stated_errors
 
 DISTANCES, SIGMAS = "distances by images and by GNSS/INS", "stated sigmas of the poses"
@@ -56,13 +56,16 @@ def _heights(fit: PathFit, records: StatedErrors, errors: LogErrors) -> Finding:
     climbs = np.zeros((*fit.changes.shape[:2], 1))
     climbs[:, 2, 0] = difference.path_m[:, 2]
     changes = np.concatenate([fit.changes, climbs], axis=2)
-    found, cov = fitted_changes(difference, records, errors, changes, np.append(PRIOR, _HEIGHTS_PRIOR))
+    found, cov = fitted_changes(difference, records, errors, changes, np.append(fit.prior, _HEIGHTS_PRIOR))
     # Errors of the measured path look like climbs that GNSS/INS does not have: the factor is too small by their share.
     frames = compared_frames(records)
     even = np.column_stack([np.ones(len(frames)), difference.driven_m[frames]])
     rest = np.eye(len(frames)) - even @ np.linalg.pinv(even)
     shown = float(np.square(rest @ climbs[frames, 2, 0]).sum())
-    wrong = float(np.trace(rest @ measured_cov(difference, records.stated, frames, 2) @ rest)) / max(shown, 1e-12)
+    # Across gaps, the measured path is that of the log.
+    steps = np.diff(difference.measured_var, axis=0, prepend=0.0)
+    known = difference._replace(measured_var=np.cumsum(np.where(steps < UNKNOWN / 2, steps, 0.0), axis=0))
+    wrong = float(np.trace(rest @ measured_cov(known, records.stated, frames, 2) @ rest)) / max(shown, 1e-12)
     factor, sigma = 1 + float(found[-1]), float(np.hypot(cov[-1, -1] ** 0.5, wrong))
     likely = {1 / _FOOT_M: "feet", _FOOT_M: "feet twice"}
     named = (cause for times, cause in likely.items() if abs(factor / times - 1) < _SAME_FACTOR)
