@@ -49,7 +49,7 @@ def recordings(
     """So many, with shapes, recordings and strengths in turn."""
     for number in range(count):
         of_shape, turn = number % len(shapes), number // len(shapes)
-        shape, base = shapes[of_shape], known[(7 * of_shape + turn) % len(known)]
+        shape, base = shapes[of_shape], known[(7 * of_shape + 5 * turn) % len(known)]
         sigma_m = shape.strengths_m[turn % len(shape.strengths_m)]
         yield partial(with_images, seed + turn, shape, sigma_m, base, settings)
 
