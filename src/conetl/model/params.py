@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, field_validator
 
-from conetl.model.base import Positive, Record
+from conetl.model.base import NonNegative, Positive, Record
 from conetl.model.base import Probability as Fraction
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES, known_classes
 
@@ -208,6 +208,11 @@ class TrajectoryParams(Params):
     """A correction below this many of its own sigmas is not applied."""
     self_calibration_max_chi2: Positive = 18.5
     """A correction farther from the prior is not applied: chi-square of 4 degrees of freedom at 0.001."""
+    self_calibration_readout_floor_ms: Positive = 0.5
+    """Added to the sigma of a readout from the spans: errors of lenses also make near and far points move differently."""
+    video_readout_sigma_ms: NonNegative = 10.0
+    """Prior sigma of the readout of cameras with a rolling shutter, around 0, for video whose `readout_ms` is not stated: video
+    cameras and phones take 5 to 30 ms. 0: their shutters count as global, as those of images in folders and bags."""
     max_width_px: int = Field(default=1280, ge=64)
     """Wider images are reduced for tracking points."""
     cell_px: int = Field(default=40, ge=8)

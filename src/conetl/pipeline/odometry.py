@@ -11,6 +11,7 @@ import numpy as np
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import evenly_spaced
+from conetl.geometry.motion.rolling_shutter import points_at_stamp, rate_of, stamp_sigma_s
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import (
     StereoTracks,
@@ -38,6 +39,7 @@ from conetl.pipeline.executor import Tick, step
 from conetl.tracking.checks.exposures import check_lost_frames, check_recording, right_camera_ahead
 from conetl.tracking.checks.poses import check_trajectory
 from conetl.tracking.control_points import refine_with_control
+from conetl.tracking.rolling_shutter import matches_at_stamp
 from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, span_params
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
 from conetl.tracking.trajectory import RefinedTrajectory, is_by_course
@@ -139,22 +141,28 @@ def calibrate_drive(drive: Drive, params: TrajectoryParams) -> SelfCalibration:
 
 
 def _spans(rig: Rig, pairs: Sequence[FramePair], params: TrajectoryParams) -> list[Span]:
-    return list(choose_spans(expected_motions(pairs, rig), params.self_calibration_span_m))
+    steps_s = np.diff([pair.captured_at_ns for pair in pairs]) * 1e-9
+    return list(choose_spans(expected_motions(pairs, rig), params.self_calibration_span_m, steps_s.tolist()))
 
 
 def _followed(
     spans: Sequence[Span], pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams
 ) -> Iterator[StereoTracks]:
     read = grey_reader(rig, [pairs[k] for k in sorted({end for span in spans for end in span[:2]})])
-    return visual_odometry.follow_spans(spans, pairs, rig, read, span_params(params))
+    return visual_odometry.follow_spans((span[:3] for span in spans), pairs, rig, read, span_params(params))
 
 
 def _calibration(
     rig: Rig, spans: Sequence[Span], tracks: Sequence[StereoTracks], params: TrajectoryParams
 ) -> SelfCalibration:
     found = estimate_calibration(rig, spans, tracks, params)
-    points = [each.points()[0] for each in tracks if each.missing is None]
-    return found.model_copy(update={"right_ahead": right_camera_ahead(cameras_of(rig), points)})
+    cameras = cameras_of(rig)
+    points = [
+        points_at_stamp(rig, cameras, each.points()[0], rate_of(span.last_SE3_first, span.lasts_s))
+        for span, each in zip(spans, tracks, strict=True)
+        if each.missing is None
+    ]
+    return found.model_copy(update={"right_ahead": right_camera_ahead(cameras, points)})
 
 
 @step("refine", "refine {drive.drive_id}")
@@ -163,7 +171,7 @@ def refine(
 ) -> RefinedTrajectory:
     """Refined poses of the whole drive, or the logged ones with the reason if images or parameters do not allow it."""
     pairs = drive.frame_pairs
-    found, _ = load_matches(matches, pairs)
+    found = matches_at_stamp(load_matches(matches, pairs)[0], pairs, drive.rig)
     params = params.model_copy(update={"trajectory": _with_clock_sigma(drive, params.trajectory)})
     if is_by_course(pairs):
         pairs = with_roll(pairs, drive.rig, motions, grey_reader(drive.rig), params.trajectory)
@@ -208,8 +216,9 @@ def check_poses(
 
 
 def _with_clock_sigma(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:
-    """The parameters with the sigma of the drive's own clocks, if known."""
-    return params if drive.clock_sigma_s is None else params.model_copy(update={"clock_sigma_s": drive.clock_sigma_s})
+    """The parameters with the sigma of the drive's own clocks, if known, and of the row that time stamps belong to, if not."""
+    clock_s = params.clock_sigma_s if drive.clock_sigma_s is None else drive.clock_sigma_s
+    return params.model_copy(update={"clock_sigma_s": float(np.hypot(clock_s, stamp_sigma_s(drive.rig)))})
 
 
 def grey_reader(rig: Rig, in_order: Sequence[FramePair] = ()) -> ImageReader:

@@ -24,6 +24,7 @@ from conetl.tracking.association import CameraMotion, chain_positions
 from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
 from conetl.tracking.error_propagation import motion_error
 from conetl.tracking.positions import locate_positions
+from conetl.tracking.rolling_shutter import row_time_sigma_s
 from conetl.tracking.trajectory import (
     LEAST_STEP_S,
     ControlCone,
@@ -79,7 +80,9 @@ def refine_with_cones(
                 together, frame_pairs=tuple(pairs), covariance=refined.covariance, scale=refined.scale, detail=detail
             )
     refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
-    return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory, control)
+    if refined.covariance is None:
+        return refined
+    return _with_common_errors(refined, params.trajectory, control, row_time_sigma_s(matches, rig))
 
 
 def _landmarks(
@@ -128,11 +131,11 @@ def scale_is_doubtful(scale: float, sigma: float, prior_sigma: float) -> bool:
 
 
 def _with_common_errors(
-    refined: RefinedTrajectory, params: TrajectoryParams, control: Sequence[ControlCone]
+    refined: RefinedTrajectory, params: TrajectoryParams, control: Sequence[ControlCone], row_time_s: float = 0.0
 ) -> RefinedTrajectory:
-    """The trajectory with the errors of clock and lever arm, and of GNSS/INS as its best record (or control point) states it,
-    which move all poses together: however many records there are, their common error is not averaged out. Where images and log
-    show different distances, the log may drift by the difference."""
+    """The trajectory with the errors of clock and lever arm, of rows of unknown time (`row_time_sigma_s`), and of GNSS/INS as
+    its best record (or control point) states it, which move all poses together: however many records there are, their common
+    error is not averaged out. Where images and log show different distances, the log may drift by the difference."""
     assert refined.covariance is not None
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
     times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
@@ -151,6 +154,7 @@ def _with_common_errors(
     ends = poses[[0, -1], :3, 3]
     reach[:, :3, 7], reach[:, :3, 8] = drift * (ends[1] - ends[0]) / 2, drift * (poses[:, :3, 3] - ends.mean(axis=0))
     clock_s = params.clock_sigma_s if refined.clock is None else refined.clock.remaining_s(params.clock_sigma_s)
+    clock_s = float(np.hypot(clock_s, row_time_s))
     cov = chain_solver.with_common_errors(
         refined.covariance, reach, np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *systematic, 1.0, 1.0])
     )

@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import intrinsics
+from conetl.geometry.motion.rolling_shutter import points_at_stamp, rate_of, readouts_s
 from conetl.geometry.motion.stereo_motion import (
     MotionStatus,
     RelativeMotion,
@@ -31,6 +32,8 @@ from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 
+#: The first round has the rate of the logged poses, the second that of the images.
+_ROUNDS_OF_ROLLING = 2
 #: During a longer pause without images (s) GNSS may jump, and a vehicle may drive any step: only the images show which.
 PAUSE_S = 5.0
 
@@ -136,19 +139,44 @@ def motions_of(
     """
     cameras = cameras_of(rig)
     before: Floats | None = None
-    for points, to_try in zip(tracks, motions_to_try(frame_pairs, rig), strict=True):
+    lasts_s = np.diff([pair.captured_at_ns for pair in frame_pairs]) * 1e-9
+    for points, to_try, own_s in zip(tracks, motions_to_try(frame_pairs, rig), lasts_s.tolist(), strict=True):
         motion = None
         if points.missing is None:
-            first_px, second_px, sigma_px = points.points()
             for expected in to_try:
-                motion = estimate_motion(
-                    cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, params, seed=points.first_frame_index,
-                    guess=before,
-                )  # fmt: skip
+                motion = _motion_of(points, rig, cameras, expected, before, own_s, params)
                 if motion.status is MotionStatus.OK:
                     break
             before = motion.next_SE3_first if motion is not None and motion.status is MotionStatus.OK else None
         yield relative_motion(points, motion)
+
+
+def _motion_of(
+    tracks: StereoTracks,
+    rig: Rig,
+    cameras: StereoCameras,
+    expected: Floats,
+    before: Floats | None,
+    lasts_s: float,
+    params: TrajectoryParams,
+) -> StereoMotion:
+    """The motion between two frame pairs, lasts_s apart. expected, before: possible motions, as for `estimate_motion`.
+
+    With a rolling shutter it is estimated again, with points at the time stamps by what was found first: visual odometry stays
+    independent of the log.
+    """
+    first_px, second_px, sigma_px = tracks.points()
+    found, start = expected, None
+    for _ in range(_ROUNDS_OF_ROLLING if readouts_s(rig).any() else 1):
+        rate = rate_of(found, lasts_s)
+        first, second = (points_at_stamp(rig, cameras, px, rate)[:, :3] for px in (first_px, second_px))
+        motion = estimate_motion(
+            cameras, first, second, sigma_px, expected, params, seed=tracks.first_frame_index, start=start, guess=before
+        )
+        if motion.status is not MotionStatus.OK:
+            break
+        found = start = motion.next_SE3_first
+    return motion
 
 
 def relative_motion(tracks: StereoTracks, motion: StereoMotion | None) -> RelativeMotion:
