@@ -23,8 +23,8 @@ from conetl.model.drive import FramePair
 from conetl.model.rig import SIDES, Camera, Rig, Shutter, Side
 
 _STAMP_SHARE = {"first": 0.0, "middle": 0.5, "last": 1.0, None: 0.5}
-#: Each iteration leaves the share of the depth that is driven during the readout, a few per cent, of the error before.
-_ITERATIONS = 5
+#: Iterations over the instant of a row, and over the difference of both cameras' instants, end when no point moves by more.
+_MOST_ITERATIONS, _CONVERGED_PX, _CONVERGED_M = 12, 1e-4, 1e-6
 _NEAREST_M = 0.3
 _PAUSE_S = 2.0
 
@@ -110,13 +110,16 @@ def at_stamp(cameras: StereoCameras, uv_px: Floats, times_s: Floats, rates: Floa
     times_s (N, 2): when the left and the right image point were exposed, after the stamp; rates (6,) or (N, 6): of the left
     camera. Points without a depth stay as they are.
     """
-    found = uv_px
-    for _ in range(_ITERATIONS):
-        points, _, ahead = triangulate(cameras, found[:, :3])
-        seen = np.hstack([_pinhole(cameras, side, carried(points, rates, times_s[:, side])) for side in (0, 1)])
-        moved = seen - np.hstack([_pinhole(cameras, side, points) for side in (0, 1)])
-        found = uv_px - np.where(ahead[:, None] & np.isfinite(moved), moved, 0.0)
-    return found
+    late_px = np.zeros((len(uv_px), 2))  # of the right image point against one exposed when the left one was
+    for _ in range(_MOST_ITERATIONS):
+        then, _, ahead = triangulate(cameras, np.column_stack([uv_px[:, :2], uv_px[:, 2] - late_px[:, 0]]))
+        points = carried(then, rates, -times_s[:, 0])
+        seen_right = _pinhole(cameras, 1, carried(points, rates, times_s[:, 1]))
+        before, late_px = late_px, np.nan_to_num(seen_right - _pinhole(cameras, 1, then))
+        if np.abs(late_px - before).max(initial=0.0) < _CONVERGED_PX:
+            break
+    moved = np.hstack([uv_px[:, :2], seen_right]) - np.hstack([_pinhole(cameras, side, points) for side in (0, 1)])
+    return uv_px - np.where(ahead[:, None] & np.isfinite(moved), moved, 0.0)
 
 
 def points_at_stamp(rig: Rig, cameras: StereoCameras, uv_px: Floats, rates: Floats) -> Floats:
@@ -135,12 +138,14 @@ def as_exposed(points_m: Floats, camera: Camera, rig: Rig, side: Side, rates: Fl
     if shutter is None or not shutter.readout_ms:
         return points_m
     found = points_m
-    for _ in range(_ITERATIONS):
+    for _ in range(_MOST_ITERATIONS):
         ahead = found[:, 2] > _NEAREST_M
         safe = np.where(ahead[:, None], found, [0.0, 0.0, 1.0])
         uv = safe[:, :2] / safe[:, 2:] * [camera.fx_px, camera.fy_px] + [camera.cx_px, camera.cy_px]
         times_s = row_shares(rig, side, uv) * shutter.readout_ms * 1e-3
-        found = np.where(ahead[:, None], carried(points_m, rates, times_s), points_m)
+        before, found = found, np.where(ahead[:, None], carried(points_m, rates, times_s), points_m)
+        if np.abs(found - before).max(initial=0.0) < _CONVERGED_M:
+            break
     return found
 
 

@@ -28,7 +28,15 @@ from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, index_video, region_of, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, inside, names_images
-from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, no_rig, rig_on_body
+from conetl.readers.drives.formats import (
+    HeaderFacts,
+    add_settings,
+    image_files,
+    names_in,
+    no_rig,
+    rig_on_body,
+    with_stated_shutters,
+)
 from conetl.readers.drives.pairs import ContentHash, Source, drive_of_couples, time_of
 from conetl.readers.drives.poses import placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
@@ -90,7 +98,9 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     drive, rejections = drive_of_couples(
         timing.couples, {"left": left.name, "right": right.name}, source, rig, srid, pose_at, hashes.get
     )
-    return Preview(timing, drive.model_copy(update={"clock_sigma_s": timing.clock.sigma_s or None}), rejections)
+    rig = with_stated_shutters(drive.rig, settings.shutter)
+    drive = drive.model_copy(update={"clock_sigma_s": timing.clock.sigma_s or None, "rig": rig})
+    return Preview(timing, drive, rejections)
 
 
 def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
