@@ -15,7 +15,7 @@ from conetl.geometry.packing import cov_matrix
 from conetl.model.drive import StereoMatch, Track
 from conetl.model.params import IngestParams
 from conetl.model.rig import Camera, Rig, Shutter
-from conetl.pipeline.odometry import with_clock_sigma
+from conetl.pipeline.odometry import params_of_drive
 from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.error_propagation import motion_error
 from conetl.tracking.positions import locate_positions
@@ -199,7 +199,7 @@ def analysed(
     motions = list(motions_of(pairs, logged, own, params.trajectory))
     found = matches_of(rng, street, rig, shutter, noise)
     drive = drive_of(logged, own)
-    used = params.model_copy(update={"trajectory": with_clock_sigma(drive, params.trajectory)})
+    used = params.model_copy(update={"trajectory": params_of_drive(drive, params.trajectory)})
     refined = refine_with_cones(logged, own, motions, matches_at_stamp(found, logged, own), used)
     final = matches_at_stamp(found, refined.frame_pairs, own)
     positions, _ = locate_positions(final, refined.frame_pairs, own, params.position)

@@ -40,9 +40,9 @@ def test_a_readout_that_is_not_stated_is_estimated(readout_s: float, stamp_share
     for drive in drives:
         assert drive.rig.left.shutter is not None
         found = drive.rig.left.shutter
-        assert found.readout_sigma_ms < 3.0
-        assert abs(found.readout_ms - 1e3 * readout_s) < 3 * found.readout_sigma_ms
-        assert ("rolling shutter" in drive.calibration.detail) is (readout_s > 0)
+        assert found.readout_sigma_ms < 5.0
+        assert abs(found.readout_ms - 1e3 * readout_s) < 2 * found.readout_sigma_ms
+        assert "rolling shutter" in drive.calibration.detail
     assert np.concatenate([drive.chi2 for drive in drives]).mean() / 3 < 1.5
 
 

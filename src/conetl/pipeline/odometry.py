@@ -11,7 +11,7 @@ import numpy as np
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import evenly_spaced
-from conetl.geometry.motion.rolling_shutter import points_at_stamp, rate_of, stamp_sigma_s
+from conetl.geometry.motion.rolling_shutter import points_at_stamp, rate_of, readout_sigma_s, stamp_sigma_s
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import (
     StereoTracks,
@@ -172,7 +172,7 @@ def refine(
     """Refined poses of the whole drive, or the logged ones with the reason if images or parameters do not allow it."""
     pairs = drive.frame_pairs
     found = matches_at_stamp(load_matches(matches, pairs)[0], pairs, drive.rig)
-    params = params.model_copy(update={"trajectory": with_clock_sigma(drive, params.trajectory)})
+    params = params.model_copy(update={"trajectory": params_of_drive(drive, params.trajectory)})
     if is_by_course(pairs):
         pairs = with_roll(pairs, drive.rig, motions, grey_reader(drive.rig), params.trajectory)
     result = refine_with_control(pairs, drive.rig, motions, found, params, drive.control_points)
@@ -206,7 +206,7 @@ def check_poses(
     """Checks of the logged poses against the images. drive: with the detail of its images (`FramePair.detail`)."""
     details = {pair.frame_index: pair.detail for pair in drive.frame_pairs}
     pairs = [pair.model_copy(update={"detail": details[pair.frame_index]}) for pair in trajectory.logged]
-    checks = check_trajectory(pairs, drive.rig, motions, trajectory, with_clock_sigma(drive, params))
+    checks = check_trajectory(pairs, drive.rig, motions, trajectory, params_of_drive(drive, params))
     if motions and len(pairs) > 1:
         read = grey_reader(drive.rig)
         checks += [check(pairs, drive.rig, motions, read, params) for check in (check_lost_frames, check_recording)]
@@ -215,10 +215,17 @@ def check_poses(
     return checks if trajectory.control is None else [*checks, trajectory.control]
 
 
-def with_clock_sigma(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:
-    """The parameters with the sigma of the drive's own clocks, if known, and of the row that time stamps belong to, if not."""
+def params_of_drive(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:
+    """The parameters with the sigma of the drive's own clocks, if known, and what is not known of its shutters: the row that time
+    stamps belong to, and the readout, which changes measured distances."""
     clock_s = params.clock_sigma_s if drive.clock_sigma_s is None else drive.clock_sigma_s
-    return params.model_copy(update={"clock_sigma_s": float(np.hypot(clock_s, stamp_sigma_s(drive.rig)))})
+    scale = params.readout_scale_per_s * readout_sigma_s(drive.rig)
+    return params.model_copy(
+        update={
+            "clock_sigma_s": float(np.hypot(clock_s, stamp_sigma_s(drive.rig))),
+            "scale_sigma": float(np.hypot(params.scale_sigma, scale)),
+        }
+    )
 
 
 def grey_reader(rig: Rig, in_order: Sequence[FramePair] = ()) -> ImageReader:

@@ -150,7 +150,7 @@ def self_calibrate(
     off = f"off by {-shift_px[1]:+.2f} +- {sigma_px[1]:.2f} px"
     sides = f", at the sides by {-shift_px[3]:+.2f} +- {sigma_px[3]:.2f} px more" if found[3] else ""
     figures = f"disparities {off}{sides}, rows by {shift_px[0]:+.2f} +- {sigma_px[0]:.2f} px"
-    readout_ms, readout_text = _readout_of(rig, estimate, params)
+    readout_ms, readout_text = _readout_of(rig, points, estimate, params)
     outcome = SelfCalibrationOutcome.APPLIED
     rotation, _ = equivalent_camera(found, rig.right.fx_px)
     bend_text = f", its columns are bent by {found[3] * unit_px[3]:+.2f} px at the sides" if found[3] else ""
@@ -179,17 +179,23 @@ def _span_points(rig: Rig, span: Span, tracks: StereoTracks, *, rolling: bool) -
 
 
 def _readout_of(
-    rig: Rig, estimate: RightCameraError, params: TrajectoryParams
+    rig: Rig, spans: Sequence[SpanPoints], estimate: RightCameraError, params: TrajectoryParams
 ) -> tuple[tuple[float, float] | None, str]:
     """As `SelfCalibration.readout_ms`, and a part of a sentence about it."""
     if estimate.readout_s is None:
         return None, ""
-    longer_ms, own_ms = (1e3 * value for value in estimate.readout_s)
-    sigma_ms = float(np.hypot(own_ms, params.self_calibration_readout_floor_ms))
+    longer_s, own_s = estimate.readout_s
+    prior2 = readout_sigma_s(rig) ** 2
+    # What the images alone say, with the error that all spans have in common.
+    information = max(own_s**-2 - 1 / prior2, 1e-9)
+    driven_m = sum(float(np.linalg.norm(span.last_SE3_first[:3, 3])) for span in spans)
+    speed_m_s = driven_m / max(sum(span.lasts_s for span in spans), 1e-9)
+    variance = 1 / information + (params.self_calibration_readout_floor_m / speed_m_s) ** 2
+    gain = prior2 / (prior2 + variance)
+    longer_ms, sigma_ms = 1e3 * gain * longer_s * own_s**-2 / information, 1e3 * (gain * variance) ** 0.5
     found_ms = float(readouts_s(rig)[0]) * 1e3 + longer_ms
-    text = f"; by the images, the rows of an image are exposed within {found_ms:.1f} +- {sigma_ms:.1f} ms (rolling shutter)"
-    is_global = abs(found_ms) < params.self_calibration_significance * sigma_ms
-    return (longer_ms, sigma_ms), "" if is_global else text
+    text = f"; by the images, the rows of an image are exposed within {found_ms:.0f} +- {sigma_ms:.0f} ms (rolling shutter)"
+    return (longer_ms, sigma_ms), text
 
 
 def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryParams) -> Rig:
