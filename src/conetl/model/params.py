@@ -208,9 +208,9 @@ class TrajectoryParams(Params):
     """A correction below this many of its own sigmas is not applied."""
     self_calibration_max_chi2: Positive = 18.5
     """A correction farther from the prior is not applied: chi-square of 4 degrees of freedom at 0.001."""
-    self_calibration_readout_floor_m: Positive = 0.07
-    """Sigma of a readout from the images beyond their scatter, as the distance driven in that time: windows on the road are
-    followed by 0.1 px too far where it comes near, as with a longer readout. 0.06 to 0.09 m on four rendered drives at 14 m/s."""
+    self_calibration_readout_floor_m: Positive = 0.05
+    """Sigma of a readout from the images beyond their scatter, as the distance driven in that time: points that come near are
+    followed a little too far, as with a longer readout. By 0.03 m on the mean of five rendered drives, at most 0.065 m."""
     video_readout_sigma_ms: NonNegative = 10.0
     """Prior sigma of the readout of cameras with a rolling shutter, around 0, for video whose `readout_ms` is not stated: video
     cameras and phones take 5 to 30 ms. 0: their shutters count as global, as those of images in folders and bags."""
