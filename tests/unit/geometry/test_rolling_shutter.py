@@ -15,6 +15,7 @@ from conetl.geometry.motion.rolling_shutter import (
     as_exposed,
     camera_rates,
     carried,
+    middle_row_s,
     points_at_stamp,
     rate_of,
     right_rates,
@@ -153,6 +154,13 @@ def test_what_is_not_known_of_the_stamp() -> None:
     assert sigma_s(readout_ms=0.0, readout_sigma_ms=10.0) == pytest.approx(0.005)
     assert sigma_s(readout_ms=10.0, stamp_row="last") == 0.0
     assert stamp_sigma_s(RIG) == 0.0
+
+
+@pytest.mark.parametrize(("row", "middle_s"), [("first", 0.005), ("middle", 0.0), (None, 0.0), ("last", -0.005)])
+def test_the_middle_row(row: str | None, middle_s: float) -> None:
+    shutter = Shutter(readout_ms=10.0, stamp_row=row)
+    assert middle_row_s(with_shutters(RIG, shutter, shutter)) == pytest.approx(middle_s)
+    assert middle_row_s(RIG) == 0.0
 
 
 def test_a_shutter_that_is_not_stated_leaves_no_trace() -> None:

@@ -57,6 +57,12 @@ def stamp_sigma_s(rig: Rig) -> float:
     return float(np.hypot(shutter.readout_ms, shutter.readout_sigma_ms)) / 2 * 1e-3
 
 
+def middle_row_s(rig: Rig) -> float:
+    """When the middle row of the left image is exposed, after its stamp."""
+    shutter = shutter_of(rig, "left")
+    return 0.0 if shutter is None else shutter.readout_ms * 1e-3 * (0.5 - _STAMP_SHARE[shutter.stamp_row])
+
+
 def readout_sigma_s(rig: Rig) -> float:
     """Sigma of the readout of both cameras, the larger one."""
     return (

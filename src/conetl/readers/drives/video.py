@@ -81,6 +81,7 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     """The drive. rig: instead of rig.yaml's. Raises InputError."""
     root, settings, content = source[1:4]
     rig, sensor_R_body = _rig(root, settings, content, rig)
+    rig = with_stated_shutters(rig, settings.shutter)
     cameras = _cameras(root, settings.images, rig, content)
     trajectory = _trajectory_file(root, settings)
     _add_files(trajectory, root, content)
@@ -98,9 +99,7 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     drive, rejections = drive_of_couples(
         timing.couples, {"left": left.name, "right": right.name}, source, rig, srid, pose_at, hashes.get
     )
-    rig = with_stated_shutters(drive.rig, settings.shutter)
-    drive = drive.model_copy(update={"clock_sigma_s": timing.clock.sigma_s or None, "rig": rig})
-    return Preview(timing, drive, rejections)
+    return Preview(timing, drive.model_copy(update={"clock_sigma_s": timing.clock.sigma_s or None}), rejections)
 
 
 def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
