@@ -98,6 +98,9 @@ bench-health: setup  ## run the health checks on simulated good drives: false al
 bench-mutants: setup  ## ingest faulty recordings: effect on the map, and whether the cause is named (ARGS='--only TEXT --failures' ...)
 	@$(BIN)/python benchmarks/bench_mutants.py $(ARGS)
 
+bench-honest: setup  ## check logs with errors of many shapes, as large as stated: held ones, NEES (ARGS='--drives 40 --only white' ...)
+	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 nice -n 5 $(BIN)/python benchmarks/bench_honest.py $(ARGS)
+
 bench-recordings: setup  ## ingest the sample drives and KITTI as videos and bags with nine logs, and compare the cones (ARGS='DRIVE --parts clocks' ...)
 	@$(BIN)/python benchmarks/bench_recordings.py $(ARGS)
 

@@ -40,6 +40,7 @@ from benchmarks.made_up_maps import (
     load_roads,
     position_of,
 )
+from conetl.checks.verdict import judge
 from conetl.db.cluster.cluster import cluster_down, cluster_up
 from conetl.db.connection import Connection, connect, execute, load_sql
 from conetl.db.map.commit import INFLUENCE_M, add_drive, commit_changeset, path_wkt
@@ -88,6 +89,7 @@ def merge(conn: Connection, sightings: SyntheticDrive) -> Stopwatch:
                 influence_m=INFLUENCE_M,
                 check_visibility=sightings.check_visibility,
                 params=ReconcileParams(),
+                judge=judge,
             )
             with watch.phase("reconcile"):
                 current = {feature_id: next(reversed(rows)) for feature_id, rows in standing.items()}

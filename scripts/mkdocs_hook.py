@@ -1,4 +1,4 @@
-"""MkDocs hook: the reference of the command line, of the fields and of the database, from the code."""
+"""MkDocs hook: the reference of the command line, of the fields and of the database, and the tables of checks, from the code."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import typer
 from typer.cli import get_docs_for_click
 
+from conetl.checks import table
 from conetl.cli.app import app
 from conetl.db.connection import sql_directory
 from conetl.model.columns import as_markdown
@@ -17,18 +18,19 @@ _COMMENT = re.compile(
     r"^comment on (table|view|function|column|type) conetl\.([\w.]+) is\s+((?:'(?:[^']|'')*'\s*)+);", re.MULTILINE
 )
 _GONE = re.compile(r"^drop (?:table|view|function) ((?:conetl\.\w+(?:\(\))?(?:, )?)+);", re.MULTILINE)
+_CHECKS = re.compile(r"^<!-- checks: (\w+) -->$", re.MULTILINE)
 _KINDS = {"function": "Functions", "view": "Views", "table": "Tables", "type": "Types"}
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Append the help of all commands to reference/cli.md, the fields to reference/fields.md, the comments of the schema to
-    reference/database.md; other pages stay as they are."""
+    reference/database.md; put the tables of checks where pages name them; other pages stay as they are."""
     if page.file.src_uri == "reference/fields.md":
         return f"{markdown}\n{as_markdown()}"
     if page.file.src_uri == "reference/database.md":
         return f"{markdown}\n{schema_as_markdown()}"
     if page.file.src_uri != "reference/cli.md":
-        return markdown
+        return _CHECKS.sub(lambda found: table.as_markdown(found[1]), markdown)
     command = typer.main.get_command(app)
     with (context := typer.Context(command, info_name="conetl")):
         text = get_docs_for_click(obj=command, ctx=context, name="conetl")

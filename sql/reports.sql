@@ -95,16 +95,16 @@ order by at;
 -- name: night_drives
 -- Changesets of a map that were committed in a time span, oldest first: figures for a report beside those of
 -- history.changesets. Parameters: map_name; since; until.
--- Columns: changeset_id; residual_px and sigma_m (horizontal): medians of its cones, null without cones; warnings: what its health
--- checks warn of, null without any; seconds: of its ingest, null without a receipt.
+-- Columns: changeset_id; residual_px and sigma_m (horizontal): medians of its cones, null without cones; notes: what its health
+-- checks note, null without any; seconds: of its ingest, null without a receipt.
 select
     c.changeset_id, t.residual_px, t.sigma_m,
     (
         select array_agg(k ->> 'detail')
         from conetl.run r
         cross join jsonb_array_elements(r.facts -> 'health') k
-        where r.run_id = c.run_id and k ->> 'verdict' = 'warn'
-    ) as warnings,
+        where r.run_id = c.run_id and k ->> 'verdict' in ('note', 'warn') -- 'warn' until release 0.2
+    ) as notes,
     (
         select r.seconds from conetl.receipt r
         where r.changeset_id = c.changeset_id and r.state in ('committed', 'held')

@@ -1,4 +1,4 @@
-"""Makes the figures of docs/explanation/accuracy.md and prints their tables: python docs/figures/accuracy_study.py
+"""Makes the figures of docs/explanation/accuracy_study.md and prints their tables: python docs/figures/accuracy_study.py
 
 Needs Mitsuba (pip install 'conetl[simulate]') for the rendered cone. Names of parts (range, calibration, frames, sides, render)
 make only those.
@@ -41,11 +41,11 @@ AROUND = {
 }
 #: What the calibration's parameters are called in the figure, in the order of their weight.
 GROUPS = {
-    "phi (about the vertical)": ("relative.ry_rad",),
     "principal points": ("left.cx_px", "right.cx_px", "left.cy_px", "right.cy_px"),
+    "phi (about the vertical)": ("relative.ry_rad",),
+    "focal lengths": ("left.fx_px", "right.fx_px", "left.fy_px", "right.fy_px"),
     "kappa (about the sight)": ("relative.rz_rad",),
     "base": ("relative.tx_m", "relative.ty_m", "relative.tz_m"),
-    "focal lengths": ("left.fx_px", "right.fx_px", "left.fy_px", "right.fy_px"),
     "omega (about the base)": ("relative.rx_rad",),
 }
 

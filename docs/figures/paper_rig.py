@@ -1,8 +1,8 @@
 """The rig of Lagahit & Tseng as records and as rendered images, for comparison with their figures.
 
-Known: focal lengths 15.9004 and 15.8703 mm, a base of 274.5 mm, Sony a6000 sensors of 23.5 x 15.6 mm with 6000 x 4000 pixels, a
-cone at 8.53 m ground distance, and a sigma of 0.084 degrees of the angle phi between the cameras. The other sigmas of its
-Tables 1 and 2 are unknown; `SIGMAS` assumes usual values of a MATLAB calibration of such a rig.
+From its Tables 1 and 2: focal lengths of the left and the right camera, the base, and all sigmas; Sony a6000 sensors of 23.5 x
+15.6 mm with 6000 x 4000 pixels; a cone at 8.53 m ground distance. Assumed: angles of Table 2 in degrees, no correlations,
+principal points in the middle of the sensors and parallel cameras (their values change the effect of the sigmas little).
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 SENSOR_MM = (23.5, 15.6)
 SIZE_PX = (6000, 4000)
+#: Left, right; pixels are square.
 FOCAL_MM = (15.9004, 15.8703)
 BASELINE_M = 0.2745
 GROUND_DISTANCE_M = 8.53
@@ -39,20 +40,28 @@ _PARAMETERS = (
     *(f"relative.t{axis}_m" for axis in "xyz"),
 )
 _PX_PER_MM = (SIZE_PX[0] / SENSOR_MM[0], SIZE_PX[1] / SENSOR_MM[1])
-#: One sigma of each calibration parameter. phi is the paper's; all others are assumed: 0.01 mm for focal lengths and principal
-#: points (about 2.6 px), half of phi for omega and kappa (a chessboard settles phi worst), 0.3 mm for the base.
-SIGMAS: dict[str, float] = {
-    **{f"{side}.fx_px": 0.010 * _PX_PER_MM[0] for side in ("left", "right")},
-    **{f"{side}.fy_px": 0.010 * _PX_PER_MM[1] for side in ("left", "right")},
-    **{f"{side}.cx_px": 0.010 * _PX_PER_MM[0] for side in ("left", "right")},
-    **{f"{side}.cy_px": 0.010 * _PX_PER_MM[1] for side in ("left", "right")},
-    "relative.rx_rad": math.radians(0.042),
-    "relative.ry_rad": math.radians(0.084),
-    "relative.rz_rad": math.radians(0.042),
-    "relative.tx_m": 0.0003,
-    "relative.ty_m": 0.0003,
-    "relative.tz_m": 0.0003,
-}
+#: Sigmas of Table 1, left and right: focal length, x and y of the principal point (mm).
+_FOCAL_SIGMA_MM = (0.0151, 0.0152)
+_PRINCIPAL_SIGMA_MM = ((0.0187, 0.0161), (0.0200, 0.0165))
+#: Of Table 2: omega, phi, kappa (degrees), X, Y, Z (mm).
+_ANGLE_SIGMA_DEG = (0.0648, 0.0842, 0.0077)
+_BASE_SIGMA_MM = (0.1296, 0.1064, 0.5825)
+
+
+def _stated_sigmas() -> dict[str, float]:
+    stated: dict[str, float] = {}
+    for side, focal_mm, principal_mm in zip(("left", "right"), _FOCAL_SIGMA_MM, _PRINCIPAL_SIGMA_MM, strict=True):
+        for axis, px_per_mm, centre_mm in zip("xy", _PX_PER_MM, principal_mm, strict=True):
+            stated[f"{side}.f{axis}_px"] = focal_mm * px_per_mm
+            stated[f"{side}.c{axis}_px"] = centre_mm * px_per_mm
+    for axis, angle_deg, shift_mm in zip("xyz", _ANGLE_SIGMA_DEG, _BASE_SIGMA_MM, strict=True):
+        stated[f"relative.r{axis}_rad"] = math.radians(angle_deg)
+        stated[f"relative.t{axis}_m"] = shift_mm / 1000
+    return stated
+
+
+#: One sigma of each calibration parameter.
+SIGMAS = _stated_sigmas()
 
 
 @dataclass(frozen=True)
@@ -70,13 +79,16 @@ class RenderedPair:
 def paper_rig(*, baseline_m: float = BASELINE_M, sigmas: dict[str, float] | None = None) -> Rig:
     """The rig, level, without a body; `sigmas` (default: `SIGMAS`) become its calibration covariance, uncorrelated."""
     stated = SIGMAS if sigmas is None else sigmas
-    camera = Camera(
-        width_px=SIZE_PX[0], height_px=SIZE_PX[1], fx_px=FOCAL_MM[0] * _PX_PER_MM[0], fy_px=FOCAL_MM[1] * _PX_PER_MM[1],
-        cx_px=(SIZE_PX[0] - 1) / 2, cy_px=(SIZE_PX[1] - 1) / 2,
+    left, right = (
+        Camera(
+            width_px=SIZE_PX[0], height_px=SIZE_PX[1], fx_px=f_mm * _PX_PER_MM[0], fy_px=f_mm * _PX_PER_MM[1],
+            cx_px=(SIZE_PX[0] - 1) / 2, cy_px=(SIZE_PX[1] - 1) / 2,
+        )
+        for f_mm in FOCAL_MM
     )  # fmt: skip
     matrix = np.diag(np.square(list(stated.values()))).tolist()
     return Rig(
-        rig_id="a6000-pair", left=camera, right=camera, body_SE3_left=_shift(0.0), body_SE3_right=_shift(baseline_m),
+        rig_id="a6000-pair", left=left, right=right, body_SE3_left=_shift(0.0), body_SE3_right=_shift(baseline_m),
         calibration_covariance=CalibrationCovariance(names=tuple(stated), matrix=tuple(tuple(row) for row in matrix)),
     )  # fmt: skip
 
@@ -131,7 +143,8 @@ def render_pair(
 ) -> RenderedPair:
     """One cone on the road at a ground distance from the left camera, side_m to the right of its axis; both images cut to it.
 
-    The window holds the cone in both images with `margin_px` around it. Raises InputError where Mitsuba is missing.
+    Both cameras have the focal length of the left one, as after rectification. The window holds the cone in both images with
+    `margin_px` around it. Raises InputError where Mitsuba is missing.
     """
     full = paper_rig(baseline_m=baseline_m)
     ahead = math.sqrt(ground_distance_m**2 - side_m**2)

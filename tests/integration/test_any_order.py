@@ -14,6 +14,7 @@ from conetl.db.map.map_store import find_map, list_changesets, map_transaction, 
 from conetl.db.map.replay_store import affected_drives, other_deliveries, write_replay
 from conetl.db.map.results import ChangeCounts
 from conetl.geometry.calibration.covariance import calibration_id
+from conetl.geometry.packing import cov3, cov_matrix, vec3
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING
 from conetl.model.map_records import DeltaKind
@@ -88,6 +89,47 @@ def painted(day):
         seen_ns=one.drive.frame_pairs[0].captured_at_ns,
     )  # fmt: skip
     return one._replace(markings=seen)
+
+
+@cache
+def aside(day, shift_m):
+    """The drive of a day past a row of cones, all of them `shift_m` to the north, with a stated sigma of 2 cm."""
+    first_ns = START_NS + day * world.DAY_NS
+    one = world.survey_of(
+        world.ROW, np.random.default_rng(day), f"aside_{day}", frames=40, start_m=0.0, first_ns=first_ns
+    )
+    feet = np.array([np.add(ORIGIN_M, cone.foot_m) for cone in world.ROW])
+    xyz = np.array([track.xyz_m for track in one.tracks])
+    apart = xyz[:, None] - feet
+    gnss = np.median(apart[np.arange(len(xyz)), np.linalg.norm(apart, axis=2).argmin(axis=1)], axis=0)
+    offset = np.array([0.0, shift_m, 0.0]) - gnss
+    tracks = [
+        track.model_copy(
+            update={
+                "xyz_m": vec3(track.xyz_m + offset),
+                "centre_xyz_m": vec3(track.centre_xyz_m + offset),
+                "cov_m2": cov3(cov_matrix(track.relative_cov_m2) + 0.02**2 * np.eye(3)),
+            }
+        )
+        for track in one.tracks
+    ]
+    return one._replace(tracks=tracks)
+
+
+def test_drives_that_contradict_each_other_widen_the_same_sigmas_in_every_order(conn):
+    """A lever arm that is wrong by 0.3 m: there, back and there again."""
+    maps = []
+    for order in permutations(range(3)):
+        name = "aside_" + "".join(map(str, order))
+        for day in order:
+            world.merge(conn, aside(day, -0.3 if day == 1 else 0.3), map_name=name)
+        assert held_drives(conn, map_name=name) == []
+        features = read_current_features(conn, map_name=name)
+        assert len(features) == len(world.ROW)
+        maps.append(sorted((f.version, f.first_seen_ns, *f.xyz_m, *f.cov_m2) for f in features))
+        assert all(0.5 < f.cov_m2[3] ** 0.5 < 0.7 and f.cov_m2[0] ** 0.5 < 0.2 for f in features)
+    assert world.failed_audits(conn) == []
+    np.testing.assert_allclose(maps[1:], maps[:1] * 5, rtol=1e-9)
 
 
 def changes_of(conn, map_name):

@@ -69,6 +69,10 @@ TINY = {
     "export": Tiny("--features 1000", lambda f: f["rows"] == 1000),
     "fleet": Tiny("--writers 2 --drives 1 --days 8 --scale 400 --pairs 2", merged_all),
     "health": Tiny("--drives 2 --no-cost", held_no_drive),
+    "honest": Tiny(
+        "--drives 1 --recordings 1 --only ^steps",
+        lambda f: [one["on"] for one in f] == ["simulated motions", "drive 1"],
+    ),
     "ingest": Tiny(
         "--pairs 4", lambda f: list(f) == ["decode + network", "whole job, refined", "whole job, logged poses"]
     ),

@@ -8,13 +8,14 @@ from contextlib import closing
 import pytest
 from pydantic import SecretStr
 
+from conetl.checks.verdict import judge_all
 from conetl.db.connection import Connection, connect
 from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import HealthCheck, Verdict
-from conetl.model.params import ReconcileParams
+from conetl.model.params import IngestParams
 from conetl.pipeline.analysis import AnalysedDrive, analyse
-from conetl.pipeline.checks.positions import check_positions_on_map
 from conetl.pipeline.commit import commit
+from conetl.pipeline.compared.positions import check_positions_on_map
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES
@@ -51,7 +52,7 @@ def at(begin_ns: int) -> Callable[[Drive], Drive]:
 def checks_of(conn: Connection, records: DriveRecords, drive: Drive) -> list[HealthCheck]:
     """Of a drive whose tracks do not matter."""
     changed = records._replace(drive=drive, tracks=[])
-    return list(check_positions_on_map(conn, changed, ReconcileParams(), "default"))
+    return judge_all(check_positions_on_map(conn, changed, IngestParams(), "default"))
 
 
 def test_a_good_drive_passes(first_day: Connection, second: AnalysedDrive) -> None:
@@ -72,7 +73,7 @@ def test_a_drive_far_from_all_others_is_a_warning(
     first_day: Connection, second: AnalysedDrive, metres: float, warned: bool
 ) -> None:
     found = checks_of(first_day, second.records, aside(metres)(second.drive))
-    assert [check.verdict for check in found] == [Verdict.WARN] * warned
+    assert [check.verdict for check in found] == [Verdict.NOTE] * warned
     assert not warned or "Nothing else on the map is within 50 km of this drive" in found[0].detail
 
 
@@ -86,7 +87,7 @@ def test_one_rig_in_two_places_is_a_warning(
     begin_ns = read_drive(SAMPLES[0], headers_only=True)[0].captured_ns[0] + round(after_s * _SECOND_NS)
     drive = at(begin_ns)(aside(metres)(second.drive))
     found = checks_of(first_day, second.records, drive)
-    assert [check.verdict for check in found] == [Verdict.WARN] * bool(where)
+    assert [check.verdict for check in found] == [Verdict.NOTE] * bool(where)
     if where:
         same = f"Drive 2026-03-02_taper_pass1 has the same rig (rig_id {drive.rig.rig_id})"
         assert f"{same} and was {where}" in found[0].detail

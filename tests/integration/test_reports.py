@@ -230,7 +230,7 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
     now = execute(shown, "select count(*) as n from current_feature where map_name = 'default'")[0]["n"]
     assert [count for _, count in facts.sizes][-1] == facts.size_at(until) == now
     assert facts.size_at(since) == 0
-    assert [row["warnings"] for row in facts.drives] == [None, ["Clean <b>the lens</b>."]]
+    assert [row["notes"] for row in facts.drives] == [None, ["Clean <b>the lens</b>."]]
     for told in (
         "3 drives failed", "no usable pose", "1 object was removed", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
     ):  # fmt: skip

@@ -102,7 +102,7 @@ def test_pairs_become_provisional_features_as_they_arrive(settings: Settings, co
     truth = np.loadtxt(SAMPLE / "truth.csv", delimiter=",", skiprows=1, usecols=(1, 2), dtype=float, encoding="utf-8")
     for found in rows:
         assert np.hypot(*(truth - (found["easting_m"], found["northing_m"])).T).min() < 0.3
-        assert found["cov_xx"] ** 0.5 < 0.3
+        assert found["cov_xx"] ** 0.5 < 0.9  # the calibration states no errors: 0.7 px are 0.8 m at 20 m
     # They are near the cones of the whole drive.
     ingested = np.array([track.xyz_m for track in analyse(read_drive(folder)[0], settings=settings).tracks])
     for track in report.standing.values():

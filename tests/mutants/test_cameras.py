@@ -86,7 +86,7 @@ def test_a_smeared_lens_removes_nothing_and_a_person_is_told(settings: Settings,
     folder = next_day("lower part of both lenses smeared, 5 px", tmp_path / "2026-03-03_smeared")
     report = ingest(folder, settings=settings)
     [check] = [check for check in report.health if check.name == "blurred parts of the lenses"]
-    assert check.verdict is Verdict.WARN and "does not count as gone" in check.detail
+    assert check.verdict is Verdict.NOTE and "does not count as gone" in check.detail
     assert not report.counts[DeltaKind.REMOVED] and standing(settings) == 9
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
+from conetl.checks.verdict import judge, judge_all
 from conetl.geometry import pose as se3
 from conetl.geometry.consistency import Nees
 from conetl.geometry.motion.stereo_motion import RelativeMotion
@@ -133,7 +134,7 @@ def checked(drive: GoodDrive) -> tuple[RefinedTrajectory, list[HealthCheck]]:
     """The refined trajectory of a drive, and the checks of it."""
     refined = refine_with_cones(drive.logged, RIG, drive.motions, [], IngestParams())
     seen = [pair.model_copy(update={"detail": 10.0}) for pair in refined.logged]
-    return refined, check_trajectory(seen, RIG, drive.motions, refined, PARAMS)
+    return refined, judge_all(check_trajectory(seen, RIG, drive.motions, refined, PARAMS))
 
 
 def position_nees(drive: GoodDrive, refined: RefinedTrajectory, frame: int) -> Nees:
@@ -169,4 +170,4 @@ def draw_calibration(rng: np.random.Generator) -> tuple[SelfCalibration, list[He
         spans.append(Span(k, k + 1, made.last_SE3_first))
         tracks.append(followed(made, k))
     found = self_calibrate(RIG if unknown else calibrated(RIG, sigma), spans, tracks, PARAMS)
-    return found, check_calibration(found)
+    return found, [judge(check_calibration(found))]

@@ -8,12 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from conetl.checks.verdict import judge
 from conetl.evaluation.truth import read_truth_cones
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import cov_matrix
 from conetl.model.drive import Drive, FramePair, SurveyedPoint
 from conetl.model.errors import DriveFolderError
-from conetl.model.health import Verdict
+from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.settings import Settings
@@ -65,9 +66,14 @@ def refined(
     return result, pose_errors(result.frame_pairs, TRUTH)[:, :3]
 
 
+def control_of(trajectory: RefinedTrajectory) -> HealthCheck:
+    assert trajectory.control is not None
+    return judge(trajectory.control)
+
+
 def test_a_cone_that_is_surveyed_twice_is_named() -> None:
-    control = refined(1, np.zeros(3), 0.02, [0, 2, 4, 0], {})[0].control
-    assert control is not None and control.verdict is Verdict.WARN
+    control = control_of(refined(1, np.zeros(3), 0.02, [0, 2, 4, 0], {})[0])
+    assert control.verdict is Verdict.NOTE
     assert "one cone is surveyed twice (P0 and P3)" in control.detail
 
 
@@ -77,8 +83,8 @@ def test_sigmas_of_poses_hold() -> None:
     nees, errors_m = [], []
     for seed in range(10):
         result, error = refined(seed, np.zeros(3), 0.4, [0, 2, 4], {})
-        assert result.control is not None and result.covariance is not None
-        assert result.control.verdict is Verdict.PASS, result.control.detail
+        assert result.covariance is not None
+        assert control_of(result).verdict is Verdict.PASS, control_of(result).detail
         nees.append(error[12] @ np.linalg.solve(result.covariance.cov[12][:3, :3], error[12]) / 3)
         errors_m.append(np.linalg.norm(error[12]))
     assert 0.1 < np.mean(nees) < 1.25
@@ -88,23 +94,23 @@ def test_sigmas_of_poses_hold() -> None:
 @pytest.mark.parametrize(
     ("sigma_m", "points", "wrong", "verdict", "says"),
     [
-        (0.5, [0, 2, 4], {1: (0.7, 0.7, 0.0)}, Verdict.WARN, "contradict them: P1 ("),
-        (0.5, [0, 2, 4], {2: (0.0, 0.0, 0.5)}, Verdict.WARN, "contradict them: P2 ("),
-        (0.02, [0, 2, 3, 4], {1: (0.7, 0.7, 0.0)}, Verdict.WARN, "GNSS/INS differs from them by 0.5"),
-        (0.02, [0, 2, 3, 4], {}, Verdict.WARN, "sigmas of both): one of the two"),
+        (0.5, [0, 2, 4], {1: (0.7, 0.7, 0.0)}, Verdict.NOTE, "contradict them: P1 ("),
+        (0.5, [0, 2, 4], {2: (0.0, 0.0, 0.5)}, Verdict.NOTE, "contradict them: P2 ("),
+        (0.02, [0, 2, 3, 4], {1: (0.7, 0.7, 0.0)}, Verdict.NOTE, "GNSS/INS differs from them by 0.5"),
+        (0.02, [0, 2, 3, 4], {}, Verdict.NOTE, "sigmas of both): one of the two"),
         (0.5, [0, 4], {1: (0.7, 0.7, 0.0)}, Verdict.HOLD, "contradict each other"),
         (0.02, [0, 2, 3, 4], dict.fromkeys(range(4), (0.4, 0.3, 0.9)), Verdict.HOLD, "in height only"),  # tips of cones
         (0.02, [0, 4], {}, Verdict.HOLD, "P0 (0.5"),  # two do not contradict a log
-        (0.5, [0, 4], dict.fromkeys(range(2), (500.0, 0.0, 0.0)), Verdict.WARN, "None of the 2 control points"),
+        (0.5, [0, 4], dict.fromkeys(range(2), (500.0, 0.0, 0.0)), Verdict.NOTE, "None of the 2 control points"),
     ],
 )
 def test_wrong_points_are_named_and_not_believed(
     sigma_m: float, points: list[int], wrong: dict[int, tuple[float, float, float]], verdict: Verdict, says: str
 ) -> None:
     result, error = refined(3, OFF_M, sigma_m, points, wrong)
-    assert result.control is not None
-    assert result.control.verdict is verdict and says in result.control.detail, result.control
-    if verdict is Verdict.WARN and result.control.value:
+    control = control_of(result)
+    assert control.verdict is verdict and says in control.detail, control
+    if verdict is Verdict.NOTE and control.value:
         assert np.linalg.norm(error[12]) < 0.1
 
 
@@ -135,8 +141,8 @@ def test_three_points_correct_a_log_that_is_half_a_metre_off(
     points = surveyed(feet[[0, 3, 6]], np.random.default_rng(1))
     changed = drive.model_copy(update={"frame_pairs": tuple(pairs), "control_points": tuple(points)})
     found = analyse(changed, settings=sample_settings)
-    control = found.trajectory.control
-    assert control is not None and control in found.health
+    control = control_of(found.trajectory)
+    assert control in found.health
     assert control.verdict is (Verdict.PASS if sigma_m else Verdict.CORRECTED)
     assert ("it drifts, or jumps" in control.detail) is not bool(sigma_m)
     assert largest_chi2(found, feet) < 7.8  # 5 % of 3 degrees of freedom, far below for the median of the cones

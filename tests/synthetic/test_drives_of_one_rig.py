@@ -2,27 +2,29 @@
 
 Each trial draws one error of the calibration and compares ten drives with the map, one after the other, through `reconcile`.
 Every drive has a GNSS error of its own, which puts it aside as a whole. NEES: squared errors in the sigmas that the map states,
-over 3; 1 where these are right.
+over 3; 1 where these are right. And twenty drives of one base station, whose error they share.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, unpack_jacobians
+from conetl.geometry.calibration.covariance import calibration_jacobian, jacobian_of, pack_jacobians, unpack_jacobians
 from conetl.geometry.packing import cov3, cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
-from conetl.model.drive import Track
+from conetl.model.drive import CommonError, Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from conetl.model.rig import Rig
+from conetl.tracking.error_propagation import common_axes, common_error_id
 from tests import records
 from tests.synthetic.world import ORIGIN_M, START_NS, calibrated, make_path, make_rig
 
@@ -209,3 +211,65 @@ def test_the_map_states_its_errors_and_keeps_cones_together(late_from: int, driv
     assert 0.8 < found.nees_of_late < 1.25
     # What its own sightings allow; the drives as a whole are off by ten times as much.
     assert found.apart_m < 2.0 * cone_m
+
+
+BASE_M, BASE_DRIVES = 0.02, 20
+
+
+def of_base(
+    errors: Sequence[CommonError], headings_deg: Sequence[float], trials: int = 40
+) -> tuple[float, float, float]:
+    """NEES of the cones of drives with these common errors and headings, and the root mean square of the stated horizontal sigma
+    and of the true error (m, one axis). Each id has one error for all drives."""
+    rng = np.random.default_rng(5)
+    found, sigmas_m, errors_m = [], [], []
+    for _ in range(trials):
+        z = {common_error_id(one): rng.normal(size=3) for one in errors}
+        drives = []
+        for drive, (error, heading_deg) in enumerate(zip(errors, headings_deg, strict=True)):
+            turn = Rotation.from_euler("z", heading_deg, degrees=True).as_matrix()
+            moved = common_axes(error, turn[None])[0]
+            [jacobian] = pack_jacobians((common_error_id(error),), moved[None, None])
+            own_m2 = (DRIVE_M**2 + CONE_M**2) * np.eye(3)
+            gnss_m = moved @ z[common_error_id(error)] + rng.normal(0, DRIVE_M, 3)
+            drives.append(
+                [
+                    put_aside(k, gnss_m + rng.normal(0, CONE_M, 3), drive, DRIVE_M, CONE_M).model_copy(
+                        update={"cov_m2": cov3(own_m2 + moved @ moved.T), "shared_jacobian": jacobian}
+                    )
+                    for k in range(len(CONES_M))
+                ]
+            )
+        features = after(drives)
+        off_m, nees = errors_of(features, CONES_M)
+        found.append(nees.mean())
+        sigmas_m.append(np.mean([(f.cov_m2[0] + f.cov_m2[3]) / 2 for f in features]))
+        errors_m.append(np.mean(off_m[:, :2] ** 2))
+    nees_mean, stated_m2, true_m2 = (float(np.mean(values)) for values in (found, sigmas_m, errors_m))
+    return nees_mean, stated_m2**0.5, true_m2**0.5
+
+
+def base(name: str, axes: Literal["map", "vehicle"] = "map") -> CommonError:
+    return CommonError(id=name, sigma_m=(BASE_M,) * 3, axes=axes)
+
+
+def test_twenty_drives_of_one_base_station_never_state_less_than_its_error() -> None:
+    nees, stated_m, true_m = of_base([base("north")] * BASE_DRIVES, [0.0] * BASE_DRIVES)
+    assert stated_m > BASE_M
+    assert stated_m == pytest.approx((BASE_M**2 + (DRIVE_M**2 + CONE_M**2) / BASE_DRIVES) ** 0.5, rel=0.1)
+    assert stated_m == pytest.approx(true_m, rel=0.15)
+    assert 0.8 < nees < 1.25
+
+
+def test_drives_of_two_base_stations_average_over_both() -> None:
+    nees, stated_m, _ = of_base([base("north"), base("south")] * (BASE_DRIVES // 2), [0.0] * BASE_DRIVES)
+    assert stated_m == pytest.approx((BASE_M**2 / 2 + (DRIVE_M**2 + CONE_M**2) / BASE_DRIVES) ** 0.5, rel=0.1)
+    assert 0.8 < nees < 1.25
+
+
+def test_a_lever_arm_cancels_in_drives_of_opposite_directions() -> None:
+    antenna = [base("roof antenna", "vehicle")] * BASE_DRIVES
+    one_way, stated_m, _ = of_base(antenna, [30.0] * BASE_DRIVES)
+    both_ways, cancelled_m, _ = of_base(antenna, [30.0, 210.0] * (BASE_DRIVES // 2))
+    assert stated_m > BASE_M > 2 * cancelled_m
+    assert 0.8 < one_way < 1.25 and 0.8 < both_ways < 1.25

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from conetl.checks.verdict import judge_all
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.pose_graph import motion_residuals
 from conetl.geometry.packing import vec3
 from conetl.model.health import HealthCheck, Verdict
+from conetl.model.params import MountCheckParams
 from conetl.tracking.checks.mount import check_mount
 from conetl.tracking.trajectory import measured_motions, plausible_motions, read_log
 from tests.synthetic import good_drives
@@ -42,7 +44,8 @@ def of_heights(seed: int, factor: float, monkeypatch: pytest.MonkeyPatch) -> tup
         logged.append(pair.model_copy(update={"pose": pose}))
     log, measured = read_log(logged, RIG, PARAMS), measured_motions(logged, drive.motions, PARAMS)
     residual = motion_residuals(log, log.rotations, log.positions, measured, 0.0)[0]
-    checks = check_mount(log, measured, plausible_motions(log, measured, PARAMS.scale_sigma), residual)
+    good = plausible_motions(log, measured, PARAMS.scale_sigma)
+    checks = judge_all(check_mount(log, measured, good, residual, MountCheckParams()))
     [check] = [check for check in checks if check.name == "heights of GNSS/INS"]
     return replace(drive, logged=logged), check
 

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
+from conetl.checks.verdict import judge_all
 from conetl.evaluation.drive_evaluation import evaluate_drive, nees_of
 from conetl.evaluation.truth import read_truth_cones
 from conetl.geometry import pose as se3
@@ -112,7 +113,7 @@ def test_a_sample_drive_by_positions_alone_states_true_sigmas(
 def test_images_of_another_hour_of_the_log_are_not_laid_to_the_calibration(seed: int, path_seed: int) -> None:
     drive = record(seed, rate_hz=10.0, seconds=10.0, has_attitude=True, path_seed=path_seed)
     result = refine_with_cones(drive.frame_pairs(0.0), RIG, drive.motions, [], IngestParams())
-    reason = hold_reason(check_trajectory(result.logged, RIG, drive.motions, result, PARAMS))
+    reason = hold_reason(judge_all(check_trajectory(result.logged, RIG, drive.motions, result, PARAMS)))
     assert reason is not None and "check first when they were taken (images.start" in reason, reason
 
 
@@ -220,7 +221,7 @@ def test_a_vehicle_that_reverses_is_held(sigma_m: float) -> None:
     for motions, held in ((backwards, True), (drive.motions, False)):
         refined = refine_with_cones(drive.frame_pairs(0.0), RIG, motions, [], IngestParams())
         seen = [pair.model_copy(update={"detail": 10.0}) for pair in refined.logged]
-        checks = check_trajectory(seen, RIG, motions, refined, PARAMS)
+        checks = judge_all(check_trajectory(seen, RIG, motions, refined, PARAMS))
         assert (hold_reason(checks) is not None) == held
         assert "driving direction" in {check.name for check in checks}
         [stated] = [check for check in checks if check.name == "stated sigmas of the poses"]

@@ -11,6 +11,7 @@ from uuid import NAMESPACE_URL, uuid5
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.checks.verdict import judge
 from conetl.geometry.calibration.covariance import with_covariance
 from conetl.geometry.packing import as_rows
 from conetl.mapping.history import DriveEvidence
@@ -66,7 +67,7 @@ def drive_of(pairs: Sequence[FramePair], rig: Rig, name: str = "made") -> Drive:
 def evidence_of(name: str, start_ns: int, tracks: Sequence[Track], path_m: Floats, **more: Any) -> DriveEvidence:
     """What a drive contributes to the map; `more`: at least what it had in view of cones."""
     content = hashlib.sha256(name.encode()).hexdigest()
-    values = {"influence_m": 80.0, "params": ReconcileParams()} | more
+    values = {"influence_m": 80.0, "params": ReconcileParams(), "judge": judge} | more
     return DriveEvidence(
         key=(start_ns, content, content), changeset_id=uuid5(NAMESPACE_URL, content), founding_key=f"default/{content}",
         tracks=tracks, path_m=path_m, **values,

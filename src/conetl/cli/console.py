@@ -181,7 +181,12 @@ def _read(record: Any, value: str | Callable[[Any], object]) -> object:
     return record[value] if isinstance(record, Mapping) else attrgetter(value)(record)
 
 
-_NOT_PASSED = {Verdict.HOLD: "On hold", Verdict.WARN: "Warning", Verdict.CORRECTED: "Corrected"}
+_NOT_PASSED = {
+    Verdict.HOLD: "On hold",
+    Verdict.NOTE: "Note",
+    Verdict.WIDENED: "Widened",
+    Verdict.CORRECTED: "Corrected",
+}
 
 
 def print_checks(checks: Sequence[HealthCheck]) -> None:

@@ -210,7 +210,7 @@ def _previewed(root: Path, settings: Mapping[str, Any], rig: Rig | None) -> Prev
                 raise
             together = {**settings, "images": {**images, "right_offset_s": 0.0}}
             found = preview(root, DriveYaml.model_validate(together), rig)
-            if any(check.value != 0 for check in check_stereo(found.drive)[1] if check.name == TRIGGER):
+            if any(finding.value != 0 for finding in check_stereo(found.drive)[1] if finding.check == TRIGGER):
                 raise
             return found
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from conetl.checks.verdict import judge_all
 from conetl.cli import console as ui
 from conetl.files.names import minutes
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
@@ -51,7 +52,7 @@ def inspect(
     assert kind is not None  # it was read
     summary = summarise(found, rejections)
     seconds = estimated_seconds(summary, settings.workers)
-    checks = [] if kind.UNPACKS else check_stereo(found)[1]  # here nothing is unpacked
+    checks = [] if kind.UNPACKS else judge_all(check_stereo(found)[1])  # here nothing is unpacked
     facts = _facts(kind, summary, seconds, settings.workers)
     if page is not None:
         from conetl.reports.inspection_images import draw_drive  # matplotlib takes half a second to load
@@ -72,7 +73,7 @@ def inspect(
         if page is not None:
             ui.say(f"Page: {page}")
     lost = 1.0 - summary.usable_pairs / summary.expected_pairs
-    warned = any(check.verdict in (Verdict.WARN, Verdict.HOLD) for check in checks)
+    warned = any(check.verdict in (Verdict.NOTE, Verdict.HOLD) for check in checks)
     doubtful = lost > IngestParams().max_rejected_fraction or summary.poses.jumps or warned
     if not (doubtful or as_json):
         ui.say(f"Next: conetl ingest {quote(str(drive))}")

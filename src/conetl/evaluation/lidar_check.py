@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.calibration.covariance import calibration_cov
 from conetl.geometry.camera import project, rays
 from conetl.geometry.rig import infinity_shift_px
 from conetl.geometry.small_arrays import robust_std
@@ -173,6 +174,8 @@ class LidarResidual(NamedTuple):
     lidar_sigma_m: float
     stereo_range_m: float
     stereo_sigma_m: float
+    """Of the match and of the calibration; of the match alone in a residual without the calibration's error."""
+    match_sigma_m: float
     residual_m: float
     """Positive where the stereo range is too long."""
 
@@ -189,7 +192,10 @@ class ResidualBand(NamedTuple):
     robust_std_m: float | None
     """1.4826 times the median distance from the median."""
     ratio_std: float | None
-    """The same for the residual over its stated sigma (stereo and LiDAR): 1 for correct sigmas."""
+    """The same for the residual over its stated sigma (stereo and LiDAR): 1 for correct sigmas, less where errors that the
+    matches have in common are part of it."""
+    within_2_sigmas: float | None
+    """Share of the residuals below twice their stated sigma: 0.95 for correct ones."""
 
 
 def lidar_range(points_left_m: Floats, outline: Outline, camera: Camera, up: Floats) -> LidarRange | None:
@@ -231,16 +237,22 @@ def lidar_range(points_left_m: Floats, outline: Outline, camera: Camera, up: Flo
 
 
 def residual(
-    match: StereoMatch, foot_left_m: Floats, foot_cov_m2: Floats, lidar: LidarRange, up: Floats
+    match: StereoMatch, foot_left_m: Floats, foot_cov_m2: Floats, rig: Rig, lidar: LidarRange, up: Floats
 ) -> LidarResidual:
-    """Stereo minus LiDAR range. foot_left_m (3,), foot_cov_m2 (3, 3): the foot by intersection, in the left camera's frame."""
+    """Stereo minus LiDAR range.
+
+    foot_left_m (3,), foot_cov_m2 (3, 3): the foot by intersection, in the left camera's frame, and its covariance by the match
+    alone. rig: with the errors of its calibration.
+    """
     level = foot_left_m - (foot_left_m @ up) * up
     reach = float(np.linalg.norm(level))
     along = level / reach
+    whole = foot_cov_m2 + calibration_cov(foot_left_m, rig)[0]
+    stereo_sigma_m, match_sigma_m = (float(np.sqrt(along @ cov @ along)) for cov in (whole, foot_cov_m2))
     return LidarResidual(
         frame_index=match.frame_index, match_index=match.match_index,
         lidar_range_m=lidar.ground_range_m, lidar_sigma_m=lidar.sigma_m,
-        stereo_range_m=reach, stereo_sigma_m=float(np.sqrt(along @ foot_cov_m2 @ along)),
+        stereo_range_m=reach, stereo_sigma_m=stereo_sigma_m, match_sigma_m=match_sigma_m,
         residual_m=reach - lidar.ground_range_m,
     )  # fmt: skip
 
@@ -255,6 +267,7 @@ def without_scene_bias(found: LidarResidual, match: StereoMatch, rig: Rig, bias:
     offset = bias.range_offset_m / float(np.hypot(1.0, xy[0]))
     return found._replace(
         lidar_range_m=found.lidar_range_m + offset, stereo_range_m=found.stereo_range_m * stretch,
+        stereo_sigma_m=found.match_sigma_m,
         residual_m=found.stereo_range_m * stretch - found.lidar_range_m - offset,
     )  # fmt: skip
 
@@ -267,9 +280,10 @@ def summarise(residuals: Sequence[LidarResidual]) -> list[ResidualBand]:
     table = []
     for low, high in BANDS_M:
         here = (ranges >= low) & (ranges < high)
-        figures: tuple[float | None, ...] = (None, None, None, None)
+        figures: tuple[float | None, ...] = (None,) * 5
         if here.any():
             median, median_abs = np.median(values[here]), np.median(np.abs(values[here]))
             figures = float(median), float(median_abs), robust_std(values[here]), robust_std(ratios[here])
+            figures = *figures, float(np.mean(np.abs(ratios[here]) <= 2))
         table.append(ResidualBand(low, high, int(here.sum()), *figures))
     return table

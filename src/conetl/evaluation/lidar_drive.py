@@ -118,7 +118,7 @@ def _check_pair(
         lidar = steps.lidar_range(points_left, find_outline(left, match.left), rig.left, up)
         if lidar is not None:
             foot, cov = np.array(position.camera_xyz_m), cov_matrix(position.camera_cov_m2)
-            residuals.append(steps.residual(match, foot, cov, lidar, up))
+            residuals.append(steps.residual(match, foot, cov, rig, lidar, up))
             used.append(match)
     return (
         residuals,

@@ -24,7 +24,7 @@ from conetl.files.atomic import atomic_files, write_json
 from conetl.geometry.geodesy import ELLIPSOIDAL, to_geodetic
 from conetl.model.columns import BY_NAME
 from conetl.model.map_records import DeltaKind, FeatureChange
-from conetl.model.work_zone_records import Finding
+from conetl.model.work_zone_records import LayoutFinding
 
 #: Longitude, latitude (degrees) and ellipsoidal height (m) of each vertex.
 Line = list[tuple[float, float, float]]
@@ -215,7 +215,7 @@ def export_diff_geojson(changes: Sequence[FeatureChange], path: Path, *, srid: i
     return _write_collection(features, path)
 
 
-def export_layout_geojson(findings: Sequence[Finding], path: Path, *, srid: int) -> int:
+def export_layout_geojson(findings: Sequence[LayoutFinding], path: Path, *, srid: int) -> int:
     """Write one point or line per finding of the layout check. Returns the number of features."""
     features = [
         {
@@ -228,7 +228,7 @@ def export_layout_geojson(findings: Sequence[Finding], path: Path, *, srid: int)
     return _write_collection(features, path, indent=1)
 
 
-def finding_as_dict(finding: Finding) -> Object:
+def finding_as_dict(finding: LayoutFinding) -> Object:
     """A finding as plain values; lengths in metres to the millimetre."""
     return {
         "work_zone_id": str(finding.zone_id),

@@ -16,15 +16,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from conetl.geometry.packing import stack_rows
+from conetl.geometry.packing import cov_matrices, stack_rows
+from conetl.mapping.fusion import difference_cov, expected_covs, mean_jacobians
 from conetl.model.arrays import Floats, Ints
-from conetl.model.base import Cov3
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 
-#: A common offset of more sigmas contradicts the stated ones: the drive is not corrected by it, but held (`displacement.py`).
-MAX_SIGMAS = 5.0
 #: Limits of the search for the common offset: candidate offsets, and tracks on which each is evaluated.
 _MAX_CANDIDATES = 200
 _MAX_TRACKS = 2000
@@ -32,6 +30,8 @@ _MAX_TRACKS = 2000
 _CANDIDATE_CELL_M = 0.1
 #: Distance of two classes in the search for the common offset; above the size of any map.
 _CLASSES_APART_M = 1e8
+#: Least variance of a drive and of the map beside the errors that both share, (1 mm)^2: something always differs.
+_LEAST_VARIANCE_M2 = 1e-6
 #: Cost of a forbidden pair in the assignment; far above any distance.
 _FORBIDDEN = 1e6
 #: Cost of a pair at the edge of the gate, and of leaving a track and a feature unpaired: chi-square of 3 sigma.
@@ -58,44 +58,80 @@ def common_offset(
     spaced cones decide against a shift by one cone. With fewer than two agreeing pairs, or an offset beyond the stated sigmas,
     the result is zero: one moved cone must not shift the drive.
     """
-    zero = np.zeros(3)
     if len(tracks) < 2 or len(features) < 2:
-        return zero, 0.0
-    some = tracks[:: 1 + len(tracks) // _MAX_TRACKS]
-    t, f = xyz_of(some), xyz_of(features)
-    drive_var = float(np.mean([track.cov_m2[0] + track.cov_m2[3] for track in tracks])) / 2
-    map_var = float(np.mean([feature.cov_m2[0] + feature.cov_m2[3] for feature in features])) / 2
+        return np.zeros(3), 0.0
+    drive_var, map_var = _own_variances(tracks, features)
     total_var = drive_var + map_var
-    allowed_m = min(params.max_offset_m, MAX_SIGMAS * float(np.sqrt(total_var)))
+    # A larger offset contradicts the stated sigmas: the drive is not corrected by it, but held (`displacement.py`).
+    allowed_m = min(params.max_offset_m, params.agreement.sigmas * float(np.sqrt(total_var)))
+    found = best_offset(tracks, features, params, allowed_m, total_var)
+    return (np.zeros(3), 0.0) if found is None else (found.offset_m, drive_var / total_var)
+
+
+class Offset(NamedTuple):
+    """A common offset of a drive, and the pairs that agree on it."""
+
+    offset_m: Floats
+    """(3,) in metres: their median difference."""
+    tracks: Ints
+    """(K,) indices of those whose nearest feature of their class is within the gate after subtracting it."""
+    features: Ints
+    """(K,) indices of these features."""
+
+
+def best_offset(
+    tracks: Sequence[Track],
+    features: Sequence[MapFeature],
+    params: ReconcileParams,
+    allowed_m: float,
+    variance_m2: float,
+) -> Offset | None:
+    """The offset of at most `allowed_m` that `common_offset` describes; None with fewer than two agreeing pairs.
+
+    variance_m2: expected, of one axis.
+    """
+    chosen = np.arange(0, len(tracks), 1 + len(tracks) // _MAX_TRACKS)
+    some = [tracks[i] for i in chosen.tolist()]
+    t, f = xyz_of(some), xyz_of(features)
     # A third coordinate keeps classes apart.
     apart_m = np.unique(classes_of([*some, *features]), return_inverse=True)[1] * _CLASSES_APART_M
     by_class = np.column_stack((t[:, :2], apart_m[: len(some)]))
     tree = cKDTree(np.column_stack((f[:, :2], apart_m[len(some) :])))
     scale_m = params.min_gate_m / 3
 
-    def cost_of(offset: Floats) -> tuple[float, Floats]:
-        """Cost, and the differences (K, 3) of the pairs within the gate."""
+    def cost_of(offset: Floats) -> tuple[float, Ints, Ints]:
+        """Cost, and the pairs within the gate."""
         misfits, nearest = (np.asarray(found) for found in tree.query(by_class - (*offset[:2], 0.0)))
-        close = misfits <= params.min_gate_m
+        close = np.flatnonzero(misfits <= params.min_gate_m)
         costs = np.minimum((misfits / scale_m) ** 2, _GATE_COST)
-        return float(costs.sum() + offset[:2] @ offset[:2] / total_var), t[close] - f[nearest[close]]
+        return float(costs.sum() + offset[:2] @ offset[:2] / variance_m2), close, nearest[close]
 
     best: tuple[float, Floats] | None = None
     for candidate in _candidates(t, f, allowed_m):
-        cost, agreeing = cost_of(candidate)
-        if len(agreeing) >= 2 and (best is None or cost < best[0]):
+        cost, i, _ = cost_of(candidate)
+        if len(i) >= 2 and (best is None or cost < best[0]):
             best = cost, candidate
     if best is None:
-        return zero, 0.0
-    offset_m = best[1]
+        return None
+    offset_m, i, j = best[1], np.empty(0, np.int64), np.empty(0, np.int64)
     for _ in range(2):  # the median of the pairs; they may change with the offset
-        _, agreeing = cost_of(offset_m)
-        if len(agreeing) < 2:
-            return zero, 0.0
-        offset_m = np.median(agreeing, axis=0)
-    if float(np.linalg.norm(offset_m[:2])) > allowed_m:
-        return zero, 0.0
-    return offset_m, drive_var / total_var
+        _, i, j = cost_of(offset_m)
+        if len(i) < 2:
+            return None
+        offset_m = np.median(t[i] - f[j], axis=0)
+    return Offset(offset_m, chosen[i], j) if float(np.linalg.norm(offset_m[:2])) <= allowed_m else None
+
+
+def _own_variances(tracks: Sequence[Track], features: Sequence[MapFeature]) -> tuple[float, float]:
+    """Mean horizontal variances (m^2, one axis) of a drive and of the map, without what both share: it is in no difference."""
+    covs = cov_matrices([track.cov_m2 for track in tracks]), expected_covs(features)
+    own = [float(np.trace(cov[:, :2, :2], axis1=1, axis2=2).mean()) / 2 for cov in covs]
+    drive, on_map = (mean_jacobians([one.shared_jacobian for one in side]) for side in (tracks, features))
+    shared = 0.0
+    for key in drive.keys() & on_map.keys():
+        width = min(drive[key].shape[1], on_map[key].shape[1])
+        shared += float((drive[key][:2, :width] * on_map[key][:2, :width]).sum()) / 2
+    return max(own[0] - shared, _LEAST_VARIANCE_M2), max(own[1] - shared, _LEAST_VARIANCE_M2)
 
 
 def match_unmoved(comparison: Comparison, offset_m: Floats, weight: float) -> dict[int, int]:
@@ -113,11 +149,15 @@ def match_unmoved(comparison: Comparison, offset_m: Floats, weight: float) -> di
     feature_xyz_m = xyz_of(features)
     moved = map_xyz_m - (1 - weight) * offset_m
     j, i = near_pairs(feature_xyz_m[:, :2], moved[:, :2], max(params.min_gate_m, params.max_offset_m))
-    cov = _horizontal([track.relative_cov_m2 if known else track.cov_m2 for track in tracks])[i]
-    if not known:
-        cov = cov + _horizontal([feature.cov_m2 for feature in features])[j]
+    if known:
+        cov = cov_matrices([track.relative_cov_m2 for track in tracks])[i]
+    else:
+        cov = difference_cov(
+            [tracks[k].cov_m2 for k in i.tolist()], [tracks[k].shared_jacobian for k in i.tolist()],
+            [features[k].cov_m2 for k in j.tolist()], [features[k].shared_jacobian for k in j.tolist()],
+        )  # fmt: skip
     x, y, z = (moved[i] - feature_xyz_m[j]).T
-    xx, xy, yy = cov.T
+    xx, xy, yy = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
     distance2 = (yy * x * x - 2 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
     distance = np.hypot(x, y)
     share = np.minimum((distance / params.min_gate_m) ** 2, distance2 / params.gate_chi2)
@@ -195,11 +235,6 @@ def _candidates(t: Floats, f: Floats, allowed_m: float) -> Floats:
     first = shortest_first[np.searchsorted(inverse[shortest_first], np.arange(len(counts)))]
     order = np.lexsort((lengths[first], -counts))[:_MAX_CANDIDATES]
     return differences[first[order]]
-
-
-def _horizontal(covariances: Sequence[Cov3]) -> Floats:
-    """(N, 3): xx, xy, yy of each covariance."""
-    return stack_rows(covariances, 6)[:, [0, 1, 3]]
 
 
 def near_pairs(a_m: Floats, b_m: Floats, reach_m: float) -> tuple[Ints, Ints]:

@@ -27,6 +27,7 @@ from conetl.mapping.deltas import (
     ReconcileContext,
     confirm_features,
     end_feature,
+    exceeding,
     miss_or_remove,
     move_and_merge,
     new_feature,
@@ -56,13 +57,17 @@ def reconcile(
 
     features: the map after all drives that were recorded before this one.
     """
-    params, founding_key, pinned = context
+    params, founding_key, pinned, contradiction = context
     tracks = _drop_duplicates(sorted(tracks, key=lambda track: track.members[0]))
     features = sorted(features, key=attrgetter("feature_id.int"))
-    offset_m, weight = common_offset(tracks, features, params)
+    apart_m, excess_m2 = np.zeros(3), None
+    if contradiction is None:
+        offset_m, weight = common_offset(tracks, features, params)
+    else:  # the drive is compared where the map has its cones, but not moved there
+        offset_m, weight, apart_m, excess_m2 = np.zeros(3), 0.0, contradiction.offset_m, contradiction.excess_m2
     shift_m = weight * offset_m
     map_xyz_m = xyz_of(tracks) - shift_m
-    comparison = Comparison(tracks, features, map_xyz_m, params)
+    comparison = Comparison(tracks, features, map_xyz_m - apart_m, params)
     pairs = match_unmoved(comparison, offset_m, weight)
     merged = _find_mergers(comparison, pairs, pinned)
     deltas = [
@@ -80,7 +85,7 @@ def reconcile(
     others_m = xyz_of([tracks[i] for i in sorted(paired.union(free))])
     unobserved: dict[int, tuple[NotObserved, ExistenceEvidence]] = {}
     for j, feature in enumerate(features):
-        absence = None if j in pairs or j in merged else check_visibility(feature, shift_m, others_m)
+        absence = None if j in pairs or j in merged else check_visibility(feature, shift_m + apart_m, others_m)
         if absence is not None:
             unobserved[j] = absence, miss_evidence(feature, absence, params)
     loose = {j: evidence for j, (_, evidence) in unobserved.items() if features[j].feature_id not in pinned}
@@ -98,11 +103,12 @@ def reconcile(
     as_before = {j: i for j, i in pairs.items() if j not in renewed}
     track_of = pairs | moved
     own = tracks_in_map_frame([*free, *(track_of[j] for j in renewed)], tracks, features, pairs, weight)
+    own = {i: exceeding(track, excess_m2) for i, track in own.items()}
     loose_pairs = {j: i for j, i in as_before.items() if features[j].feature_id not in pinned}
     left = [j for j in vanished if j not in moved]
     moved_to = match_moved_earlier(comparison, loose_pairs, left)
     feature_by_id = {features[k].feature_id: features[j] for j, k in moved_to.items()}
-    for delta in confirm_features(as_before, features, tracks, evidence_for):
+    for delta in confirm_features(as_before, features, tracks, evidence_for, excess_m2):
         old = feature_by_id.get(delta.feature_id)
         deltas += [delta] if old is None else move_and_merge(old, delta)
     for j, kind in renewed.items():

@@ -8,10 +8,12 @@ from uuid import UUID, uuid5
 
 import numpy as np
 
-from conetl.geometry.packing import cov3, cov_matrices, stack_rows, vec3
+from conetl.geometry.packing import cov3, stack_rows, vec3
+from conetl.mapping.contradiction import Contradiction
 from conetl.mapping.existence_update import missed, observed, sighting_evidence
-from conetl.mapping.fusion import birge_ratios, fuse
+from conetl.mapping.fusion import birge_ratios, excess_of, fuse, larger_excess, with_excess
 from conetl.model.arrays import Floats
+from conetl.model.base import Cov3, SharedErrorJacobian
 from conetl.model.drive import Track
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.params import ReconcileParams
@@ -27,6 +29,8 @@ class ReconcileContext(NamedTuple):
     """Map name and content of the drive or import, from which the ids of new features follow."""
     pinned: Collection[UUID] = ()
     """Features that are neither moved nor removed nor given another height."""
+    contradiction: Contradiction | None = None
+    """Displacement of the drive beyond its stated sigmas."""
 
 
 def new_feature(track: Track, map_xyz_m: Floats, shift: Floats, founding_key: str, half_of: UUID | None) -> Delta:
@@ -136,26 +140,26 @@ def confirm_features(
     features: Sequence[MapFeature],
     tracks: Sequence[Track],
     evidence: Mapping[int, ExistenceEvidence],
+    excess_m2: Floats | None = None,
 ) -> list[Delta]:
     """Confirm features at the same position: both estimates are fused by their covariances, all pairs (feature -> track) at once.
 
-    evidence: by feature. Tracks enter in the drive's own frame, where their covariances hold: corrected by the drive's offset
-    they would contain the map's errors, and one difference would be shared out twice.
+    evidence: by feature. excess_m2 (3, 3): by which the drive contradicts the map. Tracks enter in the drive's own frame, where
+    their covariances hold: corrected by the drive's offset they would contain the map's errors, and one difference would be
+    shared out twice.
     """
     if not pairs:
         return []
     old, new = [features[j] for j in pairs], [tracks[i] for i in pairs.values()]
-    gain, cov, jacobians = fuse(
-        [f.cov_m2 for f in old],
-        [f.shared_jacobian for f in old],
-        [t.cov_m2 for t in new],
-        [t.shared_jacobian for t in new],
-    )
+    excess = [larger_excess(excess_of(f.shared_jacobian), excess_m2) for f in old]
+    gain, cov, jacobians, difference_m2 = fuse(*_with_excess(old, excess), *_with_excess(new, excess))
     old_xyz, new_xyz = (stack_rows([one.xyz_m for one in side], 3) for side in (old, new))
     apart = new_xyz - old_xyz
     fused = old_xyz + _matvec(gain, apart)
-    stated = cov_matrices([f.cov_m2 for f in old]) + cov_matrices([t.cov_m2 for t in new])
-    cov[:, range(3), range(3)] *= birge_ratios(apart, stated)
+    in_excess = np.array([np.zeros((3, 3)) if one is None else one for one in excess])
+    of_excess = np.diagonal(in_excess, axis1=1, axis2=2)  # it covers both already
+    ratios = birge_ratios(apart, difference_m2 + in_excess)
+    cov[:, range(3), range(3)] = of_excess + ratios * (cov[:, range(3), range(3)] - of_excess)
     centres, new_centres = (stack_rows([one.centre_xyz_m for one in side], 3) for side in (old, new))
     centres = centres + _matvec(gain, new_centres - centres)
     shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1).tolist()
@@ -194,6 +198,26 @@ def confirm_features(
             )
         )
     return deltas
+
+
+def exceeding(track: Track, excess_m2: Floats | None) -> Track:
+    """The track with sigmas enlarged by the excess (3, 3) of its drive, if it has one."""
+    if excess_m2 is None:
+        return track
+    cov_m2, shared_jacobian = with_excess(track.cov_m2, track.shared_jacobian, excess_m2)
+    return track.model_copy(update={"cov_m2": cov_m2, "shared_jacobian": shared_jacobian})
+
+
+def _with_excess(
+    estimates: Sequence[MapFeature | Track], excess: Sequence[Floats | None]
+) -> tuple[list[Cov3], list[SharedErrorJacobian | None]]:
+    """Covariances and Jacobians of estimates whose sigmas are too small by an excess (3, 3), where there is one."""
+    covs = [one.cov_m2 for one in estimates]
+    jacobians = [one.shared_jacobian for one in estimates]
+    for k, excess_m2 in enumerate(excess):
+        if excess_m2 is not None:
+            covs[k], jacobians[k] = with_excess(covs[k], jacobians[k], excess_m2)
+    return covs, jacobians
 
 
 def _matvec(matrices: Floats, vectors: Floats) -> Floats:

@@ -1,172 +1,269 @@
-"""Checks whether the objects of a drive, of a part of it or of an imported map are displaced against those of the map, in plan or
-height, or are of other classes.
+"""Whether the objects of a drive, of a part of it, of a second pass or of an imported map are displaced against those of the map.
 
-Objects are compared at their positions, and by their arrangement, which can match elsewhere if all positions are wrong.
+One estimator tries transforms: none, the common offset of the drive, and of those that put two cones onto two of the map the one
+after which most fit (`searches`). Cones at equal distances also fit a row farther along, and the same plan elsewhere: where a
+transform is searched far away, only an irregular arrangement that fits once, to within the difference of two surveys of the same
+cones, counts as the same cones.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from functools import partial
 from math import hypot
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from scipy.spatial.transform import Rotation
 
 from conetl.geometry.packing import cov_matrices
-from conetl.mapping.association import MAX_SIGMAS, assign, classes_of, common_offset, near_pairs, xyz_of
+from conetl.mapping.arrangement import ArrangementFit, best_fit
+from conetl.mapping.association import assign, classes_of, common_offset, near_pairs, xyz_of
+from conetl.mapping.fusion import difference_cov
 from conetl.model.arrays import Floats, Ints
 from conetl.model.drive import Track
-from conetl.model.health import AGREEMENT, HealthCheck, hold
+from conetl.model.health import AGREEMENT, Finding
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
-from conetl.model.params import ReconcileParams
+from conetl.model.params import AgreementParams, ReconcileParams
 
-#: Positions (N, 3) and classes (N,) of tracks or features.
-_Located = tuple[Floats, NDArray[np.str_]]
-#: Smaller displacements and height differences are left to the fusion.
-LEAST_OFFSET_M = 0.1
-#: Cones or stretches that must agree on a small displacement; on a height difference beyond any error of measurement one does.
-LEAST_PAIRS, _GROSS_RISE_M = 3, 1.5
-#: Displacements of the whole drive that are searched for, where most of its cones fit nothing.
-_MAX_DISPLACEMENT_M, _MAX_TURN, _LONGEST_BASE_M = 60.0, np.radians(10.0), 60.0
-#: Rotation of two cones of a part of a drive by their errors; displacement by the lever arm of another vehicle.
-_MAX_PART_TURN, _MAX_LEVER_M = np.radians(0.5), 4.0
-#: No road connects two cones this near in plan with such a height difference; bridges are lower.
-_BESIDE_M, _CLIFF_M = 30.0, 20.0
+POSITION, HEIGHTS = f"{AGREEMENT}: position", f"{AGREEMENT}: heights"
 #: A merge compares everything on the map within this distance.
 _NEAR_M = 50.0
-#: An imported map, or a drive, may be in another datum: ED50 is 80 m east and 200 m north of ETRS89.
-FARTHEST_M = 300.0
-#: This many of its cones must fit: two rows with similar spacing fit by chance. In a drive, some cones may be new.
-_LEAST_SAME, _LEAST_SAME_OF_DRIVE, _LEAST_SAME_SHARE = 5, 7, 0.6
-_LEAST_AGREEING, _LEAST_AGREEING_SHARE = 4, 0.6
-#: A fit is distinct if no other one, this many gates apart, fits this share as many; else some of the map's cones must be absent.
-_APART_GATES, _RIVAL_SHARE, _LEAST_ABSENT_SHARE = 2.0, 0.8, 0.25
-#: Two different zones set up by people never match to this RMS distance of their cones.
-_SAME_ZONE_M = 0.05
-#: Limits of that search: tracks that it uses, tracks from which it starts, and how far two lengths may differ.
-_MAX_TRACKS, _STARTS, _LENGTH_TOLERANCE_M = 200, 10, 0.3
-_MAX_NEAR, _MAX_TRIED = 150, 300
+#: Unless a fit proves the same zone, this share of the map's cones must be absent: the drive may see another row beside it.
+_LEAST_ABSENT_SHARE = 0.25
+#: At most about this many tracks are compared by their arrangement; smaller rotations are not named.
+_MAX_TRACKS, _LEAST_TURN_DEG = 200, 1.0
+_NOT_MOVED, _ALL_AXES, _HEIGHT = np.zeros(3), np.ones(3), np.array([0.0, 0.0, 1.0])
 
 
-def check_positions(
-    tracks: Sequence[Track], features: Sequence[MapFeature], kinds: Counter[DeltaKind], params: ReconcileParams
-) -> HealthCheck | None:
-    """A hold if the drive's cones have a common displacement against the map's that exceeds the stated sigmas."""
-    on_drive, on_map = _located(tracks), _located(features)
-    t, f = on_drive[0], on_map[0]
-    covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
-    near = np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= _MAX_DISPLACEMENT_M)
+class Search(NamedTuple):
+    """Transforms of one kind, and what proves one of them."""
+
+    within_m: float
+    """Largest displacement ..."""
+    turn_deg: float
+    """... and rotation."""
+    least: int
+    """Cones that must fit."""
+    near_m: float
+    """Cones count if one of the map is within this distance."""
+    is_exact: bool = True
+    """Whether only the same cones count: to `same_zone_m`, at unequal distances, at no other place; else to `min_gate_m`."""
+
+
+def searches(params: ReconcileParams) -> dict[str, Search]:
+    """The transforms that are tried for a whole drive, a part of it, and cones that are stated again."""
+    own, far_m = params.agreement, params.agreement.elsewhere_m
+    return {
+        "drive": Search(own.max_displacement_m, own.max_turn_deg, own.least_agreeing, own.max_displacement_m, False),
+        "elsewhere": Search(far_m, own.max_turn_deg, own.least_same_of_drive, far_m),
+        "any turn": Search(far_m, 180.0, own.least_same_of_drive, far_m),  # people type the direction of local frames
+        "part": Search(own.max_displacement_m, own.part_turn_deg, own.least_pairs, far_m),
+        "few cones": Search(own.lever_m, own.part_turn_deg, own.least_pairs, far_m),  # lever arm of another vehicle
+        "moved": Search(far_m, own.max_turn_deg, own.least_agreeing, far_m),
+        "stated again": Search(far_m, own.max_turn_deg, own.least_same, far_m),
+        "passed again": Search(own.again_m, own.max_turn_deg, own.least_same, far_m),
+    }
+
+
+class _Objects(NamedTuple):
+    """N tracks or features."""
+
+    xyz_m: Floats
+    classes: NDArray[np.str_]
+    cov_m2: Floats
+    """(N, 3, 3)"""
+    some: Sequence[Track | MapFeature]
+
+
+def _objects(some: Sequence[Track | MapFeature]) -> _Objects:
+    return _Objects(xyz_of(some), classes_of(some), cov_matrices([one.cov_m2 for one in some]), some)
+
+
+def check_displacement(
+    tracks: Sequence[Track], features: Sequence[MapFeature], deltas: Sequence[Delta], params: ReconcileParams
+) -> Finding | None:
+    """Whether a drive, or a part of it, is displaced against the map beyond the stated sigmas.
+
+    tracks: in an order of their positions; features: of the map around the drive; deltas: by `reconcile`.
+    """
+    if not tracks or not features:
+        return _of_deltas(deltas, params)
+    kinds = Counter(delta.kind for delta in deltas)
+    stay = kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED]
+    absent = kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED]
+    drive, on_map, tried = _objects(tracks), _objects(features), searches(params)
     # GNSS without a fix is metres off, as its sigmas state: only the heights are compared after its offset is taken out.
     offset_m = np.array([*common_offset(tracks, features, params)[0][:2], 0.0])
-    for shift_m, compared in ((np.zeros(3), (1.0, 1.0, 1.0)), (offset_m, (0.0, 0.0, 1.0))):
-        pairs = _same_positions(on_drive, on_map, shift_m, params)
-        if pairs and 2 * len(pairs) >= len(near):
-            i, j = list(pairs), list(pairs.values())
-            common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
-            if common is not None:
-                return common
-    some = near[:: 1 + len(near) // _MAX_TRACKS]
-    share = len(some) / max(len(near), 1)
-    found = share * (kinds[DeltaKind.CONFIRMED] + kinds[DeltaKind.HEIGHT_CHANGED])
-    least = max(_LEAST_AGREEING, _LEAST_AGREEING_SHARE * len(some), 2 * found + 1)
-    fit = _best_fit(t[some, :2], f[:, :2], params.min_gate_m, _MAX_DISPLACEMENT_M) if least <= len(some) else None
-    if fit is None or fit.agreeing < least:
-        return None
-    absent = share * (kinds[DeltaKind.REMOVED] + kinds[DeltaKind.MISSED] + kinds[DeltaKind.MOVED])
-    same_zone = fit.distinct and (fit.beside or fit.residual_m <= _SAME_ZONE_M)
-    if not same_zone and absent < _LEAST_ABSENT_SHARE * fit.agreeing:
-        return None  # the drive may see a continuation of the map's row, or a second row beside it
-    sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
-    if fit.largest_m <= min(params.max_offset_m, MAX_SIGMAS * sigma_m):
-        return None
-    turned = _turn_of(fit, 0.1)
-    if fit.largest_m <= MAX_SIGMAS * sigma_m:
-        detail = (
-            f"Its cones are {fit.middle_m:.1f} m from those of the map{turned}. Its stated sigmas allow that, but it is too far "
-            "to tell which cone is which: process its GNSS data with corrections, or ingest the drive into a separate map."
-        )
-        return agreement_hold("position", fit.middle_m, detail, sigma=sigma_m, limit=params.max_offset_m, unit="m")
-    return _position_hold(fit.middle_m, sigma_m, turned, min(params.max_offset_m, MAX_SIGMAS * sigma_m))
+    return (
+        _at_same_positions(drive, on_map, params, tried["drive"].near_m)
+        or _at_same_positions(drive, on_map, params, tried["drive"].near_m, offset_m, _HEIGHT)
+        or _displaced(drive, on_map, tried["drive"], params, stay, absent)
+        or _elsewhere(drive, on_map, params)
+        or _of_parts(tracks, on_map, params)
+        or _of_deltas(deltas, params)
+    )
 
 
 def check_same_cones(
     stated: Sequence[Track | MapFeature],
     features: Sequence[Track | MapFeature],
     params: ReconcileParams,
-    within_m: float = FARTHEST_M,
-) -> HealthCheck | None:
-    """A hold if cones that are stated again, by an imported map or a second pass, have a common displacement that exceeds their
-    sigmas.
+    tried: Literal["stated again", "passed again"] = "stated again",
+) -> Finding | None:
+    """Whether cones that are stated again, by an imported map or a second pass, have a common displacement beyond their sigmas.
 
-    Cones at equal distances also fit a row farther along, or the same plan elsewhere: only an irregular arrangement that fits
-    once, to within the difference of two surveys of the same cones, counts as the same cones. within_m: how far away they may
-    be.
+    tried: which of the `searches`.
     """
     if not stated or not features:
         return None
-    t, f = xyz_of(stated), xyz_of(features)
-    covs = cov_matrices([one.cov_m2 for one in stated]), cov_matrices([one.cov_m2 for one in features])
-    pairs = _same_positions(_located(stated), _located(features), np.zeros(3), params)
-    if pairs:
-        i, j = list(pairs), list(pairs.values())
-        # If most have no cone near them, the rest match neighbours by chance: only heights are compared.
-        compared = (1.0, 1.0, 1.0) if 2 * len(pairs) >= len(_with_near_features(t, f)) else (0.0, 0.0, 1.0)
-        common = _common_displacement((t[i] - f[j]) * compared, (covs[0][i] + covs[1][j]).mean(axis=0))
-        if common is not None:
-            return common
-    return _match_arrangement(stated, features, len(pairs), params, _LEAST_SAME, within_m)
+    cones, on_map, search = _objects(stated), _objects(features), searches(params)[tried]
+    # If most have no cone near them, the rest match neighbours by chance: only heights are compared.
+    return (
+        _at_same_positions(cones, on_map, params, search.near_m)
+        or _at_same_positions(cones, on_map, params, 0.0, _NOT_MOVED, _HEIGHT)
+        or _displaced(cones, on_map, search, params, _count_same(cones, on_map, params))
+    )
 
 
 def check_far_positions(
     tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
-) -> HealthCheck | None:
-    """A hold if a drive's cones have a common displacement that is too large for `check_agreement`.
+) -> Finding | None:
+    """Whether a drive's cones have a common displacement that is too large for `check_displacement`.
 
-    features: the map's point objects within `FARTHEST_M` of the tracks. A merge compares only what a drive may have in view, so
+    features: the map's point objects within `elsewhere_m` of the tracks. A merge compares only what a drive may have in view, so
     this is checked once, when the drive is ingested.
     """
     sure = [track for track in tracks if track.existence_probability >= params.founding_existence_probability]
-    if (check := _check_other_section(sure, features)) is not None:
-        return check.model_copy(update={"name": "heights of another section"})
-    check = check_arrangement(sure, features, params)
-    if check is None or check.value is None or check.value <= _NEAR_M:
+    if not sure or not features:
         return None
-    return check.model_copy(update={"name": "the same cones elsewhere"})
+    drive, on_map = _objects(sure), _objects(features)
+    if (found := _other_section(drive, on_map, params.agreement)) is not None:
+        return found.model_copy(update={"check": "heights of another section"})
+    found = _elsewhere(drive, on_map, params)
+    if found is None or found.value is None or found.value <= _NEAR_M:
+        return None
+    return found.model_copy(update={"check": "the same cones elsewhere"})
 
 
-def _check_other_section(tracks: Sequence[Track], features: Sequence[MapFeature]) -> HealthCheck | None:
-    """The height difference of a drive's cones against the map's nearest ones, if it proves another section of the road."""
+def check_classes(tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams) -> Finding | None:
+    """Whether most of the objects at positions of map objects are of another class."""
     if not tracks or not features:
         return None
-    t, f = xyz_of(tracks), xyz_of(features)
-    apart_m, nearest = cKDTree(f[:, :2]).query(t[:, :2])
-    near = apart_m <= _BESIDE_M
-    up_m = (t[:, 2] - f[nearest, 2])[near]
-    if not up_m.size or np.abs(up_m).min() < _CLIFF_M:
+    drive, on_map = _objects(tracks), _objects(features)
+    same = _same_positions(drive, on_map, _NOT_MOVED, params)
+    i = np.setdiff1d(np.arange(len(drive.xyz_m)), list(same))
+    j = np.setdiff1d(np.arange(len(on_map.xyz_m)), list(same.values()))
+    rows, columns = near_pairs(drive.xyz_m[i, :2], on_map.xyz_m[j, :2], params.min_gate_m)
+    pairs = assign(rows, columns, np.hypot(*(drive.xyz_m[i[rows]] - on_map.xyz_m[j[columns]])[:, :2].T))
+    least = params.agreement.least_pairs
+    if len(pairs) < least or len(pairs) <= len(same):
         return None
-    covs = cov_matrices([track.cov_m2 for track in tracks]), cov_matrices([feature.cov_m2 for feature in features])
-    sigma_m = float(np.sqrt((covs[0] + covs[1][nearest])[near, 2, 2].max()))
-    return check_heights(float(np.median(up_m)), sigma_m, len(up_m), "cones", "the nearest ones")
+    changes = Counter((on_map.classes[j[b]], drive.classes[i[a]]) for a, b in pairs.items())
+    (was, now), _ = max(changes.items(), key=lambda item: (item[1], item[0]))
+    facts = {"objects": len(pairs) + len(same), "others": len(pairs), "now": str(now), "was": str(was)}
+    limit = max(len(same), least - 1)
+    return Finding(check=f"{AGREEMENT}: classes", value=len(pairs), limit=limit, found=True, facts=facts)
 
 
-def check_arrangement(
-    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
-) -> HealthCheck | None:
-    """A hold if the arrangement of enough cones matches the map elsewhere, even along a row from which no cone is missing."""
-    if len(tracks) < _LEAST_SAME_OF_DRIVE or not features:
+def check_heights(
+    up_m: float,
+    sigma_m: float,
+    count: int,
+    limits: AgreementParams,
+    *,
+    what: str = "cones",
+    those: str = "the same cones",
+) -> Finding | None:
+    """A common height difference `up_m`, if it is significant. count: pairs that agree on it."""
+    least_m = limits.least_offset_m if count >= limits.least_pairs else limits.gross_rise_m
+    limit_m = max(least_m, limits.sigmas * sigma_m)
+    if abs(up_m) <= limit_m:
         return None
-    found = len(_same_positions(_located(tracks), _located(features), np.zeros(3), params))
-    match = partial(_match_arrangement, tracks, features, found, params, _LEAST_SAME_OF_DRIVE)
-    return match() or match(max_turn=np.pi)  # the direction of a local frame is typed by people
+    apart = f"{abs(up_m):.{1 if abs(up_m) >= 1 else 2}f} m {'higher' if up_m > 0 else 'lower'}"
+    return _finding(HEIGHTS, up_m, sigma_m, limit_m).saying("", apart=apart, what=what, those=those)
 
 
-def check_parts(tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams) -> HealthCheck | None:
-    """A hold if the arrangement of a part of the drive matches the map elsewhere. No cone was observed both before and in it.
+def _at_same_positions(
+    cones: _Objects,
+    on_map: _Objects,
+    params: ReconcileParams,
+    near_m: float,
+    shift_m: Floats = _NOT_MOVED,
+    axes: Floats = _ALL_AXES,
+) -> Finding | None:
+    """The common displacement of the cones at positions of the map's, at least half of those that have one within `near_m`.
+
+    shift_m (3,): by which the cones are moved back first; axes (3,): 1 of coordinates that are compared, 0 of others.
+    """
+    pairs = _same_positions(cones, on_map, shift_m, params)
+    if not pairs or 2 * len(pairs) < len(_near(cones, on_map, near_m)):
+        return None
+    i, j = list(pairs), list(pairs.values())
+    few = slice(None, None, 1 + len(pairs) // _MAX_TRACKS)  # covariances of all would take long, and differ little
+    ours, theirs = [cones.some[k] for k in i[few]], [on_map.some[k] for k in j[few]]
+    cov_m2 = difference_cov(
+        [one.cov_m2 for one in ours], [one.shared_jacobian for one in ours],
+        [one.cov_m2 for one in theirs], [one.shared_jacobian for one in theirs],
+    )  # fmt: skip
+    apart_m = cones.xyz_m[i] - on_map.xyz_m[j]
+    return _common_displacement(apart_m * axes, cov_m2.mean(axis=0), params.agreement)
+
+
+def _displaced(
+    cones: _Objects, on_map: _Objects, search: Search, params: ReconcileParams, stay: int, absent: int = 0
+) -> Finding | None:
+    """Whether the arrangement of the cones fits the map's after a transform, by more than the sigmas allow.
+
+    stay: how many stand at a cone of the map; twice as many must fit elsewhere. absent: cones of the map that the drive misses.
+    """
+    limits, near = params.agreement, _near(cones, on_map, search.near_m)
+    some = near[:: 1 + len(near) // _MAX_TRACKS]
+    share = len(some) / max(len(near), 1)
+    least = max(search.least, limits.least_share * len(some), 2 * stay * share + 1)
+    t, f = cones.xyz_m[:, :2], on_map.xyz_m[:, :2]
+    if least > len(some) or (search.is_exact and _is_even(t[near], t[some], limits)):
+        return None
+    gate_m = 2 * limits.same_zone_m if search.is_exact else params.min_gate_m
+    fit = best_fit(t[some], f, gate_m, search.within_m, np.radians(search.turn_deg))
+    if fit is None or fit.agreeing < least:
+        return None
+    is_same = fit.distinct and fit.residual_m <= limits.same_zone_m
+    if not search.is_exact:
+        is_same |= (fit.distinct and fit.beside) or absent * share >= _LEAST_ABSENT_SHARE * fit.agreeing
+    return _position(fit, cones, on_map, search, params) if is_same else None
+
+
+def _is_even(near: Floats, some: Floats, limits: AgreementParams) -> bool:
+    """Whether some (N, 2) of the cones near (M, 2) the map's have the same distance from their neighbours."""
+    return bool(np.asarray(cKDTree(near).query(some, 2)[0])[:, 1].std() < 2 * limits.same_zone_m)
+
+
+def _position(
+    fit: ArrangementFit, cones: _Objects, on_map: _Objects, search: Search, params: ReconcileParams
+) -> Finding | None:
+    """The finding of a transform that is beyond the stated sigmas, or too far to tell which cone is which."""
+    sigma_m = _mean_sigma_m(cones.cov_m2.mean(axis=0) + on_map.cov_m2.mean(axis=0))
+    allowed_m, turn_deg = params.agreement.sigmas * sigma_m, float(np.degrees(fit.turn))
+    limit_m = min(params.max_offset_m, allowed_m)
+    if fit.largest_m <= limit_m:
+        return None
+    says = "turned" if abs(turn_deg) >= _LEAST_TURN_DEG else ""
+    if fit.largest_m <= allowed_m and not search.is_exact:
+        says = "too far"
+    return _finding(POSITION, fit.middle_m, sigma_m, limit_m, says).saying(says, turn_deg=turn_deg)
+
+
+def _elsewhere(drive: _Objects, on_map: _Objects, params: ReconcileParams) -> Finding | None:
+    """Whether the arrangement of enough cones matches the map elsewhere, even along a row from which no cone is missing."""
+    tried, same = searches(params), _count_same(drive, on_map, params)
+    found = (_displaced(drive, on_map, tried[name], params, same) for name in ("elsewhere", "any turn"))
+    return next(filter(None, found), None)
+
+
+def _of_parts(tracks: Sequence[Track], on_map: _Objects, params: ReconcileParams) -> Finding | None:
+    """Whether a part of the drive is displaced. No cone was observed both before and in it.
 
     GNSS may get another fix while the vehicle waits or drives on without recording; it does not turn the positions. A drive with
     one part, which may show few cones, is compared with cones that a wrong lever arm can reach.
@@ -178,135 +275,85 @@ def check_parts(tracks: Sequence[Track], features: Sequence[MapFeature], params:
             parts.append([])
         parts[-1].append(track)
         end_ns = max(end_ns, track.last_seen_ns)
-    within_m = _MAX_DISPLACEMENT_M if len(parts) > 1 else _MAX_LEVER_M
-    for part in parts if features else ():
-        found = len(_same_positions(_located(part), _located(features), np.zeros(3), params))
-        check = _match_arrangement(part, features, found, params, LEAST_PAIRS, within_m, _MAX_PART_TURN)
-        if check is not None:
-            return _of_part(check, len(part)) if len(parts) > 1 else check
+    search = searches(params)["part" if len(parts) > 1 else "few cones"]
+    for part in map(_objects, parts):
+        found = _displaced(part, on_map, search, params, _count_same(part, on_map, params))
+        if found is not None:
+            return _only(found, len(part.xyz_m)) if len(parts) > 1 else found
     return None
 
 
-def check_part(deltas: Sequence[Delta], params: ReconcileParams) -> HealthCheck | None:
-    """A hold if the cones that a drive moves, or misses and adds elsewhere, have one common displacement.
+def _of_deltas(deltas: Sequence[Delta], params: ReconcileParams) -> Finding | None:
+    """Whether the cones that a drive moves, or misses and adds elsewhere, have one common displacement.
 
     GNSS may get another fix while the vehicle waits, and no images show the jump. People do not move cones by equal distances.
     """
-    check, count = _equal_moves(deltas)
-    if check is None:
-        came = _by_position(d.new for d in deltas if d.kind in (DeltaKind.ADDED, DeltaKind.MOVED))
-        gone = _by_position(d.old for d in deltas if d.kind in (DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED))
-        count = len(came)
-        check = _match_arrangement(came, gone, 0, params, _LEAST_AGREEING) if came and gone else None
-    if check is None:
+    found = _equal_moves(deltas, params.agreement)
+    if found is not None:
+        return found
+    came = _by_position(d.new for d in deltas if d.kind in (DeltaKind.ADDED, DeltaKind.MOVED))
+    gone = _by_position(d.old for d in deltas if d.kind in (DeltaKind.MOVED, DeltaKind.REMOVED, DeltaKind.MISSED))
+    if not came or not gone:
         return None
-    return _of_part(check, count)
+    found = _displaced(_objects(came), _objects(gone), searches(params)["moved"], params, 0)
+    return None if found is None else _only(found, len(came))
 
 
-def _of_part(check: HealthCheck, count: int) -> HealthCheck:
-    few = f"{check.detail} Only {count} of its cones are: did its position jump where no images were taken?"
-    return check.model_copy(update={"detail": few})
+def _only(found: Finding, count: int) -> Finding:
+    return found.saying(*found.says, "part", count=count)
 
 
-def _equal_moves(deltas: Sequence[Delta]) -> tuple[HealthCheck | None, int]:
-    """A hold for the displacement that most of the moved cones have in common, and how many have it."""
+def _equal_moves(deltas: Sequence[Delta], limits: AgreementParams) -> Finding | None:
+    """The displacement that most of the moved cones have in common."""
     moved = [(d.old, d.new) for d in deltas if d.kind is DeltaKind.MOVED and d.old and d.new]
-    if len(moved) < LEAST_PAIRS:
-        return None, 0
+    if len(moved) < limits.least_pairs:
+        return None
     old, new = zip(*sorted(moved, key=lambda pair: (pair[0].xyz_m, pair[1].xyz_m)), strict=True)
     apart_m = (xyz_of(new) - xyz_of(old)) * (1.0, 1.0, 0.0)
-    near = np.linalg.norm(apart_m[:, None] - apart_m, axis=2) <= 2 * _SAME_ZONE_M
+    near = np.linalg.norm(apart_m[:, None] - apart_m, axis=2) <= 2 * limits.same_zone_m
     alike = near[near.sum(axis=1).argmax()]
-    if np.hypot(*apart_m[alike, :2].std(axis=0)) > _SAME_ZONE_M:
-        return None, 0
+    if np.hypot(*apart_m[alike, :2].std(axis=0)) > limits.same_zone_m:
+        return None
     cov_m2 = 2 * cov_matrices([one.cov_m2 for one in (*old, *new)]).mean(axis=0)
-    return _common_displacement(apart_m[alike], cov_m2), int(alike.sum())
+    found = _common_displacement(apart_m[alike], cov_m2, limits)
+    return None if found is None else _only(found, int(alike.sum()))
 
 
 def _by_position(features: Iterable[MapFeature | None]) -> list[MapFeature]:
     return sorted((feature for feature in features if feature), key=lambda feature: feature.xyz_m)
 
 
-def check_classes(
-    tracks: Sequence[Track], features: Sequence[MapFeature], params: ReconcileParams
-) -> HealthCheck | None:
-    """A hold if most of the objects at positions of map objects are of another class."""
-    t, f = _located(tracks), _located(features)
-    same = _same_positions(t, f, np.zeros(3), params)
-    others = np.setdiff1d(np.arange(len(t[0])), list(same)), np.setdiff1d(np.arange(len(f[0])), list(same.values()))
-    rows, columns = near_pairs(t[0][others[0], :2], f[0][others[1], :2], params.min_gate_m)
-    pairs = assign(rows, columns, np.hypot(*(t[0][others[0][rows]] - f[0][others[1][columns]])[:, :2].T))
-    if len(pairs) < LEAST_PAIRS or len(pairs) <= len(same):
+def _other_section(drive: _Objects, on_map: _Objects, limits: AgreementParams) -> Finding | None:
+    """The height difference of a drive's cones against the map's nearest ones, if it proves another section of the road."""
+    apart_m, nearest = cKDTree(on_map.xyz_m[:, :2]).query(drive.xyz_m[:, :2])
+    near = apart_m <= limits.beside_m
+    up_m = (drive.xyz_m[:, 2] - on_map.xyz_m[nearest, 2])[near]
+    if not up_m.size or np.abs(up_m).min() < limits.cliff_m:
         return None
-    changes = Counter((f[1][others[1][j]], t[1][others[0][i]]) for i, j in pairs.items())
-    (was, now), _ = max(changes.items(), key=lambda item: (item[1], item[0]))
-    detail = (
-        f"Of {len(pairs) + len(same)} objects at the positions of objects on the map, {len(pairs)} have another class, such as "
-        f"{now} instead of {was}: the class names in the sidecar of the detector's model are in the wrong order, or all objects "
-        "were replaced."
-    )
-    return agreement_hold("classes", len(pairs), detail, limit=max(len(same), LEAST_PAIRS - 1), unit="objects")
+    sigma_m = float(np.sqrt((drive.cov_m2 + on_map.cov_m2[nearest])[near, 2, 2].max()))
+    return check_heights(float(np.median(up_m)), sigma_m, len(up_m), limits, those="the nearest ones")
 
 
-def _with_near_features(t: Floats, f: Floats) -> Ints:
-    """Indices of the cones t (N, 3) that have one of f (M, 3) within `FARTHEST_M`."""
-    return np.flatnonzero(cKDTree(f[:, :2]).query(t[:, :2])[0] <= FARTHEST_M)
+def _near(cones: _Objects, on_map: _Objects, near_m: float) -> Ints:
+    """Indices of the cones that have one of the map within this distance."""
+    return np.flatnonzero(cKDTree(on_map.xyz_m[:, :2]).query(cones.xyz_m[:, :2])[0] <= near_m)
 
 
-def _match_arrangement(
-    cones: Sequence[Track | MapFeature],
-    features: Sequence[Track | MapFeature],
-    found: int,
-    params: ReconcileParams,
-    least_same: int,
-    within_m: float = FARTHEST_M,
-    max_turn: float = _MAX_TURN,
-) -> HealthCheck | None:
-    """A hold if the cones are displaced against cones of the map in the same arrangement.
-
-    found: how many stand at a cone of the map; twice as many must fit elsewhere, and at least least_same. within_m, max_turn: see
-    `_best_fit`.
-    """
-    t, f = xyz_of(cones), xyz_of(features)
-    near = _with_near_features(t, f)
-    some = near[:: 1 + len(near) // _MAX_TRACKS]
-    found_of_some = found * len(some) / max(len(near), 1)
-    least = max(least_same, _LEAST_SAME_SHARE * len(some), 2 * found_of_some + 1)
-    if least > len(some):
-        return None
-    spacing_m = np.asarray(cKDTree(t[near, :2]).query(t[some, :2], 2)[0])[:, 1]
-    if spacing_m.std() < 2 * _SAME_ZONE_M:
-        return None
-    fit = _best_fit(t[some, :2], f[:, :2], 2 * _SAME_ZONE_M, within_m, max_turn)
-    if fit is None or fit.agreeing < least or not fit.distinct or fit.residual_m > _SAME_ZONE_M:
-        return None
-    covs = cov_matrices([one.cov_m2 for one in cones]), cov_matrices([one.cov_m2 for one in features])
-    sigma_m = _mean_sigma_m(covs[0].mean(axis=0) + covs[1].mean(axis=0))
-    limit_m = min(params.max_offset_m, MAX_SIGMAS * sigma_m)
-    turned = _turn_of(fit, np.degrees(_MAX_TURN))
-    return _position_hold(fit.middle_m, sigma_m, turned, limit_m) if fit.largest_m > limit_m else None
-
-
-def _located(objects: Sequence[Track | MapFeature]) -> _Located:
-    return xyz_of(objects), classes_of(objects)
-
-
-def _same_positions(tracks: _Located, features: _Located, shift_m: Floats, params: ReconcileParams) -> dict[int, int]:
-    """Track -> feature of the same class at its position, after moving tracks back by `shift_m` (3,); heights are ignored."""
-    (t, t_classes), (f, f_classes) = tracks, features
-    rows, columns = near_pairs((t - shift_m)[:, :2], f[:, :2], params.min_gate_m)
-    alike = t_classes[rows] == f_classes[columns]  # a sign may hang above a cone
+def _same_positions(cones: _Objects, on_map: _Objects, shift_m: Floats, params: ReconcileParams) -> dict[int, int]:
+    """Cone -> feature of the same class at its position, after moving cones back by `shift_m` (3,); heights are ignored."""
+    moved = (cones.xyz_m - shift_m)[:, :2]
+    rows, columns = near_pairs(moved, on_map.xyz_m[:, :2], params.min_gate_m)
+    alike = cones.classes[rows] == on_map.classes[columns]  # a sign may hang above a cone
     rows, columns = rows[alike], columns[alike]
-    return assign(rows, columns, np.hypot(*(t[rows] - shift_m - f[columns])[:, :2].T))
+    return assign(rows, columns, np.hypot(*(moved[rows] - on_map.xyz_m[columns, :2]).T))
 
 
-def agreement_hold(
-    what: str, value: float, detail: str, *, limit: float, sigma: float | None = None, unit: str
-) -> HealthCheck:
-    """A hold with rounded figures, so that repeated computations give the same ones."""
-    value, limit = round(value, 3), round(float(limit), 3)
-    sigma = None if sigma is None else round(sigma, 3)
-    return hold(f"{AGREEMENT}: {what}", detail, value=value, sigma=sigma, limit=limit, unit=unit)
+def _count_same(cones: _Objects, on_map: _Objects, params: ReconcileParams) -> int:
+    return len(_same_positions(cones, on_map, _NOT_MOVED, params))
+
+
+def _finding(check: str, value: float, sigma: float, limit: float, says: str = "") -> Finding:
+    return Finding(check=check, value=float(value), sigma=float(sigma), limit=float(limit), found=True, says=(says,))
 
 
 def _mean_sigma_m(cov_m2: Floats) -> float:
@@ -314,98 +361,17 @@ def _mean_sigma_m(cov_m2: Floats) -> float:
     return float(np.sqrt(np.trace(cov_m2[:2, :2]) / 2))
 
 
-def _common_displacement(apart_m: Floats, cov_m2: Floats) -> HealthCheck | None:
-    """A hold for the median displacement. apart_m (K, 3): tracks minus their features; cov_m2 (3, 3): of one difference."""
+def _common_displacement(apart_m: Floats, cov_m2: Floats, limits: AgreementParams) -> Finding | None:
+    """The median displacement, if it is significant. apart_m (K, 3): cones minus their features; cov_m2 (3, 3): of one
+    difference."""
     east, north, up = np.median(apart_m, axis=0).tolist()
-    check = check_heights(up, float(np.sqrt(cov_m2[2, 2])), len(apart_m), "cones", "the same cones")
-    if check is not None:
-        return check
+    heights = check_heights(up, float(np.sqrt(cov_m2[2, 2])), len(apart_m), limits)
+    if heights is not None:
+        return heights
     offset = np.array([east, north])
     chi2 = float(offset @ np.linalg.solve(cov_m2[:2, :2], offset))
-    if len(apart_m) >= LEAST_PAIRS and chi2 > MAX_SIGMAS**2 and hypot(east, north) > LEAST_OFFSET_M:
-        sigma_m = _mean_sigma_m(cov_m2)
-        return _position_hold(hypot(east, north), sigma_m, "", max(LEAST_OFFSET_M, MAX_SIGMAS * sigma_m))
-    return None
-
-
-def check_heights(up_m: float, sigma_m: float, count: int, what: str, those: str) -> HealthCheck | None:
-    """A hold for a common height difference `up_m`. count: pairs that agree on it."""
-    limit_m = max(LEAST_OFFSET_M if count >= LEAST_PAIRS else _GROSS_RISE_M, MAX_SIGMAS * sigma_m)
-    if abs(up_m) <= limit_m:
+    significant = chi2 > limits.sigmas**2 and hypot(east, north) > limits.least_offset_m
+    if len(apart_m) < limits.least_pairs or not significant:
         return None
-    apart = f"{abs(up_m):.{1 if abs(up_m) >= 1 else 2}f} m {'higher' if up_m > 0 else 'lower'}"
-    detail = (
-        f"Its {what} are {apart} than {those} of the map, with a stated sigma of {sigma_m:.2f} m: the heights refer to another "
-        "datum (ellipsoid or geoid), or the height of antenna or cameras is wrong."
-    )
-    return agreement_hold("heights", up_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
-
-
-def _position_hold(distance_m: float, sigma_m: float, turned: str, limit_m: float) -> HealthCheck:
-    detail = (
-        f"Its cones are {distance_m:.1f} m from those of the map{turned}, with a stated sigma of {sigma_m:.2f} m: one of the two "
-        "has a wrong position, or all cones were moved by the same distance. Check base station, datum and antenna offset of the "
-        f"drive{' and heading_deg of its georeference' if turned else ''}."
-    )
-    return agreement_hold("position", distance_m, detail, sigma=sigma_m, limit=limit_m, unit="m")
-
-
-class _Fit(NamedTuple):
-    """A displacement of a whole drive after which its cones fit the map's."""
-
-    agreeing: int
-    residual_m: float
-    """Root mean square distance of the tracks that fit to their features, after the displacement."""
-    middle_m: float
-    """Median and largest displacement of the tracks."""
-    largest_m: float
-    turn: float
-    """Radians, counter-clockwise."""
-    beside: bool
-    """Whether the displaced row still lies along at least half of its length beside where it was."""
-    distinct: bool
-    """Whether no other displacement fits nearly as well, as along a row of equal distances."""
-
-
-def _turn_of(fit: _Fit, least_deg: float) -> str:
-    """The rotation of a fit in messages; empty below `least_deg`."""
-    return f" and rotated by {np.degrees(fit.turn):+.1f} degrees" if abs(np.degrees(fit.turn)) >= least_deg else ""
-
-
-def _best_fit(t: Floats, f: Floats, gate_m: float, within_m: float, max_turn: float = _MAX_TURN) -> _Fit | None:
-    """The displacement with which most tracks fit, of all that put two tracks onto two features; of several the smallest.
-
-    t (N, 2), f (M, 2): tracks and features; gate_m: of a fit; within_m, max_turn: largest displacement (m) and rotation (rad).
-    Two tracks far from each other are tried with all features at their distance.
-    """
-    along = np.linalg.svd(t - t.mean(axis=0), full_matrices=False)[2][0]
-    extent_m = float(np.ptp(t @ along))
-    tree = cKDTree(f)
-    tried: list[tuple[int, float, Floats, Floats, float]] = []
-    for i in range(0, len(t), 1 + len(t) // _STARTS):
-        lengths = np.hypot(*(t - t[i]).T)
-        j = int(np.argmax(np.where(lengths <= _LONGEST_BASE_M, lengths, 0.0)))
-        first, second = (np.array(tree.query_ball_point(t[k], within_m, return_sorted=True), np.intp) for k in (i, j))
-        first, second = (near[:: 1 + len(near) // _MAX_NEAR] for near in (first, second))
-        a, b = (grid.ravel() for grid in np.meshgrid(first, second))
-        base, others = t[j] - t[i], f[b] - f[a]
-        turns = np.arctan2(others[:, 1], others[:, 0]) - np.arctan2(base[1], base[0])
-        turns = (turns + np.pi) % (2 * np.pi) - np.pi
-        alike = np.abs(np.hypot(*others.T) - lengths[j]) <= _LENGTH_TOLERANCE_M
-        candidates = np.flatnonzero(alike & (np.abs(turns) <= max_turn) & (lengths[j] > 0))
-        for k in candidates[:: 1 + len(candidates) // _MAX_TRIED]:
-            rotation = Rotation.from_rotvec((0, 0, turns[k])).as_matrix()[:2, :2]
-            placed = (t - t[i]) @ rotation.T + f[a[k]]
-            agreeing = int(np.count_nonzero(tree.query(placed)[0] <= gate_m))
-            moved = placed - t
-            tried.append((agreeing, -float(np.hypot(*moved.T).mean()), moved.mean(axis=0), moved, float(-turns[k])))
-    if not tried:
-        return None
-    agreeing, _, mean, moved, turn = max(tried, key=lambda one: one[:2])
-    moved_m = np.hypot(*moved.T)
-    rivals = (other for other in tried if other[0] >= _RIVAL_SHARE * agreeing)
-    distinct = not any(float(np.hypot(*(other[2] - mean))) > _APART_GATES * gate_m for other in rivals)
-    beside = abs(float(np.median(moved @ along))) <= extent_m / 2
-    left_m = np.asarray(tree.query(t + moved)[0])
-    residual_m = float(np.sqrt(np.mean(left_m[left_m <= gate_m] ** 2)))
-    return _Fit(agreeing, residual_m, float(np.median(moved_m)), float(moved_m.max()), turn, beside, distinct)
+    sigma_m = _mean_sigma_m(cov_m2)
+    return _finding(POSITION, hypot(east, north), sigma_m, max(limits.least_offset_m, limits.sigmas * sigma_m))

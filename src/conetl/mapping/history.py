@@ -6,7 +6,7 @@ withdrawn, its neighbourhood is computed again, with the records of the other dr
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 from operator import attrgetter
@@ -19,6 +19,7 @@ from conetl.geometry.packing import stack_rows
 from conetl.mapping.agreement import check_agreement, check_marking_agreement, is_confirmed
 from conetl.mapping.association import common_offset
 from conetl.mapping.changes import reconcile
+from conetl.mapping.contradiction import find_contradiction
 from conetl.mapping.deltas import ReconcileContext
 from conetl.mapping.existence_update import ended, missed
 from conetl.mapping.imported_maps import reconcile_imported
@@ -26,7 +27,7 @@ from conetl.mapping.markings import reconcile_markings
 from conetl.mapping.visibility import NotObserved, ViewCheck, VisibilityCheck, empty_view
 from conetl.model.arrays import Floats
 from conetl.model.drive import Track
-from conetl.model.health import HealthCheck
+from conetl.model.health import Finding, HealthCheck, hold_checks
 from conetl.model.map_records import (
     Classification,
     Decisions,
@@ -61,12 +62,14 @@ class DriveEvidence:
     """Features farther than this from the path are not compared."""
     check_visibility: VisibilityCheck
     params: ReconcileParams
+    judge: Callable[[Finding], HealthCheck]
+    """Gives the verdict on what contradicts the drive: `checks.verdict.judge`."""
     markings: Sequence[MarkingTrack] = ()
     check_view: ViewCheck = empty_view
     """What the drive had in view of lane markings."""
     imported: Sequence[ImportedFeature] = ()
     """Features of an imported map, instead of tracks; it removes nothing."""
-    doubt: HealthCheck | None = None
+    doubt: Finding | None = None
     """Why the drive's position is in doubt: it goes on hold unless the map confirms it. None if it is not in doubt."""
 
 
@@ -79,6 +82,8 @@ class MapUpdate:
     """One per delta that changes a feature or the evidence for it, open."""
     hold: HealthCheck | None = None
     """Why the drive contradicts the map and changes nothing until a person accepts it; None where it counts."""
+    widened: HealthCheck | None = None
+    """Why the sigmas of drive and map were enlarged; None where they were not."""
 
 
 @dataclass
@@ -165,21 +170,25 @@ def apply_drive(
     if drive.imported:
         deltas = reconcile_imported(drive.imported, points, context, at_ns=drive.key[0], known=known)
     else:
+        contradiction = find_contradiction(drive.tracks, points, drive.params)
+        context = context._replace(contradiction=contradiction)
         deltas = reconcile(drive.tracks, points, drive.check_visibility, context)
         line_deltas: list[Delta] = []
-        if drive.markings or lines:
+        if contradiction is None and (drive.markings or lines):
             offset = common_offset(sorted(drive.tracks, key=lambda track: track.members[0]), points, drive.params)
             line_deltas = reconcile_markings(drive.markings, lines, drive.check_view, context, offset=offset)
-        hold = None
         if drive.changeset_id not in decisions.accepted:
-            hold = None if is_confirmed(deltas, drive.key[0]) else drive.doubt
-            hold = hold or check_agreement(drive.tracks, points, deltas, drive.params)
-            hold = hold or check_marking_agreement(drive.markings, lines, line_deltas, drive.params)
-        if hold is not None:
-            return MapUpdate([], [], hold)
+            tracks = drive.tracks if contradiction is None else list(map(contradiction.on_map, drive.tracks))
+            found = None if contradiction is None and is_confirmed(deltas, drive.key[0]) else drive.doubt
+            found = found or check_agreement(tracks, points, deltas, drive.params)
+            if contradiction is None:
+                found = found or check_marking_agreement(drive.markings, lines, line_deltas, drive.params)
+            for hold in hold_checks([] if found is None else [drive.judge(found)]):
+                return MapUpdate([], [], hold)
         if line_deltas:
             deltas = sorted([*deltas, *line_deltas], key=attrgetter("changed_at_ns", "feature_id.int"))
-    return MapUpdate(deltas, next_rows(deltas, current, drive.changeset_id, decisions))
+    widened = None if context.contradiction is None else drive.judge(context.contradiction.finding)
+    return MapUpdate(deltas, next_rows(deltas, current, drive.changeset_id, decisions), widened=widened)
 
 
 def next_rows(

@@ -38,7 +38,7 @@ def reconcile_imported(
     features: the present ones nearby. A new feature keeps its id unless that is `known` already (of a feature that is gone, or
     elsewhere): then the id follows from `founding_key` and the imported id.
     """
-    params, founding_key, pinned = context
+    params, founding_key, pinned, _ = context
     statements = sorted(statements, key=lambda statement: statement.feature.feature_id)
     features = sorted(features, key=lambda feature: feature.feature_id)
     tracks = [_as_track(statement.feature, at_ns) for statement in statements]

@@ -123,13 +123,13 @@ def confirm_stretches(
     apart = (across @ (found.at(drive.lines.vertices_m) - on_map.vertices_m[at])[:, :, None])[:, :, 0]
     measured = found.at(drive.cov_m2) + _ALONG_M2 * along[:, :, None] * along[:, None, :]
     old_cov = [cov for feature in features for cov in shape_of(feature).cov_m2]
-    gain, cov, jacobians = fuse(
+    gain, cov, jacobians, difference_m2 = fuse(
         [old_cov[k] for k in at.tolist()],
         [features[j].shared_jacobian for j in number.tolist()],
         list(map(cov3, measured)),
         _turned_jacobians(drive, found),
     )
-    cov[:, range(3), range(3)] *= birge_ratios(apart, cov_matrices([old_cov[k] for k in at.tolist()]) + measured)
+    cov[:, range(3), range(3)] *= birge_ratios(apart, difference_m2)
     vertices_m = on_map.vertices_m.copy()
     vertices_m[at] += (across @ gain @ apart[:, :, None])[:, :, 0]
     new_cov = dict(zip(at.tolist(), map(cov3, cov), strict=True))

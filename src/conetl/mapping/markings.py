@@ -82,7 +82,7 @@ def reconcile_markings(
 
     offset: of the drive's cones (`association.common_offset`); if its weight is 0, that of the lines is used.
     """
-    params, founding_key, pinned = context
+    params, founding_key, pinned, _ = context
     c = _compare(markings, stretches, params, offset)
     drive, features = c.drive, c.features
     states = _stretch_states(c, check_view, params)

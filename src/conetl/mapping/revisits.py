@@ -9,62 +9,59 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from conetl.mapping.association import xyz_of
-from conetl.mapping.displacement import LEAST_PAIRS, check_same_cones
+from conetl.mapping.displacement import HEIGHTS, check_same_cones
 from conetl.model.drive import FramePair, Position, Track
-from conetl.model.health import HealthCheck, hold
+from conetl.model.health import Finding
 from conetl.model.params import IngestParams, TrackParams
-
-#: A cone that was not observed for longer than this may be passed again, displaced by at most this distance.
-_AGAIN_NS, _WITHIN_M = 5_000_000_000, 4.0
-#: Cones nearer to each other are compared even if their displacements differ, as by a drift.
-_GATE_M = 1.5
 
 
 def check_revisits(
     tracks: Sequence[Track], positions: Sequence[Position], pairs: Sequence[FramePair], params: IngestParams
-) -> Iterator[HealthCheck]:
-    """A hold if cones that the drive passes twice have a common displacement beyond their stated sigmas.
+) -> Iterator[Finding]:
+    """The common displacement of cones that the drive passes twice, if it is beyond their stated sigmas.
 
     positions: from which the tracks were computed. Cones that people moved are not displaced by equal distances.
     """
     located = {(position.frame_index, position.match_index): position for position in positions}
     at_ns = {pair.frame_index: pair.captured_at_ns for pair in pairs}
     sure = (track for track in tracks if track.existence_probability >= params.reconcile.founding_existence_probability)
-    visits = [visit for track in sure for visit in _visits(track, located, at_ns, params.track)]
+    own = params.reconcile.agreement
+    again_ns = round(own.again_s * 1e9)
+    visits = [visit for track in sure for visit in _visits(track, located, at_ns, params.track, again_ns)]
     visits.sort(key=lambda visit: (visit.first_seen_ns, visit.xyz_m))
     if not visits:
         return
     tree = cKDTree(xyz_of(visits))
-    near = [tree.query_ball_point(visit.xyz_m, _WITHIN_M) for visit in visits]
-    limits = params.reconcile.model_copy(update={"min_gate_m": _GATE_M})
+    near = [tree.query_ball_point(visit.xyz_m, own.again_m) for visit in visits]
+    limits = params.reconcile.model_copy(update={"min_gate_m": own.again_gate_m})
     starts = [0]
     for k, visit in enumerate(visits):
-        if any(j >= starts[-1] and visit.first_seen_ns - visits[j].last_seen_ns > _AGAIN_NS for j in near[k]):
+        if any(j >= starts[-1] and visit.first_seen_ns - visits[j].last_seen_ns > again_ns for j in near[k]):
             starts.append(k)
     for start, end in pairwise([*starts[1:], len(visits)]):
         again = [visits[k] for k in range(start, end) if min(near[k]) < start]
-        if len(again) < LEAST_PAIRS:
+        if len(again) < own.least_pairs:
             continue
-        check = check_same_cones(again, visits[:start], limits, _WITHIN_M)
-        if check is None or check.value is None:
+        apart = check_same_cones(again, visits[:start], limits, "passed again")
+        if apart is None:
             continue
-        apart = "higher or lower than before" if "heights" in check.name else "from where they were"
-        detail = (
-            f"The drive passes {len(again)} cones again from frame pair {again[0].members[0][0]} on, and locates them "
-            f"{abs(check.value):.2f} m {apart}: GNSS/INS drifted or jumped in between, or all cones were moved by the same "
-            "distance. Reprocess the GNSS/INS log."
-        )
-        yield hold("cones passed twice", detail, **check.model_dump(include={"value", "sigma", "limit", "unit"}))
+        how = "higher or lower than before" if apart.check == HEIGHTS else "from where they were"
+        facts = {"count": len(again), "first": again[0].members[0][0], "how": how}
+        yield apart.model_copy(update={"check": "cones passed twice", "says": ("",), "facts": facts})
         return
 
 
 def _visits(
-    track: Track, located: Mapping[tuple[int, int], Position], at_ns: Mapping[int, int], limits: TrackParams
+    track: Track,
+    located: Mapping[tuple[int, int], Position],
+    at_ns: Mapping[int, int],
+    limits: TrackParams,
+    again_ns: int,
 ) -> Iterator[Track]:
     """The track as each pass alone shows it, by its nearest position; without passes that show too little for a track."""
     members = [located[member] for member in track.members if member in located]
     times_ns = np.array([at_ns[position.frame_index] for position in members], dtype=np.int64)
-    ends = np.flatnonzero(np.diff(times_ns) > _AGAIN_NS) + 1
+    ends = np.flatnonzero(np.diff(times_ns) > again_ns) + 1
     if not len(ends):
         yield track
         return

@@ -49,7 +49,7 @@ class SharedErrorJacobian(NamedTuple):
     """How far a position moves for one sigma of each error that drives share: of a calibration, or of a class of objects."""
 
     calibrations: tuple[UUID, ...]
-    """Sorted; also `class_error_id` of a class."""
+    """Sorted; also `class_error_id` of a class and `common_error_id` of positions."""
     moved_m: bytes
     """(C, 3, K) metres of the map, big-endian float32: by calibration, axis, error; see `geometry/calibration/covariance.py`."""
 

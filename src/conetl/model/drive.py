@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from conetl.model.base import (
     Cov3,
@@ -115,6 +115,26 @@ class SurveyedPoint(Record):
     """East, north, up."""
 
 
+class CommonError(Record):
+    """An error of the positions that all drives with this id share: of a base station, a datum, the lever arm of an antenna.
+
+    It is a part of the stated sigmas, which are enlarged if they are smaller. Another sigma is another error: state the same one
+    in all drives.
+    """
+
+    id: str = Field(min_length=1, max_length=200)
+    """Name of its cause."""
+    sigma_m: tuple[NonNegative, NonNegative, NonNegative]
+    """Of each axis; one number stands for three."""
+    axes: Literal["map", "vehicle"] = "map"
+    """East, north, up, in which it is constant; or forward, left, up, for a lever arm: it turns with the vehicle."""
+
+    @field_validator("sigma_m", mode="before")
+    @classmethod
+    def _one_for_three(cls, value: object) -> object:
+        return (value,) * 3 if isinstance(value, float | int) else value
+
+
 class UnclearSquares(Record):
     """Squares of the images that are blurred or covered. An object that is not detected there may still exist."""
 
@@ -141,6 +161,8 @@ class Drive(Record):
     """Sigma of the offset between the clocks of images and poses; default: that of `TrajectoryParams`."""
     control_points: tuple[SurveyedPoint, ...] = ()
     """Surveyed cones, used in the adjustment of the poses."""
+    common_errors: tuple[CommonError, ...] = ()
+    """Errors of the positions that other drives share, within the sigmas of the poses."""
     unclear: UnclearSquares | None = None
     """None if the images were not checked, or all squares are clear."""
 

@@ -11,13 +11,23 @@ from conetl.model.errors import InputError
 CONE = "traffic_cone"
 LANE_MARKING = "lane_marking"
 
+# Heights that are built; `FeatureClass.heights_m` contains all. MUTCD: 2023, chapter 6K, mostly least heights, with lamps of
+# about 0.35 m; TL: the terms of delivery for devices of the German StVO.
+#   cones            0.30 to 1.00 m (TL-Leitkegel, EN 13422); 0.45 m and more (MUTCD), up to 1.07 m (42 inches)
+#   tubular markers  0.45 m and more (MUTCD), up to 1.22 m (48 inches)
+#   drums            0.91 m and more (MUTCD), up to 1.07 m and a lamp
+#   vertical panels  0.61 m and more (MUTCD); beacons of 1.00 m (TL-Leitbaken) on a base, with a lamp up to 1.75 m
+#   barricades       0.91 m, type 3 1.52 m and more (MUTCD), and a lamp
+#   signs            plates of 0.30 to 1.72 m (48 inches on a corner), with a supplementary one below them
+#   arrow boards     0.61 to 1.22 m (MUTCD, types A to C), 3.60 m (sign 616-30, TL-Absperrtafeln)
+
 
 @dataclass(frozen=True)
 class FeatureClass:
     """One class. Heights are those of the box: of the whole object, of signs and boards that of the plate alone."""
 
     heights_m: tuple[float, float]
-    """Plausible heights (MUTCD 2023, chapter 6K; plates with the supplementary ones below them)."""
+    """From the lowest to the highest that is built, with lamps, and at least 5 cm for the measurement; sources are above."""
     match_heights_m: tuple[float, float]
     """Bounds of the height from two loose boxes: they keep an object from being matched with its neighbour."""
     width_over_height: float
@@ -69,11 +79,11 @@ FEATURE_CLASSES = {
         body=(0.20, 0.22), outline_share=0.003, outline_common=0.25,
     ),
     "drum": FeatureClass(
-        (0.7, 1.4), (0.45, 2.0), 0.65, round_body=True, on_road=True, in_rows=True, letter="D", rim_in_box=True,
+        (0.7, 1.5), (0.45, 2.0), 0.65, round_body=True, on_road=True, in_rows=True, letter="D", rim_in_box=True,
         network_share=0.0, body=(0.33, 0.39), axis_from_outline=True, outline_share=0.005, outline_common=0.75,
     ),
     "vertical_panel": FeatureClass(
-        (0.6, 1.6), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, letter="V", rim_in_box=True,
+        (0.6, 1.8), (0.4, 2.2), 0.4, round_body=False, on_road=True, in_rows=True, letter="V", rim_in_box=True,
         network_share=0.0, board=0.26, face_m=0.015, outline_share=0.01, outline_aside=0.7, outline_common=0.75,
     ),
     "barricade": FeatureClass(
@@ -85,7 +95,7 @@ FEATURE_CLASSES = {
         outline_aside=0.3,
     ),
     "arrow_board": FeatureClass(
-        (0.5, 3.0), (0.3, 4.0), 1.5, round_body=False, on_road=False, in_rows=False, letter="A", end="edges",
+        (0.5, 3.65), (0.3, 4.2), 1.5, round_body=False, on_road=False, in_rows=False, letter="A", end="edges",
         outline_share=0.004, outline_aside=2.0,
     ),
     "traffic_sign": FeatureClass(

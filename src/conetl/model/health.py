@@ -1,13 +1,17 @@
-"""Health checks: tests of a whole recording. They decide whether the drive may change the map."""
+"""Health checks: tests of a whole recording. They decide whether the drive may change the map.
+
+Where the data are, a check computes a `Finding`;
+`checks/verdict.py` makes a `HealthCheck` of it, by the table of `checks/table.py`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from enum import StrEnum
 from math import floor, log10
 from shlex import quote
-from typing import Any, Literal
+from typing import Literal
 from uuid import UUID
 
 from conetl.model.base import NonNegative, Record
@@ -26,10 +30,44 @@ class Verdict(StrEnum):
     PASS = "pass"
     CORRECTED = "corrected"
     """The recording is wrong, and the analysis has corrected it."""
-    WARN = "warn"
+    WIDENED = "widened"
+    """The recording contradicts its stated sigmas; they were enlarged until they cover it."""
+    NOTE = "note"
     """A person should check it; the drive counts."""
     HOLD = "hold"
     """The drive is stored, but does not count until a person accepts it."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> Verdict | None:
+        return cls.NOTE if value == "warn" else None  # as releases before 0.3 stored it
+
+
+class Finding(Record):
+    """What a check measured. It gives no verdict: `checks.verdict.judge` does."""
+
+    check: str
+    """Its name in the table of checks."""
+    value: float | None = None
+    """What was measured, in the unit of the table; None where it is no number, or the drive does not show it."""
+    sigma: NonNegative | None = None
+    limit: float | None = None
+    """Only where the data give it (a share of the baseline, stated sigmas); else the parameters do."""
+    found: bool | None = None
+    """Whether a search or test that one number does not express found the fault; None: value and limit are compared."""
+    treated: Literal["", "corrected", "widened"] = ""
+    """What the analysis did about it."""
+    effect_m: NonNegative | None = None
+    """By how much positions are wrong because of it, where that is known ..."""
+    covered_m: NonNegative = 0.0
+    """... and how much of it their sigmas cover."""
+    says: tuple[str, ...] = ("",)
+    """Names of the messages of the table that apply, in their order."""
+    facts: Mapping[str, bool | int | float | str] = {}
+    """What these messages name, beside the fields above."""
+
+    def saying(self, *names: str, **facts: bool | int | float | str) -> Finding:
+        """The finding with other messages and more facts."""
+        return self.model_copy(update={"says": names, "facts": {**self.facts, **facts}})
 
 
 class HealthCheck(Record):
@@ -44,7 +82,7 @@ class HealthCheck(Record):
     """The largest value (or smallest, as `detail` says) that passes."""
     unit: str = ""
     detail: str
-    """One sentence: what was found, and what to do unless the check passes."""
+    """What was found, and what to do unless the check passes."""
 
     @property
     def figures(self) -> str:
@@ -55,25 +93,6 @@ class HealthCheck(Record):
         sigma = f" +- {self.sigma:{digits}}" if self.sigma else ""
         limit = "" if self.limit is None else f" (limit {self.limit:.3g})"
         return f"{self.value:{digits}}{sigma}{self.unit and f' {self.unit}'}{limit}"
-
-
-def hold(name: str, detail: str, *, value: float | None, **figures: Any) -> HealthCheck:
-    """A failed check that puts the drive on hold; figures: other fields of `HealthCheck`."""
-    return HealthCheck(name=name, verdict=Verdict.HOLD, detail=detail, value=value, **figures)
-
-
-def hold_if(wrong: object, name: str, detail: str, *, value: float | None, **figures: Any) -> HealthCheck:
-    """A check that puts the drive on hold if `wrong`, else passes; figures: other fields of `HealthCheck`."""
-    check = hold(name, detail, value=value, **figures)
-    return check if wrong else check.model_copy(update={"verdict": Verdict.PASS})
-
-
-AGREES = HealthCheck(
-    name=AGREEMENT,
-    verdict=Verdict.PASS,
-    value=None,
-    detail="The map as earlier drives left it does not contradict the drive.",
-)
 
 
 class HeldDrive(Record):

@@ -127,6 +127,60 @@ class TrackParams(Params):
         return FEATURE_CLASSES[category].heights_m
 
 
+class AgreementParams(Params):
+    """Limits of the comparison of a whole drive with the map, and of an imported map with it."""
+
+    least_offset_m: Positive = 0.1
+    """Smaller displacements and height differences are left to the fusion ..."""
+    sigmas: Positive = 5.0
+    """... and those below this many stated sigmas."""
+    least_pairs: int = Field(default=3, ge=1)
+    """Cones, or stretches of lane markings, that must agree on a displacement, a class or an absence ..."""
+    gross_rise_m: Positive = 1.5
+    """... but on a height difference beyond this, larger than any error of measurement, one does."""
+    widened_max_m: Positive = 1.0
+    """A drive displaced by at most this, beyond its stated sigmas, is fused with the map, and the sigmas of both are enlarged;
+    one that is farther aside is held. Lever arms are wrong by less, base stations and datums often by more."""
+    widened_least_m: Positive = 0.04
+    """Smaller displacements do not enlarge them: networks and rectification move all cones of a drive by up to 2 cm."""
+    widened_spacing: Positive = 3.0
+    """Cones must stand this many displacements apart, so that each is nearest to its own position on the map."""
+    max_displacement_m: Positive = 60.0
+    """Displacements of a whole drive that are tried ..."""
+    max_turn_deg: Positive = 10.0
+    """... with rotations up to this, and ..."""
+    part_turn_deg: Positive = 0.5
+    """... of a part of it up to this, which errors of two cones can show."""
+    lever_m: Positive = 4.0
+    """Displacements of a drive with few cones: of the lever arm of another vehicle."""
+    elsewhere_m: Positive = 300.0
+    """Displacements of a drive or an imported map in another datum: ED50 is 80 m east and 200 m north of ETRS89."""
+    least_agreeing: int = Field(default=4, ge=2)
+    """Cones that must fit after a displacement ..."""
+    least_share: Fraction = 0.6
+    """... and their share."""
+    least_same: int = Field(default=5, ge=2)
+    """The same where a displacement is searched far away, where two rows fit by chance; of an imported map ..."""
+    least_same_of_drive: int = Field(default=7, ge=2)
+    """... and of a drive, in which some cones may be new."""
+    same_zone_m: Positive = 0.05
+    """People do not set up two zones that match to this RMS distance of their cones."""
+    beside_m: Positive = 30.0
+    """No road connects two cones this near in plan ..."""
+    cliff_m: Positive = 20.0
+    """... with such a height difference; bridges are lower."""
+    again_s: Positive = 5.0
+    """A cone that a drive did not observe for longer than this may be passed again ..."""
+    again_m: Positive = 4.0
+    """... displaced by at most this distance; ..."""
+    again_gate_m: Positive = 1.5
+    """... cones nearer to each other are compared even if their displacements differ, as by a drift."""
+    blind_probability: Annotated[float, Field(gt=0, lt=1)] = 0.01
+    """Prior probability that a drive does not detect what its model card promises ..."""
+    max_blind: Annotated[float, Field(gt=0, lt=1)] = 0.05
+    """... and the posterior from which on a person must decide whether its cones are gone."""
+
+
 class ReconcileParams(Params):
     gate_chi2: Positive = 16.0
     """Gate on the squared Mahalanobis distance between track and feature, after the drive's common offset."""
@@ -180,6 +234,8 @@ class ReconcileParams(Params):
     """Lane markings are in view this far to the left and to the right."""
     marking_max_blur_m: Positive = 0.025
     """Nothing is in view beyond the depth at which images blur edges on the road by this sigma, a fifth of the paint width."""
+    agreement: AgreementParams = AgreementParams()
+    """Comparison of the drive as a whole."""
 
 
 class TrajectoryParams(Params):
@@ -197,17 +253,17 @@ class TrajectoryParams(Params):
     """Like `epipolar_tolerance_px`, for these points, whose row error is to be estimated."""
     self_calibration_corners_per_cell: int = Field(default=3, ge=1)
     """Like `corners_per_cell`, for these points, because spans are few."""
-    self_calibration_prior_px: Positive = 1.0
-    """Prior sigma of a calibration of unknown covariance: of a shift of disparities and of rows, and, at the image's side, of
-    rows by a tilt and of disparities by a bend."""
+    self_calibration_prior_px: Positive = 0.7
+    """Sigma of a calibration that states none: of a shift of disparities and of rows, and, at the image's side, of rows by a tilt
+    and of disparities by a bend. Root mean square of what KITTI's two calibrations are off (docs/reference/uncertainty.md)."""
     self_calibration_sigma_floor_px: Positive = 0.05
     """Added to the sigma of each of these from the spans: errors of lenses and focal lengths are not turns of a camera."""
     self_calibration_least_px: Positive = 0.1
     """A correction that is smaller in all four is not applied."""
     self_calibration_significance: Positive = 3.0
     """A correction below this many of its own sigmas is not applied."""
-    self_calibration_max_chi2: Positive = 18.5
-    """A correction farther from the prior is not applied: chi-square of 4 degrees of freedom at 0.001."""
+    self_calibration_max_chi2: Positive = 37.8
+    """A correction farther from the prior is not applied. 6 sigmas, 4.3 px of an assumed one: cameras are also knocked."""
     self_calibration_readout_floor_m: Positive = 0.05
     """Sigma of a readout from the images beyond their scatter, as the distance driven in that time: points that come near are
     followed a little too far, as with a longer readout. By 0.03 m on the mean of five rendered drives, at most 0.065 m."""
@@ -271,6 +327,19 @@ class TrajectoryParams(Params):
     """Largest squared shift of a pose in its stated sigmas: 3 sigma of a GNSS/INS that states half its sigmas."""
 
 
+class PairParams(Params):
+    """What one pair shows of its calibration (`conetl locate`)."""
+
+    min_points: int = Field(default=50, ge=10)
+    """Fewer points in both images show nothing."""
+    least_scatter_px: Positive = 0.1
+    """Least scatter of the rows of a point. KITTI and the sample drives: 0.09 to 0.25."""
+    beyond_share: Annotated[float, Field(gt=0, lt=0.5)] = 0.02
+    """Share of points that may be beyond infinity by wrong matches: at most 0.01 in KITTI and the sample drives."""
+    farthest_sigma_px: Positive = 0.2
+    """Sigma of the disparity that all but this share exceed."""
+
+
 class MarkingParams(Params):
     """Detection of lane markings; only used if they are searched for (`DetectionParams.categories`)."""
 
@@ -300,6 +369,171 @@ class MarkingParams(Params):
     """Distance between two vertices of a line."""
 
 
+class ImageCheckParams(Params):
+    """Limits of the checks of single images, as shares of 1."""
+
+    max_blank_share: Fraction = 0.1
+    """Squares of the lower half without detail: a covered lens. No part of a road is without; sample drives have none."""
+    max_blurred_share: Fraction = 0.1
+    """Squares of the lower half with too little fine detail: a smeared lens."""
+    max_torn_share: Fraction = 0.1
+    """Torn frame pairs: with more, others are probably torn, too, and were not detected."""
+    max_seam: Positive = 2.0
+    """Step of brightness at one row relative to those of the rows around it, in the mean of 25 images; intact drives: 1.16."""
+
+
+class StereoCheckParams(Params):
+    """Limits of the checks of left against right images."""
+
+    max_swapped_share: Fraction = 0.7
+    """Features farther right in the right image, of all. In good drives up to 0.27, in swapped or mirrored images 0.85 to 1."""
+    fits_better: Positive = 1.3
+    """Right images of another frame must fit this many times as many features as their own; all fit while the vehicle stands."""
+    least_rows_px: Positive = 0.7
+    """Row offset of the right images from which on they are corrected; smaller ones are left to the self-calibration."""
+    most_rows_px: Positive = 4.0
+    """Largest offset that is corrected, as a turn of the camera. At 12 px the columns in the corners are 2 px off."""
+    max_beyond_share: Fraction = 0.02
+    """Features beyond infinity. In good drives at most 0.003; shifted by 6 columns 0.05 to 0.10."""
+    max_k1: Positive = 0.02
+    """Distortion (k1 of Brown's model) of one lens against the other; 0.02 are 4 px of disparity in a corner. Good: 0.004."""
+    k1_sigmas: Positive = 6.0
+    """... and as many of its sigmas."""
+
+
+class ExposureCheckParams(Params):
+    """Limits of the checks whether both cameras expose at one instant, and each frame once."""
+
+    max_ahead_share: Positive = 0.02
+    """Offset of the right camera along the path as a share of the baseline. Sample drives and KITTI: 0.001 to 0.006."""
+    ahead_sigmas: Positive = 4.5
+    """... and as many of its sigmas."""
+    least_doubled_pairs: int = Field(default=4, ge=1)
+    """Pairs of objects that are one interval's travel apart ..."""
+    max_doubled_share: Fraction = 0.6
+    """... and their share of all objects: each image shows two instants."""
+    uneven_share: Fraction = 0.2
+    """Lengths of intervals that differ by less are equal: twice or half as long is one lost or repeated frame."""
+    elsewhere_m: Positive = 0.2
+    """Images of another recording differ from a uniform log by this much."""
+
+
+class OdometryCheckParams(Params):
+    """Limits of the checks of visual odometry against the log."""
+
+    least_measured_share: Fraction = 0.5
+    """Intervals that can be measured, where the images show enough."""
+    max_lost_share: Fraction = 0.35
+    """Longest run of intervals that cannot be measured, as behind a lorry."""
+    max_contradicting_share: Fraction = 0.1
+    """Measured motions that contradict the log."""
+    max_reversed: int = Field(default=10, ge=1)
+    """Intervals in which a vehicle without attitudes drives backwards."""
+
+
+class JumpCheckParams(Params):
+    """Limits of jumps of the log against the images, and of one drive against the next."""
+
+    least_m: Positive = 0.1
+    """Least jump of a position ..."""
+    sigmas: Positive = 6.0
+    """... and least number of sigmas that the log states for its change; of attitudes, too."""
+    turn_deg: Positive = 0.3
+    """Least jump of an attitude."""
+    adjoining_m: Positive = 0.3
+    """Least jump between a drive and the next of the same rig, beyond what a vehicle can do."""
+
+
+class PathCheckParams(Params):
+    """Limits of differences between the path in the images and in the log."""
+
+    sigma_factor: Positive = 3.0
+    """Up to this factor, stated sigmas that are too small are enlarged; beyond it the log is not what it states."""
+    aside_deg: Positive = 0.25
+    """Least angle between the directions of motion. Sample drives and KITTI: up to 0.27 degrees."""
+    scale_percent: Positive = 1.0
+    """Least difference of distances: three sigmas of a good calibration (`scale_sigma`)."""
+    sigmas: Positive = 4.5
+    """Least number of sigmas of each: p = 1e-4 for a dozen checks together."""
+
+
+class MountCheckParams(Params):
+    """Limits of the mount of the cameras by turns and slopes; 120 simulated good drives have up to 3.8 sigmas."""
+
+    roll_deg: Positive = 1.0
+    """Least roll of the cameras ..."""
+    lever_arm_m: Positive = 0.3
+    """... least error of their lever arm ..."""
+    sigmas: Positive = 5.5
+    """... and least number of sigmas of both."""
+    stretch_percent: Positive = 5.0
+    """Pitch in the images beyond that of the log ..."""
+    stretch_sigmas: Positive = 5.0
+    """... and least number of its sigmas."""
+    climb: Positive = 0.3
+    """Factor by which the log climbs more than the images, minus 1."""
+
+
+class ControlCheckParams(Params):
+    """Limits of control points against each other and the log."""
+
+    gate_chi2: Positive = 16.3
+    """A point beyond contradicts the others: chi-square of 3 degrees of freedom at 0.001."""
+    ambiguous_chi2: Positive = 9.0
+    """Another assignment of points to cones that fits worse by less may be the right one."""
+    near_m: Positive = 2.0
+    """The cone of a point is at most this far away, beside three sigmas of the log."""
+    least_agreeing: int = Field(default=3, ge=2)
+    """Points that must agree where the log contradicts them ..."""
+    free_m: Positive = 1.0
+    """... and may be wrong by this much more than it states (1 sigma)."""
+    same_plan_m: Positive = 0.1
+    """Points that differ from the log in height, but in plan by less than this, may be wrong themselves."""
+    drift_sigmas: Positive = 10.0
+    """Points may as well be wrong as a log that drifts against the images by fewer sigmas of both."""
+
+
+class RegionCheckParams(Params):
+    """Limits of the checks of a drive against the extent and the other drives of the map."""
+
+    unusual_km: Positive = 50.0
+    """A drive farther from everything on the map is noted."""
+    least_on_roads: Fraction = 0.9
+    """Share of the path that would be on roads of the map one UTM zone farther; of random roads 0.0002 would be."""
+    most_m_s: Positive = 70.0
+    """A vehicle is not faster (250 km/h)."""
+    apart_m: Positive = 100.0
+    """One rig is not in two places farther apart than this at once; areas of drives are 50 m wide."""
+
+
+class CheckParams(Params):
+    """Limits of the health checks, in the units in which they are printed; `checks/table.py` states which check has which."""
+
+    images: ImageCheckParams = ImageCheckParams()
+    """Single images: lenses, torn images."""
+    stereo: StereoCheckParams = StereoCheckParams()
+    """Left against right images."""
+    exposures: ExposureCheckParams = ExposureCheckParams()
+    """Instants of exposure."""
+    odometry: OdometryCheckParams = OdometryCheckParams()
+    """Visual odometry against the log."""
+    jumps: JumpCheckParams = JumpCheckParams()
+    """Jumps of the log."""
+    path: PathCheckParams = PathCheckParams()
+    """Drift, direction and distances."""
+    mount: MountCheckParams = MountCheckParams()
+    """Mount of the cameras."""
+    control: ControlCheckParams = ControlCheckParams()
+    """Control points."""
+    region: RegionCheckParams = RegionCheckParams()
+    """Extent of the map."""
+
+    def value(self, name: str) -> float:
+        """The limit of a name such as "jumps.least_m"."""
+        group, field = name.split(".")
+        return float(getattr(getattr(self, group), field))
+
+
 class IngestParams(Params):
     """All parameters of one ingest."""
 
@@ -315,8 +549,12 @@ class IngestParams(Params):
     """Comparison with the map."""
     trajectory: TrajectoryParams = TrajectoryParams()
     """Poses and calibration."""
+    pair: PairParams = PairParams()
+    """Single pairs."""
     marking: MarkingParams = MarkingParams()
     """Lane markings."""
+    check: CheckParams = CheckParams()
+    """Health checks of the recording."""
     chunk_pairs: int = Field(default=256, ge=1)
     """Frame pairs per chunk, half of which are one detection task: a task costs Prefect about 10 ms. It changes results a little:
     the rows that are searched and the measured spread of disparities are those of a chunk."""

@@ -172,7 +172,7 @@ class Level(StrEnum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class LayoutFinding:
     """One departure of a layout from a rule."""
 
     zone_id: UUID

@@ -28,34 +28,31 @@ from conetl.geometry.rig import right_camera_turned
 from conetl.model.arrays import Floats, Image
 from conetl.model.drive import MIN_DETAIL, Drive, FramePair, UnclearSquares
 from conetl.model.errors import DriveFolderError
-from conetl.model.health import HealthCheck, Verdict, hold_if
+from conetl.model.health import Finding
+from conetl.model.params import StereoCheckParams
 from conetl.model.rig import SIDES, Side
 from conetl.perception.image_detail import SQUARE_PX, detail_by_octaves, local_detail
 from conetl.perception.images import ImageFileError
 from conetl.perception.lens_check import check_distortion
+from conetl.perception.pair_points import SHRINK as _SHRINK
+from conetl.perception.pair_points import Corners, find_corners, match_corners
 from conetl.perception.rectified_image import read_pair_image, rectify_image
 from conetl.perception.torn_images import MOST_OTHERS, check_seams, thinned
 
 TRIGGER = "trigger of both cameras"
-_PAIRS, _FEATURES, _MIN_MATCHES = 5, 1000, 50
-_SHRINK, _MAX_HAMMING = 2, 50
-#: Share of the matches from which the sides are wrong, and below which the right images of other frames are tried.
-_WRONG_SHARE, _FITTING_SHARE = 0.7, 0.7
-#: Rows by which right images may be off, scatter of a match, and what self-calibration finds (px of the whole image).
-_MAX_ROWS_PX, _SCATTER_PX, _FINE_ROWS_PX = 40.0, 2.0, 0.7
-#: Up to here an offset is corrected, as a turn of the camera. For a shift by 12 px the columns in the corners are then 2 px off.
-_CORRECTED_ROWS_PX = 4.0
+_DEFAULT = StereoCheckParams()
+_PAIRS, _MIN_MATCHES = 5, 50
+#: Share of the matches below which the right images of other frames are tried.
+_FITTING_SHARE = 0.7
+#: Rows by which right images may be off, and scatter of a match (px of the whole image).
+_MAX_ROWS_PX, _SCATTER_PX = 40.0, 2.0
 #: Positions of a corner are good to this, whatever their number (px of the whole image).
 _FLOOR_PX = 0.3
-#: Right images of another frame must fit this many times as many points: while the vehicle stands, all fit equally.
-_FITS_BETTER = 1.3
 _LAGS = (-3, -2, -1, 1, 2, 3)
 #: Pairs that are tried of a part that cannot be followed, and most parts.
 _PAIRS_OF_PART, _MOST_PARTS = 3, 10
-#: Of points on equal rows at most 0.3 % lie farther right in the right image of a good drive; shifted by 6 columns 5 to 10 %.
-_MAX_BEYOND_SHARE = 0.02
-#: A square shows nothing below this share of the detail of the sharper ones; this many of the lower half may.
-_BLANK, _SHARP_QUANTILE, _MAX_BLANK_SHARE = 0.05, 0.8, 0.1
+#: A square shows nothing below this share of the detail of the sharper ones.
+_BLANK, _SHARP_QUANTILE = 0.05, 0.8
 #: A square is unclear below this ratio of fine to coarse structure, or this share of that ratio, or of the fine structure, in
 #: the other image; so are those connected with it below the larger limits. Noise of grey levels is not structure.
 _BLURRED, _BLURRED_BESIDE, _FAINT_BESIDE, _NOISE = (0.6, 0.75), (0.68, 0.74), (0.4, 0.5), 0.3
@@ -64,21 +61,17 @@ _BLURRED, _BLURRED_BESIDE, _FAINT_BESIDE, _NOISE = (0.6, 0.75), (0.68, 0.74), (0
 class _Features(NamedTuple):
     """What one image shows; empty if it is broken or blank."""
 
-    points_px: Floats = np.empty((0, 2))
-    """(N, 2) corners, px of the whole image."""
-    descriptors: Image = np.empty((0, 32), np.uint8)
+    corners: Corners = Corners()
     detail: NDArray[np.float32] = np.empty((0, 0), np.float32)
     """`local_detail`."""
     octaves: NDArray[np.float32] = np.empty((2, 0, 0), np.float32)
     """`detail_by_octaves`."""
-    small: Image = np.empty((0, 0), np.uint8)
-    """The image in which corners were found."""
     thin: Image = np.empty((0, 0), np.uint8)
     """The stored image, `thinned`."""
 
 
-def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
-    """Check some pairs of a drive; the drive and the checks.
+def check_stereo(drive: Drive, params: StereoCheckParams = _DEFAULT) -> tuple[Drive, list[Finding]]:
+    """Check some pairs of a drive; the drive and the findings.
 
     The right camera of the result is turned if its images are some rows off, and unclear parts of its images are marked. Images
     without detail pass. Raises DriveFolderError if the sides are wrong.
@@ -94,17 +87,17 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
     found = offsets(chosen, 0)
     near = found[np.abs(found[:, 1]) <= _MAX_ROWS_PX]
     wrong = int((near[:, 0] < -_SHRINK).sum())
-    if len(near) >= _MIN_MATCHES and wrong > _WRONG_SHARE * len(near):
+    if len(near) >= _MIN_MATCHES and wrong > params.max_swapped_share * len(near):
         raise DriveFolderError(
             f"{drive.source_path}: the images are swapped, mirrored or upside down: of {len(near)} points in both images, "
             f"{wrong} lie farther right in the right image. Exchange left and right in drive.yaml (`images` of videos and "
             "image folders, `cameras` of KITTI drives), or rotate the images."
         )
     rows = _rows_of_one_scene(found)
-    trigger = _check_trigger(drive.frame_pairs, chosen, offsets)
+    trigger = _check_trigger(drive.frame_pairs, chosen, offsets, params)
     unclear = _unclear_squares({side: [features(k, side).octaves for k in chosen] for side in SIDES})
     drive = drive.model_copy(update={"unclear": unclear})
-    checks = [
+    findings = [
         *_check_decoding([drive.frame_pairs[k].frame_index for k in tried if k not in chosen], len(tried)),
         _check_lenses({side: [features(k, side).detail for k in chosen] for side in SIDES}),
         _check_sharpness(unclear, drive),
@@ -114,32 +107,21 @@ def check_stereo(drive: Drive) -> tuple[Drive, list[HealthCheck]]:
             partial(_others, drive, chosen),
         ),
     ]
-    if len(rows) < _MIN_MATCHES or trigger.verdict is not Verdict.PASS:
-        return drive, checks
-    checks.append(_check_columns(near[np.abs(near[:, 1] - np.median(rows)) <= _SCATTER_PX, 0]))
-    seen = [(features(k, "left").small, features(k, "right").small, *points(k, 0)) for k in chosen]
-    checks.append(check_distortion(seen, drive.rig, _SHRINK))
+    if len(rows) < _MIN_MATCHES or trigger.value != 0:
+        return drive, findings
+    findings.append(_check_columns(near[np.abs(near[:, 1] - np.median(rows)) <= _SCATTER_PX, 0]))
+    seen = [(features(k, "left").corners.small, features(k, "right").corners.small, *points(k, 0)) for k in chosen]
+    findings.append(check_distortion(seen, drive.rig, _SHRINK))
     off_px, sigma_px = float(rows.mean()), float(np.hypot(rows.std() / np.sqrt(len(rows)), _FLOOR_PX))
-    judged = partial(
-        HealthCheck, name="rows of the right images", value=off_px, sigma=sigma_px, limit=_FINE_ROWS_PX, unit="px"
-    )
-    if abs(off_px) > _CORRECTED_ROWS_PX:
-        detail = (
-            f"The right images lie {off_px:+.1f} +- {sigma_px:.1f} px lower than the left ones, too far to be corrected. Check "
-            "whether they were cropped, or recalibrate the rig (conetl calibrate)."
-        )
-        return drive, [*checks, judged(verdict=Verdict.HOLD, detail=detail)]
-    if abs(off_px) <= _FINE_ROWS_PX:
-        return drive, [*checks, judged(verdict=Verdict.PASS, detail="The rows of both images match.")]
-    detail = (
-        f"The right images lie {off_px:+.1f} +- {sigma_px:.1f} px lower than the left ones: the right camera has rotated. "
-        "Recalibrate the rig (conetl calibrate), or check whether the images were cropped."
-    )
+    off = Finding(check="rows of the right images", value=off_px, sigma=sigma_px)
+    if not params.least_rows_px < abs(off_px) <= params.most_rows_px:
+        return drive, [*findings, off]
     turned = right_camera_turned(drive.rig, np.array([off_px / drive.rig.right.fy_px, 0.0, 0.0]))
-    return drive.model_copy(update={"rig": turned}), [*checks, judged(verdict=Verdict.CORRECTED, detail=detail)]
+    corrected = off.model_copy(update={"treated": "corrected", "says": ("turned",)})
+    return drive.model_copy(update={"rig": turned}), [*findings, corrected]
 
 
-def check_lost_parts(drive: Drive, lost: Sequence[bool]) -> list[HealthCheck]:
+def check_lost_parts(drive: Drive, lost: Sequence[bool], params: StereoCheckParams = _DEFAULT) -> list[Finding]:
     """Check the trigger within parts of the drive where visual odometry failed; empty unless right images of other frames fit.
 
     lost: (K - 1,) whether visual odometry failed between frame pairs.
@@ -151,10 +133,11 @@ def check_lost_parts(drive: Drive, lost: Sequence[bool]) -> list[HealthCheck]:
     parts = [
         evenly_spaced(range(first + 1, end), _PAIRS_OF_PART) for first, end in ends if end - first > _PAIRS_OF_PART
     ]
-    checks = (
-        _check_trigger(drive.frame_pairs, part, offsets, whole=False) for part in evenly_spaced(parts, _MOST_PARTS)
+    findings = (
+        _check_trigger(drive.frame_pairs, part, offsets, params, whole=False)
+        for part in evenly_spaced(parts, _MOST_PARTS)
     )
-    return [check for check in checks if check.verdict is not Verdict.PASS][:1]
+    return [finding for finding in findings if finding.value][:1]
 
 
 class _Matching(NamedTuple):
@@ -172,7 +155,9 @@ class _Matching(NamedTuple):
 def _matching(drive: Drive) -> _Matching:
     count, at_infinity_px = len(drive.frame_pairs), drive.rig.left.cx_px - drive.rig.right.cx_px
     features = cache(lambda number, side: _features(drive, number, side))
-    points = cache(lambda number, lag: _matched_points(features(number, "left"), features(number + lag, "right")))
+    points = cache(
+        lambda number, lag: match_corners(features(number, "left").corners, features(number + lag, "right").corners)
+    )
 
     def offsets(numbers: Sequence[int], lag: int) -> Floats:
         found = [points(k, lag) for k in numbers if 0 <= k + lag < count]
@@ -185,34 +170,23 @@ def _matching(drive: Drive) -> _Matching:
     return _Matching(features, points, offsets)
 
 
-def _check_decoding(lost: Sequence[int], tried: int) -> list[HealthCheck]:
+def _check_decoding(lost: Sequence[int], tried: int) -> list[Finding]:
     """Whether the images can be decoded; empty if they can. lost: frame indices of pairs of which one cannot."""
-    detail = (
-        f"An image cannot be decoded in {len(lost)} of {tried} frame pairs that were tried, frame pairs "
-        f"{', '.join(map(str, lost))}: copy the recording again. Such frame pairs are not used."
-    )
-    check = HealthCheck(
-        name="images that can be decoded", verdict=Verdict.WARN, value=len(lost) / tried, limit=0.0, detail=detail
-    )
-    return [check] if lost else []
+    facts = {"lost": len(lost), "tried": tried, "frames": ", ".join(map(str, lost))}
+    return [Finding(check="images that can be decoded", value=len(lost) / tried, facts=facts)] if lost else []
 
 
-def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> HealthCheck:
-    """Whether a part of a lens is covered. (A wholly covered lens, darkness and fog reduce `ImageDetail`.)"""
-    shares = {side: _blank_share(details[side]) for side in SIDES}
-    known = {side: share for side, share in shares.items() if share is not None}
-    blank = [side for side, share in known.items() if share > _MAX_BLANK_SHARE]
-    worst = max(known.values(), default=None)
-    detail = "No part of a lens is covered."
-    if None in shares.values():
-        detail = "The images do not show enough for this check."
-    if blank and worst is not None:
-        detail = (
-            f"{worst:.0%} of the lower half of the {' and '.join(blank)} images is blank, although the rest is sharp: the lens "
-            "is covered in part or dazzled, and the drive would remove cones there. Clean the lens. If the vehicle itself is in "
-            "view there, accept the drive."
-        )
-    return hold_if(blank, "covered parts of the lenses", detail, value=worst, limit=_MAX_BLANK_SHARE)
+def _check_lenses(details: dict[Side, list[NDArray[np.float32]]]) -> Finding:
+    """How much of a lens is covered. (A wholly covered lens, darkness and fog reduce `ImageDetail`.)"""
+    shares = {side: share for side in SIDES if (share := _blank_share(details[side])) is not None}
+    return _of_worst("covered parts of the lenses", shares)
+
+
+def _of_worst(check: str, shares: dict[Side, float]) -> Finding:
+    """The finding about the worse side, which names the sides that are about as bad."""
+    worst = max(shares.values(), default=None)
+    sides = " and ".join(side for side, share in shares.items() if worst is not None and 2 * share > worst)
+    return Finding(check=check, value=worst, facts={"sides": sides})
 
 
 def _blank_share(details: list[NDArray[np.float32]]) -> float | None:
@@ -249,65 +223,46 @@ def _unclear_squares(octaves: dict[Side, list[NDArray[np.float32]]]) -> UnclearS
     return UnclearSquares(side_px=SQUARE_PX, left=found[0], right=found[1]) if any(found) else None
 
 
-def _check_sharpness(unclear: UnclearSquares | None, drive: Drive) -> HealthCheck:
-    """Whether a part of a lens is smeared: the drive is then no evidence of absence there."""
-    shares = dict.fromkeys(SIDES, 0.0)
+def _check_sharpness(unclear: UnclearSquares | None, drive: Drive) -> Finding:
+    """How much of a lens is smeared: the drive is no evidence of absence there."""
+    shares: dict[Side, float] = dict.fromkeys(SIDES, 0.0)
     for side in SIDES if unclear else ():
         camera = drive.rig.left if side == "left" else drive.rig.right
         rows, columns = camera.height_px // SQUARE_PX, camera.width_px // SQUARE_PX
         lower = [row for row, _ in getattr(unclear, side) if row >= rows // 2]
         shares[side] = len(lower) / ((rows - rows // 2) * columns)
-    blurred = [side for side in SIDES if shares[side] > _MAX_BLANK_SHARE]
-    detail = "The images are sharp in all parts."
-    if blurred:
-        detail = (
-            f"{max(shares.values()):.0%} of the lower half of the {' and '.join(blurred)} images is blurred: a lens is smeared "
-            "or wet. A cone that is not found there does not count as gone. Clean the lens."
-        )
-    return HealthCheck(
-        name="blurred parts of the lenses", verdict=Verdict.WARN if blurred else Verdict.PASS, value=max(shares.values()),
-        limit=_MAX_BLANK_SHARE, detail=detail,
-    )  # fmt: skip
+    return _of_worst("blurred parts of the lenses", shares)
 
 
 def _check_trigger(
     pairs: Sequence[FramePair],
     chosen: Sequence[int],
     offsets: Callable[[Sequence[int], int], Floats],
+    params: StereoCheckParams,
     *,
     whole: bool = True,
-) -> HealthCheck:
+) -> Finding:
     """Whether right images of other frames fit the left ones better than their own, in the drive or in a part of it: one camera
     may lose a frame, after which all its images are those of another instant. whole: the chosen pairs are of the whole drive."""
     ends = [(first, last) for first in range(len(chosen)) for last in range(first + 1, len(chosen))]
     parts = [chosen[first : last + 1] for first, last in sorted(ends, key=lambda end: end[0] - end[1])] or [chosen]
     if len(chosen) > 1 and not _is_fitting(offsets(chosen[-1:], 0)):
         parts.append([max(chosen[-1] - 2, 0), chosen[-1]])  # one pair may look wrong by chance
-    fitting, lag = len(_rows_of_one_scene(offsets(chosen, 0))), 0
-    detail = "Left and right images were taken at the same time."
-    if fitting < _MIN_MATCHES:
-        detail = "The images do not show enough for this check."
+    fitting = len(_rows_of_one_scene(offsets(chosen, 0)))
     for part in parts:
         found = offsets(part, 0)
         own = len(_rows_of_one_scene(found))
-        best, lag = (
-            (own, 0) if _is_fitting(found) else max((len(_rows_of_one_scene(offsets(part, k))), k) for k in _LAGS)
-        )
-        if best < _MIN_MATCHES or best < _FITS_BETTER * own:
-            lag = 0
+        if _is_fitting(found):
+            continue
+        best, lag = max((len(_rows_of_one_scene(offsets(part, k))), k) for k in _LAGS)
         in_part = not whole or part is not parts[0]
-        if in_part and not _is_fitting(offsets(part, lag)):
-            lag = 0  # of few pairs the number of points varies
-        if lag:
-            first, last = (pairs[part[end]].frame_index for end in (0, -1))
-            where = f" in frame pairs {first} to {last}" if in_part else ""
-            detail = (
-                f"The right images{where} belong to left images {abs(lag)} frames {'earlier' if lag > 0 else 'later'}: {best} "
-                f"points match, but only {own} as delivered. Correct the image numbers or the trigger."
-            )
-            break
-    value = float(lag) if lag or fitting >= _MIN_MATCHES else None
-    return hold_if(lag, TRIGGER, detail, value=value, limit=0.0, unit="frames")
+        if best < max(_MIN_MATCHES, params.fits_better * own) or (in_part and not _is_fitting(offsets(part, lag))):
+            continue  # of few pairs the number of points varies
+        first, last = (pairs[part[end]].frame_index for end in (0, -1))
+        facts = {"apart": abs(lag), "direction": "earlier" if lag > 0 else "later", "best": best, "own": own}
+        says = ("part",) if in_part else ("",)
+        return Finding(check=TRIGGER, value=float(lag), says=says, facts={**facts, "first": first, "last": last})
+    return Finding(check=TRIGGER, value=0.0 if fitting >= _MIN_MATCHES else None)
 
 
 def _is_fitting(found: Floats) -> bool:
@@ -315,19 +270,10 @@ def _is_fitting(found: Floats) -> bool:
     return len(_rows_of_one_scene(found)) >= _FITTING_SHARE * max(len(found), _MIN_MATCHES)
 
 
-def _check_columns(columns: Floats) -> HealthCheck:
-    """Whether points lie farther right in the right image than infinitely far ones; columns: (N,) left minus right, px."""
-    beyond = columns < -_SHRINK
-    share = float(beyond.mean())
-    detail = "No point lies farther right in the right image."
-    if share > _MAX_BEYOND_SHARE:
-        detail = (
-            f"{share:.0%} of the points lie up to {-np.quantile(columns, 0.01):.0f} px farther right in the right image, which "
-            "is impossible even on the horizon: the right images are shifted sideways, or the calibration belongs to another "
-            "rig. Check whether the images were cropped, or calibrate the rig (conetl calibrate)."
-        )
-    held = share > _MAX_BEYOND_SHARE
-    return hold_if(held, "columns of the right images", detail, value=share, limit=_MAX_BEYOND_SHARE)
+def _check_columns(columns: Floats) -> Finding:
+    """How many points lie farther right in the right image than infinitely far ones; columns: (N,) left minus right, px."""
+    share, px = float((columns < -_SHRINK).mean()), -float(np.quantile(columns, 0.01))
+    return Finding(check="columns of the right images", value=share, facts={"px": px})
 
 
 def _rows_of_one_scene(offsets: Floats) -> Floats:
@@ -344,15 +290,7 @@ def _features(drive: Drive, number: int, side: Side) -> _Features:
     except ImageFileError:
         return _Features()
     image = stored if drive.rig.rectified_from is None else rectify_image(stored, drive.rig, side)
-    shown = _Features(detail=local_detail(image), octaves=detail_by_octaves(image), thin=thinned(stored))
-    small = cv2.resize(image, None, fx=1 / _SHRINK, fy=1 / _SHRINK, interpolation=cv2.INTER_AREA)
-    points, found = cv2.ORB.create(_FEATURES).detectAndCompute(small, None)
-    if found is None:
-        return shown
-    corners_px = np.array([point.pt for point in points]) * _SHRINK
-    return shown._replace(
-        points_px=corners_px, descriptors=np.asarray(found, np.uint8), small=np.asarray(small, np.uint8)
-    )
+    return _Features(find_corners(image), local_detail(image), detail_by_octaves(image), thinned(stored))
 
 
 def _stored(drive: Drive, number: int, side: Side) -> Image:
@@ -367,13 +305,3 @@ def _others(drive: Drive, chosen: Sequence[int], side: Side) -> list[Image]:
         with suppress(ImageFileError):
             found.append(thinned(_stored(drive, number, side)))
     return found
-
-
-def _matched_points(left: _Features, right: _Features) -> tuple[Floats, Floats]:
-    """(M, 2) px each: mutually best matches."""
-    if not len(left.points_px) or not len(right.points_px):
-        return np.empty((0, 2)), np.empty((0, 2))
-    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(left.descriptors, right.descriptors)
-    close = [(m.queryIdx, m.trainIdx) for m in matches if m.distance < _MAX_HAMMING]
-    i, j = np.array(close, dtype=np.intp).reshape(-1, 2).T
-    return left.points_px[i], right.points_px[j]

@@ -25,7 +25,8 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import motions_between
 from conetl.model.arrays import Floats, Image
 from conetl.model.drive import Drive, FramePair
-from conetl.model.health import HealthCheck, hold_if
+from conetl.model.health import Finding
+from conetl.model.params import ImageCheckParams
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import SIDES, Side
 from conetl.perception.images import ImageFileError
@@ -39,21 +40,19 @@ BANDS = 64
 _REPEATED, _MOVING, _LEAST_CHANGE, _LEAST_SHARE = 0.15, 0.5, 1.0, 0.05
 #: Repeated bands are contiguous: they make up at least this share of those from the first to the last.
 _MOST_OF_BANDS = 0.8
-#: A drive with a larger share of torn pairs is on hold, since others probably went undetected.
-_MAX_TORN_SHARE = 0.1
 #: Seams are searched at this share of the width, in this many strips; larger differences are clipped to this many grey levels.
 _THINNED, _STRIPS, _MOST_LEVELS = 4, 6, 20
 #: Rows on either side with which a seam is compared: with the third largest, or for mean seams the second largest.
 _ROWS_BESIDE, _MEAN_ROWS_BESIDE = 12, 24
-#: Factors by which the seam of one image exceeds that row, the mean seam of all images, and the mean seam in all strips but one.
-_LEAST_SEAM, _LEAST_MEAN_SEAM, _LEAST_IN_STRIPS = 1.5, 2.0, 1.2
+#: Factors by which the seam of one image exceeds that row, and the mean seam of all images does in all strips but one.
+_LEAST_SEAM, _LEAST_IN_STRIPS = 1.5, 1.2
 #: If the strongest seam of the first few images exceeds all other rows by the factor `_SUSPECTED`, up to `MOST_OTHERS` other
 #: images are read; the check needs `_LEAST_IMAGES`. Up to `_MOST_EDGES` of the strongest rows are tried, since some are edges,
 #: such as those of the hood or of captions.
 _SUSPECTED, MOST_OTHERS, _LEAST_IMAGES, _MOST_EDGES = 1.1, 20, 12, 4
 #: Not a seam: steps of one sign, and rows below that change less from image to image, or are less sharp, than those above.
 _ONE_SIGN, _STATIC, _BLURRED = 0.7, 0.3, 0.3
-_WHAT_TO_DO = "Check the recorder for buffers that are overwritten while they are read, and for lost packets."
+_DEFAULT = ImageCheckParams()
 
 
 class TornImage(NamedTuple):
@@ -71,7 +70,9 @@ def row_changes(first: Image, second: Image) -> Floats:
     return np.asarray(cv2.resize(rows, (1, BANDS), interpolation=cv2.INTER_AREA)[:, 0], np.float64)
 
 
-def find_torn(drive: Drive, motions: Sequence[RelativeMotion], read: ImageReader) -> list[TornImage]:
+def find_torn(
+    drive: Drive, motions: Sequence[RelativeMotion], read: ImageReader, params: ImageCheckParams = _DEFAULT
+) -> list[TornImage]:
     """Images that repeat rows of the one before, and following ones that are torn at the same row.
 
     read: grey images of a frame pair as they are stored.
@@ -94,7 +95,7 @@ def find_torn(drive: Drive, motions: Sequence[RelativeMotion], read: ImageReader
         if len(bands) >= _MOST_OF_BANDS * (bands[-1] - bands[0] + 1):
             row = int(bands[0] * drive.rig.left.height_px / BANDS)
             torn[k + 1, side] = TornImage(pairs[k + 1], SIDES[side], row)
-    if len({k for k, _ in torn}) <= _MAX_TORN_SHARE * len(pairs):
+    if len({k for k, _ in torn}) <= params.max_torn_share * len(pairs):
         for (k, side), one in list(torn.items()):
             for later, again in enumerate(_following_torn(one, pairs[k:], read), k + 1):
                 torn.setdefault((later, side), again)
@@ -119,21 +120,14 @@ def _following_torn(torn: TornImage, pairs: Sequence[FramePair], read: ImageRead
             yield TornImage(pair, torn.side, row)
 
 
-def check_torn(torn: Sequence[TornImage], drive: Drive) -> tuple[HealthCheck, list[Rejection]]:
+def check_torn(torn: Sequence[TornImage], drive: Drive) -> tuple[Finding, list[Rejection]]:
     """Whether so many pairs of a drive are torn that undetected ones matter; rejections of the torn pairs."""
     first = {one.pair.frame_index: one for one in reversed(torn)}
     rejections = [_rejection(first[frame]) for frame in sorted(first)]
-    share = len(first) / len(drive.frame_pairs)
-    detail = "No image is torn."
+    facts: dict[str, int | str] = {"torn": len(first), "pairs": len(drive.frame_pairs)}
     if rejections:
-        detail = f"{len(rejections)} of {len(drive.frame_pairs)} frame pairs were torn and are not used. {_WHAT_TO_DO}"
-    if share > _MAX_TORN_SHARE:
-        detail = (
-            f"{len(rejections)} of {len(drive.frame_pairs)} frame pairs are torn: below some row an image shows the previous "
-            f"frame, first in {rejections[0].record} from about row {rejections[0].payload['row_px']} on. Other images may be "
-            f"torn too. {_WHAT_TO_DO}"
-        )
-    return hold_if(share > _MAX_TORN_SHARE, "torn images", detail, value=share, limit=_MAX_TORN_SHARE), rejections
+        facts |= {"record": rejections[0].record, "row": rejections[0].payload["row_px"]}
+    return Finding(check="torn images", value=len(first) / len(drive.frame_pairs), facts=facts), rejections
 
 
 def _rejection(torn: TornImage) -> Rejection:
@@ -148,20 +142,14 @@ def _rejection(torn: TornImage) -> Rejection:
     )
 
 
-def check_seams(images: dict[Side, list[Image]], others: Callable[[Side], list[Image]]) -> HealthCheck:
-    """Whether the images of a drive are torn at one row. images: some of each side, `thinned`; others: more of a side."""
+def check_seams(images: dict[Side, list[Image]], others: Callable[[Side], list[Image]]) -> Finding:
+    """How strong a seam at one row of all images is. images: some of each side, `thinned`; others: more of a side."""
     found = {side: _mean_seam(images[side], partial(others, side)) for side in SIDES}
     known = {side: seam for side, seam in found.items() if seam is not None}
-    torn = {side: row for side, (size, row) in known.items() if size > _LEAST_MEAN_SEAM}
-    detail = "The images have no seam."
-    if torn:
-        rows = " and ".join(f"row {row} of the {side} images" for side, row in torn.items())
-        detail = (
-            f"The images are torn at {rows}: the part below was taken at another time, usually that of the previous image, and "
-            f"cones there would be wrong by the distance driven in between. {_WHAT_TO_DO}"
-        )
-    value = max((size for size, _ in known.values()), default=None)
-    return hold_if(torn, "seams in the images", detail, value=value, limit=_LEAST_MEAN_SEAM)
+    strongest = max((size for size, _ in known.values()), default=None)
+    # The seam of a side without one is 1.
+    rows = [f"row {row} of the {side} images" for side, (size, row) in known.items() if 2 * size > 1 + (strongest or 1)]
+    return Finding(check="seams in the images", value=strongest, facts={"rows": " and ".join(rows)})
 
 
 def _mean_seam(images: Sequence[Image], others: Callable[[], list[Image]]) -> tuple[float, int] | None:

@@ -9,13 +9,14 @@ from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 
+from conetl.checks.verdict import judge_all
 from conetl.files.parquet_store import load_results
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.mapping.revisits import check_revisits
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
-from conetl.model.health import HealthCheck
+from conetl.model.health import Finding, HealthCheck
 from conetl.model.params import IngestParams
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
@@ -35,7 +36,13 @@ from conetl.tracking.checks.poses import check_calibration
 from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.rolling_shutter import matches_at_stamp, with_video_prior
-from conetl.tracking.self_calibration import SWITCHED_OFF, SelfCalibration, self_calibrated_rig
+from conetl.tracking.self_calibration import (
+    SWITCHED_OFF,
+    SelfCalibration,
+    self_calibrated_rig,
+    widened_by_offset,
+    with_measured_scale,
+)
 from conetl.tracking.standing import without_moving
 from conetl.tracking.tracks import drive_data, fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory
@@ -100,7 +107,8 @@ def analyse(
         count = ProgressCount(executor, _step_count(drive, extras), progress)
 
         # Calibrate: the right camera, from points that are followed over pieces of the drive.
-        drive, chunks, health = _chunks(drive, params, settings)
+        drive, chunks, findings = _chunks(drive, params, settings)
+        given = drive.rig
         calibration, rig = _calibrate(drive, chunks[0], executor)
 
         # Detect and match, chunk by chunk in parallel; the same images give the motions and the points of lane markings.
@@ -110,7 +118,10 @@ def analyse(
 
         # Refine: one adjustment of all poses, by motions, matches and what was logged.
         trajectory: RefinedTrajectory = executor.run(odometry.refine, drive, motions, matched, params)
-        drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs})
+        rig = with_measured_scale(
+            rig, given, None if trajectory.path is None else trajectory.path.scale, params.trajectory
+        )
+        drive = drive.model_copy(update={"frame_pairs": trajectory.frame_pairs, "rig": rig})
 
         # Locate: a position for every match, by forward intersection.
         positions, unlocated = executor.run(locate, drive, matched, params)
@@ -133,10 +144,10 @@ def analyse(
     # Validate: does the recording contradict itself?
     rejections = [*rejections, *unread, *without_detail, *unmatched, *unlocated, *unfused]
     records = DriveRecords(drive, detections, matches, positions, tracks, rejections, markings)
-    health += [torn] if extras.odometry else []
-    health += odometry.check_poses(drive, motions, trajectory, params.trajectory)
-    health += _check_records(records, calibration, params)
-    return AnalysedDrive(records, trajectory, calibration, params, tuple(health))
+    findings += [torn] if extras.odometry else []
+    findings += odometry.check_poses(drive, motions, trajectory, params.trajectory, params.check)
+    findings += _check_records(records, calibration, params)
+    return AnalysedDrive(records, trajectory, calibration, params, tuple(judge_all(findings, params.check)))
 
 
 def _step_count(drive: Drive, extras: ExtraSteps) -> int:
@@ -149,22 +160,22 @@ def _extra_steps(params: IngestParams) -> ExtraSteps:
     return ExtraSteps(odometry=params.trajectory.refine, markings=LANE_MARKING in params.detection.categories)
 
 
-def _chunks(drive: Drive, params: IngestParams, settings: Settings) -> tuple[Drive, list[Chunk], list[HealthCheck]]:
-    """The drive with the calibration that fits its images, its chunks, and the check of the calibration."""
+def _chunks(drive: Drive, params: IngestParams, settings: Settings) -> tuple[Drive, list[Chunk], list[Finding]]:
+    """The drive with the calibration that fits its images, its chunks, and what was found about the calibration."""
     drive = with_video_prior(drive, params.trajectory, is_video=frame_of(drive.frame_pairs[0].left_path) is not None)
     given, chunks = drive.rig, chunks_of(drive, settings, params)
-    drive, health = check_stereo(drive)
+    drive, findings = check_stereo(drive, params.check.stereo)
     if drive.rig != given:  # the calibration is known to be wrong: even small corrections are applied
         small = {"self_calibration_significance": 1.0, "self_calibration_least_px": 0.01}
         trajectory = params.trajectory.model_copy(update=small)
         chunks = chunks_of(drive, settings, params.model_copy(update={"trajectory": trajectory}))
-    return drive, chunks, health
+    return drive, chunks, findings
 
 
 def _whole_pairs(
     drive: Drive, parts: Sequence[Detected], extras: ExtraSteps, params: IngestParams, executor: Executor
-) -> tuple[Drive, list[Detection], list[RelativeMotion], HealthCheck, list[Rejection]]:
-    """Drive, detections and motions without the frame pairs that could not be decoded or are torn; a check of the torn ones, and
+) -> tuple[Drive, list[Detection], list[RelativeMotion], Finding, list[Rejection]]:
+    """Drive, detections and motions without the frame pairs that could not be decoded or are torn; how many are torn, and
     all rejections."""
     read = len(drive.frame_pairs)
     motions, _ = load_results([part.motions for part in parts if part.motions is not None], RelativeMotion)
@@ -172,7 +183,7 @@ def _whole_pairs(
     drive, detections = drop_unread_pairs(drive, detections, rejected)
     if extras.odometry and len(drive.frame_pairs) < read:
         motions += executor.run(odometry.motions_across, drive, motions, params.trajectory)
-    torn, rejected_pairs = odometry.torn_pairs(drive, motions)
+    torn, rejected_pairs = odometry.torn_pairs(drive, motions, params.check.images)
     drive, detections = drop_unread_pairs(drive, detections, rejected_pairs)
     return drive, detections, motions, torn, [*rejected, *rejected_pairs]
 
@@ -200,15 +211,16 @@ def _weighed(
     return matches, positions, tracks, unlocated, [*unfused, *moving]
 
 
-def _check_records(records: DriveRecords, calibration: SelfCalibration, params: IngestParams) -> Iterator[HealthCheck]:
-    """Checks of calibration and shutters, and whether the drive shows cones twice: in one image, or at two positions."""
-    yield from check_calibration(calibration)
-    yield from check_exposures(calibration.right_ahead, records.drive.rig, records.drive.frame_pairs)
-    yield check_doubled(records.tracks, records.drive.frame_pairs)
+def _check_records(records: DriveRecords, calibration: SelfCalibration, params: IngestParams) -> Iterator[Finding]:
+    """What was found about calibration and shutters, and about cones that appear twice: in one image, or at two positions."""
+    limits, pairs = params.check.exposures, records.drive.frame_pairs
+    yield check_calibration(calibration)
+    yield from check_exposures(calibration.right_ahead, records.drive.rig, pairs, limits)
+    yield check_doubled(records.tracks, pairs, limits)
     # Where heights jump, the cones of one pass are off the road of the other.
     off_road = (r.payload for r in records.rejections if r.reason is RejectionReason.NOT_ON_GROUND)
     tracks = [*records.tracks, *map(Track.model_validate, off_road)]
-    yield from check_revisits(tracks, records.positions, records.drive.frame_pairs, params)
+    yield from check_revisits(tracks, records.positions, pairs, params)
 
 
 def _detect_and_match(
@@ -247,7 +259,7 @@ def _calibrate(drive: Drive, chunk: Chunk, executor: Executor) -> tuple[SelfCali
         pieces = odometry.calibration_pieces(chunk, drive.frame_pairs)
         followed = results([executor.submit(odometry.follow_spans, piece) for piece in pieces])
         calibration = executor.run(odometry.self_calibrate, chunk, pieces, followed)
-    return calibration, self_calibrated_rig(drive.rig, calibration, params)
+    return calibration, widened_by_offset(self_calibrated_rig(drive.rig, calibration, params), calibration)
 
 
 @step("locate", "locate {drive.drive_id}")
@@ -275,7 +287,10 @@ def fuse(
     distance.
     """
     motion, evidence = motion_error(trajectory), evidence or UNMEASURED
-    data = drive_data(drive.frame_pairs, drive.rig, detections, matches, params, evidence, motion)
+    data = drive_data(
+        drive.frame_pairs, drive.rig, detections, matches, params, evidence, motion,
+        common_errors=drive.common_errors, corrected=bool(drive.control_points),
+    )  # fmt: skip
     return fuse_tracks(positions, data)
 
 

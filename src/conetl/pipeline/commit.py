@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4, uuid5
 
+from conetl.checks.verdict import AGREES, judge_all
 from conetl.db.connection import Connection, sql_directory, transaction
 from conetl.db.live_store import drop_watched_recording
 from conetl.db.map.decision_store import held_drives, why_not_counted
@@ -23,14 +24,14 @@ from conetl.db.map.results import CommittedChangeset, RunInfo
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.base import utc_from_ns
 from conetl.model.drive import Drive
-from conetl.model.health import AGREES, hold_checks
+from conetl.model.health import hold_checks
 from conetl.model.ingest_report import ChangeLine, CommitReport
 from conetl.model.map_records import Changeset, Delta, DeltaKind
 from conetl.model.params import IngestParams
 from conetl.perception.model_card import read_model_card
 from conetl.pipeline.analysis import AnalysedDrive
-from conetl.pipeline.checks.positions import check_positions_on_map
 from conetl.pipeline.chunks import analysis_of
+from conetl.pipeline.compared.positions import check_positions_on_map
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import step
 from conetl.pipeline.replay import merge_drive
@@ -106,7 +107,8 @@ def commit(
         database = database or stack.enter_context(MapDatabase(settings))
         conn = stack.enter_context(database.connection())
         with drive_transaction(conn, settings.map_name):
-            health = (*analysed.health, *check_positions_on_map(conn, records, params.reconcile, settings.map_name))
+            found = check_positions_on_map(conn, records, params, settings.map_name)
+            health = (*analysed.health, *judge_all(found, params.check))
             merged = merge_drive(
                 conn,
                 records,
@@ -121,7 +123,7 @@ def commit(
             return CommittedDrive(merged, analysed, (), _report_of_known(conn, merged, drive, settings.map_name))
     deltas = merged.changeset.deltas
     if not hold_checks(health):  # a recording that contradicts itself is not compared with the map
-        health = (*health, merged.extension.hold or AGREES)
+        health = (*health, merged.extension.hold or merged.extension.widened or AGREES)
     report = report_of(
         merged.committed,
         settings.map_name,

@@ -25,8 +25,8 @@ from conetl.model.params import IngestParams
 from conetl.model.rejections import DOUBTFUL_REASONS, Rejection
 from conetl.perception.model_card import NOT_MEASURED, read_model_card
 from conetl.pipeline.analysis import AnalysedDrive, analyse
-from conetl.pipeline.checks.same_recording import refuse_other_delivery, refuse_same_images
 from conetl.pipeline.commit import CommittedDrive, already_committed, changeset_of, commit, run_info
+from conetl.pipeline.compared.same_recording import refuse_other_delivery, refuse_same_images
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Executor, Progress, ThreadExecutor, step
 from conetl.pipeline.publish import publish

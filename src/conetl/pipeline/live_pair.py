@@ -41,6 +41,7 @@ from conetl.pipeline.one_pair import (
 from conetl.pipeline.settings import Settings
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.rolling_shutter import matches_at_stamp
+from conetl.tracking.self_calibration import with_assumed_errors
 from conetl.tracking.window_tracks import ObservedPair, WindowTracks, add_pair
 
 #: An image of this size is searched before the first pair: the first run of a network takes several times as long.
@@ -117,8 +118,9 @@ def open_detectors(settings: Settings, params: IngestParams) -> Iterator[Detecto
 
 
 def new_drive(drive_id: str, folder: Path, rig: Rig, srid: int, map_name: str) -> LiveDrive:
-    """A drive of which no pair was processed yet."""
-    return LiveDrive(WatchedDrive(uuid4(), map_name, srid, drive_id, str(folder.resolve())), rig)
+    """A drive of which no pair was processed yet. rig: of which the errors are assumed if it states none."""
+    watched = WatchedDrive(uuid4(), map_name, srid, drive_id, str(folder.resolve()))
+    return LiveDrive(watched, with_assumed_errors(rig, IngestParams().trajectory))
 
 
 def begin_search(detectors: Detectors, rig: Rig, pair: FramePair) -> PairSearch:

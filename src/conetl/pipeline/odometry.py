@@ -23,8 +23,8 @@ from conetl.geometry.motion.stereo_tracks import (
 )
 from conetl.model.arrays import Image
 from conetl.model.drive import Drive, FramePair
-from conetl.model.health import HealthCheck
-from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
+from conetl.model.health import Finding
+from conetl.model.params import CheckParams, ImageCheckParams, IngestParams, TrajectoryParams, params_sha256
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig, Side
 from conetl.perception import visual_odometry
@@ -127,7 +127,8 @@ def self_calibrate(chunk: Chunk, pieces: Sequence[Chunk], followed: Sequence[Pat
     if has_result(folder, key):
         return load_result(result_path(folder, key), SelfCalibration)[0][0]
     spans = [span for piece in pieces for span in _spans(rig, piece.frame_pairs, params)]
-    found = _calibration(rig, spans, load_results(followed, StereoTracks)[0], params)
+    speeds = [speed for piece in pieces for speed in _speeds(_spans(rig, piece.frame_pairs, params), piece.frame_pairs)]
+    found = _calibration(rig, spans, speeds, load_results(followed, StereoTracks)[0], params)
     save_result(folder, key, [found], [])
     _log.info("Self-calibration: %s", found.detail)
     return found
@@ -137,7 +138,14 @@ def calibrate_drive(drive: Drive, params: TrajectoryParams) -> SelfCalibration:
     """Self-calibration of a drive in one thread."""
     pairs, rig = drive.frame_pairs, drive.rig
     spans = evenly_spaced(_spans(rig, pairs, params), params.self_calibration_max_spans)
-    return _calibration(rig, spans, list(_followed(spans, pairs, rig, params)), params)
+    return _calibration(rig, spans, _speeds(spans, pairs), list(_followed(spans, pairs, rig, params)), params)
+
+
+def _speeds(spans: Sequence[Span], pairs: Sequence[FramePair]) -> list[float]:
+    """Mean speed of each span, m/s."""
+    seconds = [1e-9 * (pairs[span.last].captured_at_ns - pairs[span.first].captured_at_ns) for span in spans]
+    lengths_m = [float(np.linalg.norm(span.last_SE3_first[:3, 3])) for span in spans]
+    return [length_m / max(lasts_s, 1e-3) for length_m, lasts_s in zip(lengths_m, seconds, strict=True)]
 
 
 def _spans(rig: Rig, pairs: Sequence[FramePair], params: TrajectoryParams) -> list[Span]:
@@ -153,16 +161,21 @@ def _followed(
 
 
 def _calibration(
-    rig: Rig, spans: Sequence[Span], tracks: Sequence[StereoTracks], params: TrajectoryParams
+    rig: Rig,
+    spans: Sequence[Span],
+    speeds_m_s: Sequence[float],
+    tracks: Sequence[StereoTracks],
+    params: TrajectoryParams,
 ) -> SelfCalibration:
     found = estimate_calibration(rig, spans, tracks, params)
     cameras = cameras_of(rig)
     points = [
-        points_at_stamp(rig, cameras, each.points()[0], rate_of(span.last_SE3_first, span.lasts_s))
-        for span, each in zip(spans, tracks, strict=True)
+        (points_at_stamp(rig, cameras, each.points()[0], rate_of(span.last_SE3_first, span.lasts_s)), speed)
+        for span, each, speed in zip(spans, tracks, speeds_m_s, strict=True)
         if each.missing is None
     ]
-    return found.model_copy(update={"right_ahead": right_camera_ahead(cameras, points)})
+    ahead = right_camera_ahead(cameras, [one for one, _ in points], [speed for _, speed in points])
+    return found.model_copy(update={"right_ahead": ahead})
 
 
 @step("refine", "refine {drive.drive_id}")
@@ -192,9 +205,11 @@ def motions_across(drive: Drive, motions: Sequence[RelativeMotion], params: Traj
     return found
 
 
-def torn_pairs(drive: Drive, motions: Sequence[RelativeMotion]) -> tuple[HealthCheck, list[Rejection]]:
-    """A check whether too many frame pairs have a torn image; rejections of these pairs."""
-    return check_torn(find_torn(drive, motions, grey_reader(drive.rig.rectified_from or drive.rig)), drive)
+def torn_pairs(
+    drive: Drive, motions: Sequence[RelativeMotion], params: ImageCheckParams
+) -> tuple[Finding, list[Rejection]]:
+    """How many frame pairs have a torn image; rejections of these pairs."""
+    return check_torn(find_torn(drive, motions, grey_reader(drive.rig.rectified_from or drive.rig), params), drive)
 
 
 def check_poses(
@@ -202,17 +217,21 @@ def check_poses(
     motions: Sequence[RelativeMotion],
     trajectory: RefinedTrajectory,
     params: TrajectoryParams,
-) -> list[HealthCheck]:
-    """Checks of the logged poses against the images. drive: with the detail of its images (`FramePair.detail`)."""
+    limits: CheckParams,
+) -> list[Finding]:
+    """The logged poses against the images. drive: with the detail of its images (`FramePair.detail`)."""
     details = {pair.frame_index: pair.detail for pair in drive.frame_pairs}
     pairs = [pair.model_copy(update={"detail": details[pair.frame_index]}) for pair in trajectory.logged]
-    checks = check_trajectory(pairs, drive.rig, motions, trajectory, params_of_drive(drive, params))
+    findings = check_trajectory(pairs, drive.rig, motions, trajectory, params_of_drive(drive, params), limits)
     if motions and len(pairs) > 1:
         read = grey_reader(drive.rig)
-        checks += [check(pairs, drive.rig, motions, read, params) for check in (check_lost_frames, check_recording)]
+        findings += [
+            check(pairs, drive.rig, motions, read, params, limits.exposures)
+            for check in (check_lost_frames, check_recording)
+        ]
         lost = np.isnan(shifts_between(pairs, motions)[:, 0]).tolist()
-        checks += check_lost_parts(drive.model_copy(update={"frame_pairs": tuple(pairs)}), lost)
-    return checks if trajectory.control is None else [*checks, trajectory.control]
+        findings += check_lost_parts(drive.model_copy(update={"frame_pairs": tuple(pairs)}), lost, limits.stereo)
+    return findings if trajectory.control is None else [*findings, trajectory.control]
 
 
 def params_of_drive(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:

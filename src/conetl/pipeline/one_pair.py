@@ -8,6 +8,9 @@ from concurrent.futures import Executor
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
+import numpy as np
+
 from conetl.geometry.camera import first_road_row
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left, up_in_left_camera
 from conetl.model.arrays import Floats, Image
@@ -19,9 +22,11 @@ from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.detections import to_detections
 from conetl.perception.detector import Detector, detect_image
 from conetl.perception.images import ImageFileError
+from conetl.perception.pair_points import pair_points
 from conetl.perception.rectified_image import read_rig_image
 from conetl.tracking.matching.epipolar_search import Region, right_region
 from conetl.tracking.matching.matches import match_pair
+from conetl.tracking.pair_calibration import PairCalibration, calibrate_pair
 from conetl.tracking.positions import CameraPosition, locate_in_camera
 
 
@@ -123,6 +128,7 @@ def map_up_in_left(pair: FramePair, rig: Rig) -> Floats:
 class LocatedPair(NamedTuple):
     """Cones and other objects of one pair without a trajectory."""
 
+    calibration: PairCalibration
     detections: list[Sequence[Detection]]
     matches: list[StereoMatch]
     cones: list[CameraPosition]
@@ -136,12 +142,17 @@ class LocatedPair(NamedTuple):
 
 
 def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: IngestParams) -> LocatedPair:
-    """Objects of one stereo pair in the frame of the left camera. Raises ImageFileError."""
+    """Objects of one stereo pair in the frame of the left camera.
+
+    Raises ImageFileError, and InputError if the images contradict the calibration.
+    """
     path_of = dict(zip(SIDES, paths, strict=True))
     searched = search_pair(
         0, lambda side: read_rig_image(path_of[side], rig, side), lambda _: detector, rig, params, {}, is_single=True
     )  # fmt: skip
-    images_of(searched)
+    left, right = (np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), np.uint8) for image in images_of(searched))
+    calibration = calibrate_pair(pair_points(left, right, params.trajectory), rig, params.pair, params.trajectory)
+    rig = calibration.rig
     matches, rejected = match_searched(searched, rig, params.match, up_in_left_camera(rig))
     detections = [searched[side].detections for side in SIDES]
     located, more = locate_in_camera(matches, rig, params.position)
@@ -155,4 +166,4 @@ def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: 
     }
     cones, objects = ([one for one in fits if (one.category == CONE) == is_cone] for is_cone in (True, False))
     misfits = [one for one in located if one not in fits]
-    return LocatedPair(detections, matches, cones, objects, misfits, unmatched, [*rejected, *more])
+    return LocatedPair(calibration, detections, matches, cones, objects, misfits, unmatched, [*rejected, *more])

@@ -16,6 +16,7 @@ from uuid import UUID
 
 import numpy as np
 
+from conetl.checks.verdict import judge
 from conetl.db.connection import Connection
 from conetl.db.map import replay_store as store
 from conetl.db.map.commit import INFLUENCE_M, add_drive, commit_changeset, path_wkt, with_free_id
@@ -40,7 +41,7 @@ from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import HealthCheck, HoldChange
 from conetl.model.map_records import Changeset, Decisions, FeatureVersion
 from conetl.model.params import IngestParams
-from conetl.pipeline.checks.adjoining import WITHIN_NS, NewDrive, find_doubts
+from conetl.pipeline.compared.adjoining import WITHIN_NS, NewDrive, find_doubts
 
 _log = logging.getLogger(__name__)
 #: Holding some drives may change which others the map confirms, but rarely: trusted drives confirm older objects.
@@ -161,6 +162,7 @@ def _own_evidence(
         markings=records.markings,
         check_view=in_view,
         params=params.reconcile,
+        judge=judge,
     )
 
 
@@ -232,10 +234,10 @@ def replay_of(
         changesets = {ref.drive_uuid: ref.changeset_id for ref in again}
         if new_drive is not None:
             changesets[new_drive.drive_uuid] = own[0].changeset_id
-        checks = {changesets[one]: doubt.check for one, doubt in doubts.items() if one in changesets}
+        found = {changesets[one]: doubt.finding for one, doubt in doubts.items() if one in changesets}
         merged, replay = _replay(
             conn, aside, around, again,
-            [replace(one, doubt=checks.get(one.changeset_id)) for one in compared], decisions,
+            [replace(one, doubt=found.get(one.changeset_id)) for one in compared], decisions,
         )  # fmt: skip
         # Whether the map confirms a drive is known only now; what continues it follows.
         confirmed = {

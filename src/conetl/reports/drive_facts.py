@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from conetl.checks.verdict import AGREES
 from conetl.db.connection import Connection, read, stream_values
 from conetl.db.map.decision_store import hold_events, map_checks
 from conetl.db.map.drive_store import read_frame_pairs, read_tracks
@@ -18,7 +19,7 @@ from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair, Track
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE
-from conetl.model.health import AGREES, HealthCheck, HoldEvent, hold_checks
+from conetl.model.health import HealthCheck, HoldEvent, hold_checks
 from conetl.model.map_records import DeltaKind, MapFeature
 from conetl.model.rig import Rig
 from conetl.reports.drive_passes import reasons_of

@@ -123,7 +123,7 @@ def _hold_alerts(facts: DriveFacts) -> Iterator[Alert]:
 def _alerts(facts: DriveFacts) -> Iterator[Alert]:
     kinds = facts.changeset.change_counts.points
     yield from _hold_alerts(facts)
-    yield from (Alert(False, check.detail) for check in facts.checks if check.verdict is Verdict.WARN)
+    yield from (Alert(False, check.detail) for check in facts.checks if check.verdict is Verdict.NOTE)
     if lost := facts.changeset.lost_pairs:
         expected, limit = facts.changeset.expected_frame_count, facts.header["params"].get("max_rejected_fraction")
         share = lost / expected

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from conetl.geometry.linear_reference import project
-from conetl.model.work_zone_records import DrivePath, Finding, Level, Rule, WorkZone
+from conetl.model.work_zone_records import DrivePath, LayoutFinding, Level, Rule, WorkZone
 from conetl.reports.figures import BLUE, GREEN, ORANGE, add_grid, draw_arrow, new_figure, save_figure
 
 _LEVEL_COLOUR = {Level.VIOLATION: ORANGE, Level.DEVIATION: ORANGE, Level.NOTICE: BLUE, Level.CANNOT_TELL: "#8a8a8a"}
@@ -20,7 +20,7 @@ _MARGIN_M = 8.0
 
 def draw_layout(
     path: Path,
-    zones: Sequence[tuple[WorkZone, Sequence[Finding]]],
+    zones: Sequence[tuple[WorkZone, Sequence[LayoutFinding]]],
     paths: Sequence[DrivePath],
     *,
     title: str,
@@ -37,12 +37,12 @@ def draw_layout(
     return save_figure(figure, path)
 
 
-def _note(number: int, finding: Finding) -> list[str]:
+def _note(number: int, finding: LayoutFinding) -> list[str]:
     text = f"{number}  {finding.level}: {finding.text} [{finding.norm}]"
     return textwrap.wrap(text, 128, subsequent_indent="     ")
 
 
-def _panel(ax: Axes, zone: WorkZone, findings: Sequence[Finding], paths: Sequence[DrivePath]) -> None:
+def _panel(ax: Axes, zone: WorkZone, findings: Sequence[LayoutFinding], paths: Sequence[DrivePath]) -> None:
     layout = zone.layout
     zero = float(layout.stations_m[0])
     s, o = layout.stations_m - zero, layout.offsets_m
@@ -99,7 +99,7 @@ def _drives(ax: Axes, zone: WorkZone, paths: Sequence[DrivePath], zero: float) -
         label = None
 
 
-def _mark(ax: Axes, number: int, finding: Finding, zone: WorkZone, zero: float) -> None:
+def _mark(ax: Axes, number: int, finding: LayoutFinding, zone: WorkZone, zero: float) -> None:
     index = {cone.feature_id: k for k, cone in enumerate(zone.layout.cones)}
     those = [index[feature_id] for feature_id in finding.feature_ids]
     s, o = zone.layout.stations_m[those] - zero, zone.layout.offsets_m[those]
@@ -115,7 +115,7 @@ def _mark(ax: Axes, number: int, finding: Finding, zone: WorkZone, zero: float) 
     )  # fmt: skip
 
 
-def _list(ax: Axes, findings: Sequence[Finding], notes: Sequence[Sequence[str]]) -> None:
+def _list(ax: Axes, findings: Sequence[LayoutFinding], notes: Sequence[Sequence[str]]) -> None:
     ax.axis("off")
     if not findings:
         ax.text(0.0, 1.0, "No finding.", va="top", fontsize=8.5, transform=ax.transAxes)

@@ -18,28 +18,16 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.model.arrays import Bools, Floats
 from conetl.model.drive import FramePair, Position, StereoMatch, SurveyedPoint
-from conetl.model.health import HealthCheck, Verdict
-from conetl.model.params import IngestParams
+from conetl.model.health import Finding
+from conetl.model.params import ControlCheckParams, IngestParams
 from conetl.model.rig import Rig
 from conetl.tracking.drive_refinement import cone_groups, refine_with_cones
 from conetl.tracking.error_propagation import moved_by_poses, moved_cov, outline_errors, pose_cov
 from conetl.tracking.trajectory import ControlCone, RefinedTrajectory, RefinementOutcome
 
 NAME = "control points"
-#: Chi-square of 3 degrees of freedom at 0.001: beyond it a point contradicts the others.
-_GATE_CHI2 = 16.3
-#: Where GNSS/INS may be wrong by this much more than it states (m, 1 sigma), this many points have to agree on it.
-_FREE_M, _LEAST_AGREEING = 1.0, 3
-#: Points this near to their position by GNSS/INS in plan (m), but not in height, may be wrong themselves.
-_SAME_PLAN_M = 0.1
-#: Where the log drifts against the images by less than this many sigmas of both, the points may as well be wrong as the log.
-_DRIFT_SIGMAS = 10.0
 #: At most about this many points are tried as the one from which the others are predicted.
 _MOST_SEEDS = 12
-#: Another assignment that fits worse by less than this (chi-square) may be the right one.
-_AMBIGUOUS_CHI2 = 9.0
-#: The cone nearest to a point is at most this far away (m), beside three sigmas of GNSS/INS.
-_NEAR_M = 2.0
 #: Points farther than this from all poses (m) have no cone in view.
 _FAR_M = 100.0
 #: Of observations nearer to each other than this (m) that were not joined, the larger group is the cone.
@@ -88,6 +76,7 @@ def refine_with_control(
     plain = refine_with_cones(frame_pairs, rig, motions, matches, params)
     if not points or not params.trajectory.refine:
         return plain
+    limits = params.check.control
     path = np.array([pair.pose.map_t_body_m[:2] for pair in frame_pairs])
     low, high = path.min(axis=0) - _FAR_M, path.max(axis=0) + _FAR_M
     count = len(points)
@@ -97,7 +86,7 @@ def refine_with_control(
 
     def adjusted(pairs: Sequence[FramePair], before: RefinedTrajectory, log: _Log | None = None) -> RefinedTrajectory:
         tie = _tied(before, rig, matches, params, points)
-        check = _check(points, tie, log)
+        check = _check(points, tie, log, limits)
         if not check.value:
             return replace(plain, control=check)
         control = [
@@ -113,12 +102,14 @@ def refine_with_control(
             return replace(refined, control=check)
         return replace(
             plain,
-            control=_unused(f"The poses cannot be adjusted to the control points: {refined.detail}.", Verdict.HOLD),
+            control=_unused("not adjusted", why=refined.detail),
         )
 
     found = adjusted(frame_pairs, plain)
-    if found.control is not None and found.control.verdict is not Verdict.PASS:
-        loose = [pair.with_pose(sigma_enu_m=vec3(np.hypot(pair.pose.sigma_enu_m, _FREE_M))) for pair in frame_pairs]
+    if found.control is not None and found.control.found:
+        loose = [
+            pair.with_pose(sigma_enu_m=vec3(np.hypot(pair.pose.sigma_enu_m, limits.free_m))) for pair in frame_pairs
+        ]
         stated_m = np.median([pair.pose.sigma_enu_m for pair in frame_pairs], axis=0)
         freely = refine_with_cones(loose, rig, motions, matches, params)
         adjusted_m, logged_m = (
@@ -139,7 +130,8 @@ def _tied(
 ) -> _Tie:
     """The largest set of points that agree about the cones of a trajectory."""
     xyz_m = np.array([point.xyz_m for point in points])
-    reach_m = _NEAR_M + 3 * max(max(pair.pose.sigma_enu_m[:2]) for pair in trajectory.logged)
+    limits = params.check.control
+    reach_m = limits.near_m + 3 * max(max(pair.pose.sigma_enu_m[:2]) for pair in trajectory.logged)
     cones = _located(trajectory, cone_groups(trajectory, rig, matches, params), rig, params, xyz_m, reach_m)
     if not cones.groups:
         return _Tie(cones, {}, {})
@@ -147,14 +139,14 @@ def _tied(
     off = xyz_m[:, None] - cones.xyz_m
     near = np.linalg.norm(off[:, :, :2], axis=2) <= reach_m
     alone = _chi2(cones, survey, off, near, {})
-    first = np.flatnonzero((alone <= _GATE_CHI2).any(axis=1))
+    first = np.flatnonzero((alone <= limits.gate_chi2).any(axis=1))
     found: list[tuple[int, float, dict[int, int]]] = []
     # One of the points from which the others are predicted has to be right.
     for i in first[:: len(first) // _MOST_SEEDS + 1].tolist():
-        for g in np.flatnonzero(alone[i] <= _GATE_CHI2).tolist():
+        for g in np.flatnonzero(alone[i] <= limits.gate_chi2).tolist():
             chosen, total = {i: g}, float(alone[i, g])
             chi2 = _chi2(cones, survey, off, near, chosen)
-            best_first = np.argsort(chi2, axis=None)[: np.count_nonzero(chi2 <= _GATE_CHI2)]
+            best_first = np.argsort(chi2, axis=None)[: np.count_nonzero(chi2 <= limits.gate_chi2)]
             for k, h in np.column_stack(np.unravel_index(best_first, chi2.shape)).tolist():
                 if k not in chosen and h not in chosen.values():
                     chosen[k] = h
@@ -163,14 +155,14 @@ def _tied(
     found.sort(key=lambda item: item[:2])
     chosen = found[0][2] if found else {}
     ambiguous = any(
-        size == found[0][0] and total < found[0][1] + _AMBIGUOUS_CHI2 and other != chosen
+        size == found[0][0] and total < found[0][1] + limits.ambiguous_chi2 and other != chosen
         for size, total, other in found[1:]
     )
-    chosen = _without_contradictions(cones, survey, off, dict(chosen))
+    chosen = _without_contradictions(cones, survey, off, dict(chosen), limits.gate_chi2)
     apart = np.linalg.norm(off - _expected(cones, survey, off, chosen)[0], axis=2)
     apart[:, list(chosen.values())] = np.inf
     nearest_m = np.where(near, apart, np.inf).min(axis=1).tolist()
-    wrong = {k: away_m for k, away_m in enumerate(nearest_m) if k not in chosen and away_m <= _NEAR_M}
+    wrong = {k: away_m for k, away_m in enumerate(nearest_m) if k not in chosen and away_m <= limits.near_m}
     return _Tie(cones, chosen, wrong, ambiguous)
 
 
@@ -255,69 +247,63 @@ def _chi2(cones: _Cones, survey: Floats, off: Floats, near: Bools, chosen: dict[
     return found
 
 
-def _without_contradictions(cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int]) -> dict[int, int]:
+def _without_contradictions(
+    cones: _Cones, survey: Floats, off: Floats, chosen: dict[int, int], gate_chi2: float
+) -> dict[int, int]:
     """The points that all others confirm: the one that fits worst is left out until all do."""
     while len(chosen) > 1:
         size, off_chosen = 3 * len(chosen), np.array([off[i, g] for i, g in chosen.items()])
         misfits = leave_one_out_nees(off_chosen, _off_cov(cones, survey, chosen).reshape(size, size))
         worst = int(misfits.argmax())
-        if misfits[worst] <= _GATE_CHI2:
+        if misfits[worst] <= gate_chi2:
             break
         del chosen[list(chosen)[worst]]
     return chosen
 
 
-def _check(points: Sequence[SurveyedPoint], tie: _Tie, log: _Log | None) -> HealthCheck:
-    """The check of the points; its value is how many are used. log: if it may be wrong by more than it states."""
-    used, wrong, count = len(tie.cone_of), len(tie.wrong), f"{len(points)} control points"
+def _check(points: Sequence[SurveyedPoint], tie: _Tie, log: _Log | None, limits: ControlCheckParams) -> Finding:
+    """What was found about the points; its value is how many are used. log: if it may be wrong by more than it states."""
+    used, wrong, count = len(tie.cone_of), len(tie.wrong), len(points)
     named = ", ".join(f"{points[k].name} ({metres:.2f} m from the cone there)" for k, metres in tie.wrong.items())
     if not used and not wrong:
-        return _none_near(len(points))
-    if (wrong and (used < 2 or used <= wrong)) or (log is not None and used < _LEAST_AGREEING):
-        agreeing = f" Only {', '.join(points[k].name for k in tie.cone_of)} fit." if used else ""
-        return _unused(
-            f"The control points contradict each other or GNSS/INS: {named}.{agreeing} Check the points, their datum and that of "
-            f"GNSS/INS, or survey more: {_LEAST_AGREEING} points must agree.",
-            Verdict.HOLD,
-        )
+        return _none_near(count)
+    if (wrong and (used < 2 or used <= wrong)) or (log is not None and used < limits.least_agreeing):
+        agreeing = ", ".join(points[k].name for k in tie.cone_of)
+        says = ("contradict", *(["only"] if used else []), "survey")
+        return _unused(*says, named=named, agreeing=agreeing, least=limits.least_agreeing)
     if tie.ambiguous:
         twins = [
             f"{one.name} and {other.name}"
             for one, other in combinations(points, 2)
             if np.linalg.norm(np.subtract(one.xyz_m, other.xyz_m)) < _SAME_M
         ]
-        advice = (
-            f"one cone is surveyed twice ({', '.join(twins)}): keep one of the points"
-            if twins
-            else "survey more points"
-        )
-        return _unused(f"The {count} match the cones in more than one way: {advice}.")
-    detail = f"{used} of {count} match a cone and agree: the poses are adjusted to them."
-    verdict = Verdict.WARN if wrong else Verdict.PASS
+        return _unused("twins" if twins else "ambiguous", count=count, twins=", ".join(twins))
+    finding = Finding(
+        check=NAME, value=float(used), found=wrong > 0, says=("used",), facts={"used": used, "count": count}
+    )
     if log is not None:
-        stated_m, drift_m = log
-        mean_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
-        both_m = np.hypot(stated_m, np.mean([points[i].sigma_m for i in tie.cone_of], axis=0))
-        sigmas = float(np.abs(mean_m / both_m).max())
-        off = f"{np.linalg.norm(mean_m):.2f} m"
-        if np.hypot(*mean_m[:2]) < _SAME_PLAN_M:
-            verdict, off = Verdict.HOLD, f"{off} in height only"
-            advice = "were feet surveyed, not tips, with the right pole and height system? If so, accept the drive"
-        elif (drift_m < _DRIFT_SIGMAS * both_m).all():
-            verdict, off = Verdict.WARN, f"{off}, all along the drive"
-            advice = "one of the two is wrong, and the map uses the points. Check datum and base station of both"
-        else:
-            verdict = Verdict.WARN if wrong else Verdict.CORRECTED
-            advice = "it drifts, or jumps: check its log"
-        detail += f" GNSS/INS differs from them by {off} ({sigmas:.0f} sigmas of both): {advice}."
-    if wrong:
-        detail += f" Not used, because the others contradict them: {named}."
-    return HealthCheck(name=NAME, verdict=verdict, value=float(used), detail=detail)
+        finding = _with_log(finding, points, tie, log, limits)
+    return finding.saying(*finding.says, "wrong", named=named) if wrong else finding
 
 
-def _unused(detail: str, verdict: Verdict = Verdict.WARN) -> HealthCheck:
-    return HealthCheck(name=NAME, verdict=verdict, value=0.0, detail=detail)
+def _with_log(
+    finding: Finding, points: Sequence[SurveyedPoint], tie: _Tie, log: _Log, limits: ControlCheckParams
+) -> Finding:
+    """The finding with how the log differs from the points that are used: in height only, all along the drive, or by a drift."""
+    stated_m, drift_m = log
+    mean_m = np.mean([points[i].xyz_m - tie.cones.xyz_m[g] for i, g in tie.cone_of.items()], axis=0)
+    both_m = np.hypot(stated_m, np.mean([points[i].sigma_m for i in tie.cone_of], axis=0))
+    off = {"off_m": float(np.linalg.norm(mean_m)), "sigmas": float(np.abs(mean_m / both_m).max())}
+    if np.hypot(*mean_m[:2]) < limits.same_plan_m:
+        return finding.model_copy(update={"found": True}).saying("used", "in height", **off)
+    if (drift_m < limits.drift_sigmas * both_m).all():
+        return finding.model_copy(update={"found": True}).saying("used", "all along", **off)
+    return finding.model_copy(update={"treated": "corrected"}).saying("used", "drift", **off)
 
 
-def _none_near(count: int) -> HealthCheck:
-    return _unused(f"None of the {count} control points is near a cone: check their CRS and height system.")
+def _unused(*says: str, **facts: int | str) -> Finding:
+    return Finding(check=NAME, value=0.0, found=True, says=says, facts=facts)
+
+
+def _none_near(count: int) -> Finding:
+    return _unused("none near", count=count)

@@ -23,6 +23,7 @@ from conetl.model.rig import Rig
 from conetl.tracking.association import CameraMotion, chain_positions
 from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
 from conetl.tracking.error_propagation import motion_error
+from conetl.tracking.log_errors import assumed_errors
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.rolling_shutter import row_time_sigma_s
 from conetl.tracking.trajectory import (
@@ -37,8 +38,6 @@ from conetl.tracking.trajectory import (
     refine_trajectory,
 )
 
-#: Differences of distances beyond this many prior sigmas of the calibration's scale, and of their own, may be a drift of the log.
-_DOUBTFUL_SIGMAS, _SIGNIFICANT_SIGMAS = 2.0, 3.0
 #: Neighbouring observations of a cone are correlated (background, sun, calibration): this many count as one.
 _CORRELATED = 4.0
 #: Offsets of the clocks beside a course: each finds what the adjustment before it had put into the attitudes.
@@ -69,7 +68,7 @@ def refine_with_cones(
         frame_pairs = at_images(frame_pairs, log, clock.offset_s)
     refined = refine_trajectory(frame_pairs, rig, motions, params.trajectory, control=control)
     if cones := _landmarks(refined, frame_pairs, rig, matches, params, control):
-        together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control)
+        together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control, refined.errors)
         if together.outcome is RefinementOutcome.REFINED:
             pairs = [
                 pair.with_pose(sigma_enu_m=alone.pose.sigma_enu_m, sigma_rpy_rad=alone.pose.sigma_rpy_rad)
@@ -77,7 +76,7 @@ def refine_with_cones(
             ]
             detail = f"{together.detail}; point objects used as landmarks: {len(cones)}"
             refined = replace(
-                together, frame_pairs=tuple(pairs), covariance=refined.covariance, scale=refined.scale, detail=detail
+                together, frame_pairs=tuple(pairs), covariance=refined.covariance, path=refined.path, detail=detail
             )
     refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
     if refined.covariance is None:
@@ -125,17 +124,13 @@ def _clock(
     return clock
 
 
-def scale_is_doubtful(scale: float, sigma: float, prior_sigma: float) -> bool:
-    """Whether neither the calibration nor the stated errors of the log explain why both show different distances (a share)."""
-    return abs(scale) > max(_DOUBTFUL_SIGMAS * prior_sigma, _SIGNIFICANT_SIGMAS * sigma)
-
-
 def _with_common_errors(
     refined: RefinedTrajectory, params: TrajectoryParams, control: Sequence[ControlCone], row_time_s: float = 0.0
 ) -> RefinedTrajectory:
-    """The trajectory with the errors of clock and lever arm, of rows of unknown time (`row_time_sigma_s`), and of GNSS/INS as
-    its best record (or control point) states it, which move all poses together: however many records there are, their common
-    error is not averaged out. Where images and log show different distances, the log may drift by the difference."""
+    """The trajectory with the errors of clock and lever arm, of rows of unknown time (`row_time_sigma_s`), and of what GNSS/INS
+    errs by in all records alike, which move all poses together: however many records there are, it is not averaged out. The best
+    record (or control point) limits it. Where images and log show different paths, the log may have drifted by the difference.
+    """
     assert refined.covariance is not None
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
     times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
@@ -144,26 +139,29 @@ def _with_common_errors(
     stated = [np.array(pair.pose.sigma_enu_m) for pair in refined.logged]
     best = np.min([*stated, *(np.sqrt(np.diag(cone.cov_m2)) for cone in control)], axis=0)
     known = np.diagonal(refined.covariance.cov, axis1=1, axis2=2)[:, :3].min(axis=0)
-    systematic = np.sqrt(np.maximum(best**2 - known, 0.0))
-    reach = np.zeros((len(poses), STATE, 9))
+    errors = refined.errors or assumed_errors(params)
+    lasting, constant, factor = (errors.by_axis(field)[:3] for field in ("slow", "constant", "factor"))
+    systematic = np.sqrt(constant * np.maximum(lasting * factor * best**2 - known, 0.0))
+    drifts = refined.path.drifts() if refined.path is not None else np.zeros((len(poses), 3, 0))
+    reach = np.zeros((len(poses), STATE, 7 + drifts.shape[2]))
     reach[:, :POSE, 0] = (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]])) / 2
     reach[:, :3, 1:4], reach[:, :3, 4:7] = poses[:, :3, :3], np.eye(3)
-    # Where images and log show different distances the log may have drifted, from the first or to the last of its positions.
-    doubtful = refined.scale is not None and scale_is_doubtful(*refined.scale, params.scale_sigma)
-    drift = refined.scale[0] if refined.scale is not None and doubtful else 0.0
-    ends = poses[[0, -1], :3, 3]
-    reach[:, :3, 7], reach[:, :3, 8] = drift * (ends[1] - ends[0]) / 2, drift * (poses[:, :3, 3] - ends.mean(axis=0))
+    reach[:, :3, 7:] = drifts
     clock_s = params.clock_sigma_s if refined.clock is None else refined.clock.remaining_s(params.clock_sigma_s)
     clock_s = float(np.hypot(clock_s, row_time_s))
     cov = chain_solver.with_common_errors(
-        refined.covariance, reach, np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *systematic, 1.0, 1.0])
+        refined.covariance,
+        reach,
+        np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *systematic, *[1.0] * drifts.shape[2]]),
     )
     sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
     pairs = tuple(
         pair.with_pose(sigma_enu_m=vec3(own[:3]), sigma_rpy_rad=vec3(own[3:]))
         for pair, own in zip(refined.frame_pairs, sigma, strict=True)
     )
-    return replace(refined, frame_pairs=pairs, covariance=cov, changes=doubtful or is_interpolated(refined.logged))
+    return replace(
+        refined, frame_pairs=pairs, covariance=cov, changes=drifts.shape[2] > 0 or is_interpolated(refined.logged)
+    )
 
 
 def cone_groups(

@@ -21,7 +21,7 @@ from conetl.geometry.packing import cov_matrices, cov_matrix
 from conetl.geometry.rig import map_SE3_left
 from conetl.geometry.small_arrays import cross_matrix, nearest_index
 from conetl.model.arrays import Floats, Ints
-from conetl.model.drive import FramePair, Pose, Position
+from conetl.model.drive import CommonError, FramePair, Pose, Position
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
@@ -238,6 +238,45 @@ def outline_jacobian(group: Sequence[Position], shares: Floats, map_SE3_left: Ma
     errors = np.stack([outline_errors(p, rig) * (p.sigma_outline_m > 0) for p in group])
     turn = np.stack([map_SE3_left[p.frame_index][:3, :3] for p in group])
     return np.asarray(np.einsum("fij,fjk,fkl->il", shares, turn, errors))
+
+
+def common_axes(error: CommonError, rotations: Floats) -> Floats:
+    """(N, 3, 3) m: change of N positions of the body by one sigma of each part of an error that drives share.
+
+    rotations: map_R_body (N, 3, 3).
+    """
+    axes = rotations if error.axes == "vehicle" else np.broadcast_to(np.eye(3), rotations.shape)
+    return np.asarray(axes * error.sigma_m)
+
+
+def shared_by_drives(
+    errors: Sequence[CommonError], shares: Floats, poses: Sequence[Pose], of_poses: Floats, *, corrected: bool
+) -> tuple[list[tuple[UUID, Floats]], Floats]:
+    """Ids and Jacobians (3, 3) m of the part of the errors of a joint fit that drives share, and the covariance (3, 3) m^2 that
+    the poses' part of it, `of_poses`, lacks to contain them.
+
+    Nothing in a drive shows an error that is constant in it, so that the adjustment must not reduce it; what it states is too
+    small where it takes all errors of the log to change. Control points show it (`corrected`): of the errors remains at most what
+    the adjustment states. shares: as for `common_cov`.
+    """
+    if not errors:
+        return [], np.zeros((3, 3))
+    rotations = np.array([pose.map_R_body for pose in poses])
+    moved = [(shares @ common_axes(error, rotations)).sum(axis=0) for error in errors]
+    ids, stacked = [common_error_id(error) for error in errors], np.hstack(moved)
+    if corrected:
+        excess = float(np.linalg.eigvalsh(stacked.T @ np.linalg.solve(of_poses, stacked))[-1])
+        return list(zip(ids, [part / max(excess, 1.0) ** 0.5 for part in moved], strict=True)), np.zeros((3, 3))
+    values, vectors = np.linalg.eigh(stacked @ stacked.T - of_poses)
+    return list(zip(ids, moved, strict=True)), (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def common_error_id(error: CommonError) -> UUID:
+    """Of an error of the positions among the shared errors of drives.
+
+    With two sigmas of one error its value would follow from the difference of two drives: another sigma is another error.
+    """
+    return uuid5(NAMESPACE_OID, f"conetl:common:{error.axes}:{error.sigma_m}:{error.id}")
 
 
 def class_error_id(category: str) -> UUID:

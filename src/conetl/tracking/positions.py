@@ -84,6 +84,8 @@ class _Located(NamedTuple):
     """(M,) m, the part of it common to all observations of a cone: sigma down, and times `outline_aside` to the right"""
     residual_rms: Floats
     """(M,) px, over the eight image coordinates of foot and tip"""
+    variance_factor: Floats
+    """(M,) a-posteriori variance of an image point in units of the stated one, from the two degrees of freedom of foot and tip"""
     ray_angle: Floats
     """(M,) rad, at the foot"""
     iterations: NDArray[np.int64]
@@ -137,11 +139,16 @@ def locate_positions(
 def locate_in_camera(
     matches: Sequence[StereoMatch], rig: Rig, params: PositionParams
 ) -> tuple[list[CameraPosition], list[Rejection]]:
-    """Positions of stereo matches without a trajectory, in the frame of the left camera that took the images."""
+    """Positions of stereo matches without a trajectory, in the frame of the left camera that took the images.
+
+    No other pair shows whether the sigmas of the image points are right: where a pair's own residuals are larger, so are its
+    sigmas, by the variance factor.
+    """
     if not matches:
         return [], []
     located = _locate(matches, rig, params)
-    foot_cov = located.foot_cov + calibration_cov(located.xyz[0], rig)
+    of_images = located.foot_cov * np.maximum(located.variance_factor, 1.0)[:, None, None]
+    foot_cov = of_images + calibration_cov(located.xyz[0], rig)
     up = rigs.up_in_left_camera(rig)
     height = located.xyz @ up
     level = located.xyz[0] - height[0][:, None] * up
@@ -228,6 +235,7 @@ def _locate(matches: Sequence[StereoMatch], rig: Rig, params: PositionParams) ->
         foot_cov=foot_cov,
         outline_m=outline_m,
         residual_rms=np.sqrt(np.mean(residuals**2, axis=(0, 2))),
+        variance_factor=np.sum((residuals / np.tile(sigma, 2)) ** 2, axis=(0, 2)) / 2,
         ray_angle=result.ray_angle_rad[:count],
         iterations=result.iterations.reshape(3, count).max(axis=0),
     )

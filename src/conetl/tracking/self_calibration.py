@@ -4,8 +4,11 @@
 plausibility of the estimate, and the rig with its right camera corrected. A turn changes `body_SE3_right`; intersection,
 odometry and tracks use the full orientation. A bend at the sides of the image changes turn and principal point together. Images
 are not resampled: of a rig with `rectified_from` the camera that took them is turned by the same angle; a bend would change the
-images, so that such rigs are only turned. The readout of a rolling shutter that is not known is estimated along with them, and
-replaces its prior whatever it is.
+images, so that such rigs are only turned.
+
+Also the errors that are assumed of a calibration that states none (`with_assumed_errors`): the prior of the estimate, and, where
+nothing is estimated, part of the sigmas of all positions. The readout of a rolling shutter that is not known is estimated along
+with turn and bend, and replaces its prior whatever it is.
 """
 
 from __future__ import annotations
@@ -17,9 +20,16 @@ from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
+from scipy.linalg import block_diag
 
 from conetl.geometry import pose as se3
-from conetl.geometry.calibration.covariance import calibration_id, known_covariance, square_root, with_covariance
+from conetl.geometry.calibration.covariance import (
+    calibration_id,
+    known_covariance,
+    shared_errors,
+    square_root,
+    with_covariance,
+)
 from conetl.geometry.calibration.self_calibration import (
     Readouts,
     RightCameraError,
@@ -37,15 +47,21 @@ from conetl.geometry.motion.rolling_shutter import (
 )
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import as_rows, vec3
-from conetl.geometry.rig import body_SE3_camera, right_camera_turned
+from conetl.geometry.rig import body_SE3_camera, left_SE3_right, right_camera_turned
 from conetl.model.arrays import Floats
 from conetl.model.base import Record, Vec3
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import MAX_READOUT_MS, CalibrationCovariance, Rig, SharedErrors, Shutter, Side
 
 _TURN_NAMES = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
+_BASELINE_NAMES = ("relative.tx_m", "relative.ty_m", "relative.tz_m")
 #: The tangential coefficient of brown and rational lenses that moves columns by (3 x^2 + y^2) of it.
 _DECENTRING = "lens.3"
+
+
+#: Offsets of the right camera beyond this many of their sigmas are in the sigmas of positions.
+DOUBTFUL_SIGMAS = 3.0
+_FORWARD = "relative.tz_m"
 
 
 class Span(NamedTuple):
@@ -83,7 +99,7 @@ class SelfCalibration(Record):
     model_gap: tuple[float, ...] = ()
     """(rx, ry, rz, bend): their change if disparities may also follow another field; empty without an estimate."""
     right_ahead: tuple[float, ...] = ()
-    """Offset of the right camera forward of its calibrated position, and its sigma (`checks/exposures.py`); empty if unknown."""
+    """Offset of the right camera forward of its calibrated position, and its sigma (`right_camera_ahead`); empty if unknown."""
     span_count: int = Field(default=0, ge=0)
     readout_ms: tuple[float, float] | None = None
     """By how much the readout of both cameras is longer than assumed, and the sigma of the result; None: not estimated."""
@@ -134,7 +150,7 @@ def self_calibrate(
     estimate = estimate_right_camera(cameras_of(rig), points, params, readouts)
     if estimate is None:
         return _without_estimate("too few points are stationary, or all of them are far away")
-    unit_px = _pixels_per_unit(rig)
+    unit_px = pixels_per_unit(rig)
     cov = estimate.cov + np.diag(_floor(rig, params) ** 2)
     _, prior, by_parameter = _prior(rig, params)
     before = by_parameter @ prior @ by_parameter.T
@@ -198,15 +214,34 @@ def _readout_of(
     return (longer_ms, sigma_ms), text
 
 
-def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryParams) -> Rig:
-    """The rig with its right camera corrected and the remaining `calibration_covariance`; unchanged unless applied.
+def with_assumed_errors(rig: Rig, params: TrajectoryParams) -> Rig:
+    """The rig; if its calibration states no errors, with those that published calibrations have.
 
-    A readout that was estimated is applied in any case.
+    They are a turn and a bend of the right camera (`self_calibration_prior_px`) and the length of the baseline, which stands for
+    the scale of both (`scale_sigma`).
+    """
+    if known_covariance(rig) is not None:
+        return rig
+    names = (*_TURN_NAMES, "right.cx_px") if rig.rectified_from is None else _TURN_NAMES
+    sigma = params.self_calibration_prior_px / pixels_per_unit(rig)
+    baseline_m = left_SE3_right(rig.rectified_from or rig)[:3, 3]
+    root = block_diag(np.linalg.pinv(_by_parameter(names, rig)) * sigma, params.scale_sigma * baseline_m[:, None])
+    matrix = as_rows(_symmetric(root @ root.T))
+    return with_covariance(rig, CalibrationCovariance(names=(*names, *_BASELINE_NAMES), matrix=matrix))
+
+
+def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryParams) -> Rig:
+    """The rig with its right camera corrected and the remaining `calibration_covariance`; stated and not applied: unchanged.
+
+    A calibration that states no errors has the assumed ones, or, where the drive agrees with it, what these leave. A readout that
+    was estimated is applied in any case.
     """
     rig = _with_readout(rig, found)
-    if found.outcome is not SelfCalibrationOutcome.APPLIED:
-        return rig
-    assert found.rotation_rad is not None  # it was applied
+    agrees = found.outcome is SelfCalibrationOutcome.INSIGNIFICANT and known_covariance(rig) is None
+    applied = found.outcome is SelfCalibrationOutcome.APPLIED
+    if not (applied or agrees):
+        return with_assumed_errors(rig, params)
+    assert found.rotation_rad is not None  # it was estimated
     names, prior, by_parameter = _prior(rig, params)
     # The estimate is a measurement of turn and bend, and so of all correlated parameters.
     before, after = by_parameter @ prior @ by_parameter.T, np.zeros((4, 4))
@@ -215,13 +250,17 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
     back = np.linalg.pinv(before, rcond=1e-9, hermitian=True)
     lift = prior @ by_parameter.T @ back
     left_over = _symmetric(prior - lift @ (before - after) @ lift.T)
+    turn_and_bend = np.array([*found.rotation_rad, found.bend])
     shared = SharedErrors(
-        # Of a calibration without covariance, the id with the assumed one.
-        calibration=calibration_id(with_covariance(rig, CalibrationCovariance(names=names, matrix=as_rows(prior)))),
+        calibration=calibration_id(with_assumed_errors(rig, params)),
         matrix=as_rows(_shared_after(prior, by_parameter, lift @ (before - after) @ back, found, _floor(rig, params))),
     )
+    if not applied:  # what was found is an error that remains
+        remains = lift @ turn_and_bend
+        kept = CalibrationCovariance(names=names, matrix=as_rows(left_over + np.outer(remains, remains)), shared=shared)
+        return with_covariance(rig, kept)
     covariance = CalibrationCovariance(names=names, matrix=as_rows(left_over), shared=shared)
-    rotation, shift_px = equivalent_camera(np.array([*found.rotation_rad, found.bend]), rig.right.fx_px)
+    rotation, shift_px = equivalent_camera(turn_and_bend, rig.right.fx_px)
     rig = right_camera_turned(rig, rotation)
     if rig.rectified_from is None:
         rig = rig.model_copy(update={"right": rig.right.model_copy(update={"cx_px": rig.right.cx_px + shift_px})})
@@ -241,6 +280,48 @@ def _with_readout(rig: Rig, found: SelfCalibration) -> Rig:
     return with_shutters(rig, of("left"), of("right"))
 
 
+def is_ahead(ahead: Sequence[float]) -> bool:
+    """Whether an offset of the right camera (`SelfCalibration.right_ahead`) is more than noise."""
+    return bool(ahead) and abs(ahead[0]) > DOUBTFUL_SIGMAS * ahead[1]
+
+
+def widened_by_offset(rig: Rig, found: SelfCalibration) -> Rig:
+    """The rig whose `calibration_covariance` contains the offset of its right camera, if there is one.
+
+    It is not corrected: other brightness curves of the two cameras look the same, and move nothing.
+    """
+    if not is_ahead(found.right_ahead):
+        return rig
+    known = known_covariance(rig)
+    given = () if known is None else known.names
+    names = given if _FORWARD in given else (*given, _FORWARD)
+    matrix = np.zeros((len(names), len(names)))
+    if known is not None:
+        matrix[: len(given), : len(given)] = known.matrix
+    at = names.index(_FORWARD)
+    matrix[at, at] += (found.right_ahead[0] * rig.baseline_m) ** 2
+    shared = None if known is None else known.shared
+    if shared is not None and len(names) > len(given):
+        shared = shared.model_copy(update={"matrix": (*shared.matrix, (0.0,) * len(shared.matrix[0]))})
+    return with_covariance(rig, CalibrationCovariance(names=names, matrix=as_rows(matrix), shared=shared))
+
+
+def with_measured_scale(rig: Rig, given: Rig, scale: tuple[float, float] | None, params: TrajectoryParams) -> Rig:
+    """The rig of a drive with the error of its scale that distances in GNSS/INS leave open.
+
+    given: as it was read; of stated errors none is changed. scale: distances in the images relative to those in GNSS/INS, less 1,
+    and its sigma; the rig is not corrected by it. None: not measured.
+    """
+    covariance, shared = known_covariance(rig), shared_errors(rig)
+    if known_covariance(given) is not None or scale is None or covariance is None or shared is None:
+        return rig
+    part = min(float(np.hypot(*scale)) / params.scale_sigma, 1.0)
+    factor = np.array([part if name in _BASELINE_NAMES else 1.0 for name in covariance.names])
+    common = shared.model_copy(update={"matrix": as_rows(np.array(shared.matrix) * factor[:, None])})
+    matrix = as_rows(np.array(covariance.matrix) * np.outer(factor, factor))
+    return with_covariance(rig, CalibrationCovariance(names=covariance.names, matrix=matrix, shared=common))
+
+
 def _shared_after(prior: Floats, by_parameter: Floats, gain: Floats, found: SelfCalibration, floor: Floats) -> Floats:
     """(K, M): change of the corrected parameters by one sigma of errors shared by drives with the same calibration.
 
@@ -254,36 +335,36 @@ def _shared_after(prior: Floats, by_parameter: Floats, gain: Floats, found: Self
 
 def _floor(rig: Rig, params: TrajectoryParams) -> Floats:
     """(4,): least sigma of the estimate."""
-    return np.asarray(params.self_calibration_sigma_floor_px / _pixels_per_unit(rig))
+    return np.asarray(params.self_calibration_sigma_floor_px / pixels_per_unit(rig))
 
 
-def _pixels_per_unit(rig: Rig) -> Floats:
+def pixels_per_unit(rig: Rig) -> Floats:
     """(4,): rows for rx and disparity for ry in the middle of the image, rows for rz and columns for the bend at its side."""
     side = rig.right.width_px / 2 / rig.right.fx_px
     return np.array([rig.right.fy_px, rig.right.fx_px, rig.right.width_px / 2, rig.right.fx_px * side**2])
 
 
+def turn_and_bend_cov(rig: Rig, params: TrajectoryParams) -> Floats:
+    """(4, 4): covariance of turn and bend by the errors of the given calibration, stated or assumed."""
+    _, prior, by_parameter = _prior(rig, params)
+    return np.asarray(by_parameter @ prior @ by_parameter.T)
+
+
 def _prior(rig: Rig, params: TrajectoryParams) -> tuple[tuple[str, ...], Floats, Floats]:
-    """Names (K) and covariance (K, K) of the given calibration, and (4, K) turn and bend by its errors.
+    """Names (K) and covariance (K, K) of the given calibration, stated or assumed, and (4, K) turn and bend by its errors."""
+    covariance = known_covariance(with_assumed_errors(rig, params))
+    assert covariance is not None
+    return covariance.names, np.array(covariance.matrix), _by_parameter(covariance.names, rig)
+
+
+def _by_parameter(names: Sequence[str], rig: Rig) -> Floats:
+    """(4, K): turn and bend of the rectified right camera by an error of each named parameter.
 
     An error of the principal point acts like a turn and a bend that cancel at the sides of the image, decentring of a lens like
     a bend. Other parameters have no effect here.
     """
     camera_rig = rig.rectified_from or rig
     own_R_camera_rig = body_SE3_camera(rig, "right")[:3, :3].T @ body_SE3_camera(camera_rig, "right")[:3, :3]
-    bends = rig.rectified_from is None
-    known = known_covariance(rig)
-    assumed = (*_TURN_NAMES, "right.cx_px") if bends else _TURN_NAMES
-    names = assumed if known is None else known.names
-    by_parameter = _by_parameter(names, camera_rig, own_R_camera_rig, bends)
-    if known is not None:
-        return names, np.array(known.matrix), by_parameter
-    sigma, back = params.self_calibration_prior_px / _pixels_per_unit(rig), np.linalg.pinv(by_parameter)
-    return names, back @ np.diag(sigma**2) @ back.T, by_parameter
-
-
-def _by_parameter(names: Sequence[str], camera_rig: Rig, own_R_camera_rig: Floats, bends: bool) -> Floats:
-    """(4, K): turn and bend of the rectified right camera by an error of each named parameter."""
     result = np.zeros((4, len(names)))
     for k, name in enumerate(names):
         side, _, field = name.partition(".")
@@ -296,7 +377,7 @@ def _by_parameter(names: Sequence[str], camera_rig: Rig, own_R_camera_rig: Float
             result[0, k] = sign / camera.fy_px
         elif field == _DECENTRING and camera.lens.model in ("brown", "rational"):
             result[3, k] = 3 * sign
-    result[3] *= bends
+    result[3] *= rig.rectified_from is None
     return result
 
 

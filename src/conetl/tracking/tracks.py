@@ -9,13 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
-from conetl.geometry.calibration.covariance import jacobian_of
+from conetl.geometry.calibration.covariance import jacobian_of, shared_cov
 from conetl.geometry.intersection import JointFit, fit_point
 from conetl.geometry.packing import cov3, vec3
 from conetl.geometry.rig import map_SE3_camera, map_SE3_left
 from conetl.model.arrays import Floats
 from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence, class_evidence
-from conetl.model.drive import Detection, FramePair, Position, StereoMatch, Track
+from conetl.model.drive import CommonError, Detection, FramePair, Position, StereoMatch, Track
 from conetl.model.feature_classes import FEATURE_CLASSES, noun_of
 from conetl.model.params import IngestParams, TrackParams
 from conetl.model.rejections import Rejection, RejectionReason
@@ -26,6 +26,7 @@ from conetl.tracking.error_propagation import (
     common_cov,
     moved_by_calibration,
     outline_jacobian,
+    shared_by_drives,
     track_shares,
 )
 from conetl.tracking.existence import existence_probability
@@ -51,6 +52,10 @@ class DriveData:
     """Figures of the detector."""
     motion: MotionError | None
     """Error of the relative motion of a refined trajectory; without it the shares in `params.track` hold."""
+    common_errors: Sequence[CommonError] = ()
+    """Of the positions of the body; other drives share them."""
+    corrected: bool = False
+    """Whether control points correct the poses."""
 
     @cached_property
     def map_SE3_left(self) -> Mapping[int, Floats]:
@@ -71,14 +76,17 @@ def drive_data(
     params: IngestParams,
     evidence: DetectorEvidence = UNMEASURED,
     motion: MotionError | None = None,
+    *,
+    common_errors: Sequence[CommonError] = (),
+    corrected: bool = False,
 ) -> DriveData:
-    """The observations of a drive indexed by frame. detections: of both images."""
+    """The observations of a drive indexed by frame. detections: of both images; all others: see `DriveData`."""
     by_frame: dict[int, list[Detection]] = defaultdict(list)
     for detection in detections:
         by_frame[detection.frame_index].append(detection)
     match_of = {(m.frame_index, m.match_index): m for m in matches}
     pairs = {pair.frame_index: pair for pair in frame_pairs}
-    return DriveData(match_of, by_frame, pairs, rig, params, evidence, motion)
+    return DriveData(match_of, by_frame, pairs, rig, params, evidence, motion, common_errors, corrected)
 
 
 def fuse_tracks(
@@ -144,13 +152,18 @@ def fuse_group(
     own_cov = foot.cov_m2 + outline @ outline.T - of_class @ of_class.T
     log = data.params.trajectory if data.motion is None else None
     of_drive = common_cov(group, foot.shares, data.frame_pairs, rig, data.map_SE3_left, log)
-    shared = [(class_error_id(category), of_class)] if of_class.any() else []
+    calibrated = moved_by_calibration(group, foot.shares, rig, data.map_SE3_left)
+    poses = [data.frame_pairs[p.frame_index].pose for p in group]
+    common, lacking = shared_by_drives(
+        data.common_errors, foot.shares, poses, of_drive - shared_cov(calibrated, rig), corrected=data.corrected
+    )
+    shared = [(class_error_id(category), of_class), *common] if of_class.any() else common
     first, last = (data.frame_pairs[p.frame_index].captured_at_ns for p in (group[0], group[-1]))
     return Track(
         track_index=index,
         category=category,
         xyz_m=vec3(foot.xyz_m),
-        cov_m2=cov3(own_cov + of_class @ of_class.T + of_drive),
+        cov_m2=cov3(own_cov + of_class @ of_class.T + of_drive + lacking),
         relative_cov_m2=cov3(own_cov + _changed_by_motion(group, foot, data)),
         centre_xyz_m=vec3(centre.xyz_m),
         object_height_m=height_m,
@@ -162,7 +175,7 @@ def fuse_group(
         residual_rms_px=float(np.sqrt(np.mean(foot.residuals_px**2))),
         nearest_range_m=nearest_m,
         members=tuple((p.frame_index, p.match_index) for p in group),
-        shared_jacobian=jacobian_of(moved_by_calibration(group, foot.shares, rig, data.map_SE3_left), rig, shared),
+        shared_jacobian=jacobian_of(calibrated, rig, shared),
     )
 
 

@@ -1,14 +1,13 @@
 """Logged poses and visual odometry -> refined poses with a joint covariance.
 
-Errors of GNSS/INS are first-order Gauss-Markov processes with the stated sigmas, plus a small white share. Visual odometry
-connects successive frame pairs; `geometry/motion/pose_graph.py` has the adjustment. Motions that contradict GNSS/INS beyond its
-errors are rejected.
+`log_errors.py` has the model of GNSS/INS errors, which is estimated for each drive. Visual odometry connects successive frame
+pairs; `geometry/motion/pose_graph.py` has the adjustment. Motions that contradict GNSS/INS beyond its errors are rejected.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -30,13 +29,23 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrix
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.drive import FramePair, Position
-from conetl.model.health import HealthCheck
+from conetl.model.health import Finding
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.clock import ClockOffset
+from conetl.tracking.log_errors import (
+    LogErrors,
+    StatedErrors,
+    assumed_errors,
+    estimate_log_errors,
+    rough_errors,
+    sigma_levels,
+)
+from conetl.tracking.path_difference import rising
+from conetl.tracking.path_fit import PathFit, fit_path
 
 #: Least sigmas (m, rad) and time step (s): zero would have no finite weight.
-_LEAST_SIGMA_M, _LEAST_SIGMA_RAD, LEAST_STEP_S = 1e-4, 1e-6, 1e-3
+_LEAST_SIGMA_M, _LEAST_SIGMA_RAD, LEAST_STEP_S, _LEAST_SHARE = 1e-4, 1e-6, 1e-3, 1e-6
 #: Visual odometry turns about the optical axis by this much per metre (one sigma) in all intervals: points are followed less
 #: well where the road comes nearer. Recorded attitudes hold it, a course does not show it.
 _TURN_RAD_PER_M = 5e-5
@@ -44,6 +53,8 @@ _TURN_RAD_PER_M = 5e-5
 _GATE_CHI2 = 38.3
 _NEIGHBOURS = 4
 _LONE_SIGMAS = 4.5
+#: A step of the log is so many times as rough as the images there.
+_STEPS_BY = 2.0
 #: The error of interpolation comes and goes between two records: from one of n frame pairs to the next this share over n of it.
 _CHANGING = 4.0
 
@@ -73,16 +84,18 @@ class RefinedTrajectory:
     """(4, 4)"""
     covariance: ChainCovariance | None
     """Of the states; None unless refined."""
-    scale: tuple[float, float] | None = None
-    """By what share the images show longer distances than GNSS/INS, with its sigma; None unless refined."""
+    path: PathFit | None = None
+    """What the path of GNSS/INS and that of the images differ by; None unless refined."""
     clock: ClockOffset | None = None
     """Between cameras and GNSS/INS; None where the drive does not show it."""
     changes: bool = False
     """Whether errors of the poses change within the drive by more than cones err: GNSS/INS may drift, or has few records."""
     logged: tuple[FramePair, ...] = ()
     """Poses as logged, at the instants of the images where the clock was corrected."""
-    control: HealthCheck | None = None
+    control: Finding | None = None
     """What the control points say; None without them."""
+    errors: LogErrors | None = None
+    """Of the log, as the drive shows them; None unless images could be compared with it."""
 
 
 @dataclass(frozen=True)
@@ -103,50 +116,50 @@ def refine_trajectory(
     params: TrajectoryParams,
     cones: Sequence[Sequence[Position]] = (),
     control: Sequence[ControlCone] = (),
+    errors: LogErrors | None = None,
 ) -> RefinedTrajectory:
     """Adjust a drive's poses to visual odometry and, optionally, to groups of positions of one cone each and control points.
 
-    motions: any subset of the drive's intervals, each once. Without any, and if the adjustment would move a pose beyond its
-    stated sigmas, the poses are unchanged and `outcome` has the reason.
+    motions: any subset of the drive's intervals, each once. errors: of the log, if they are known. Without motions, and if the
+    adjustment would move a pose beyond its stated sigmas, the poses are unchanged and `outcome` has the reason.
     """
 
     def as_logged(outcome: RefinementOutcome, detail: str) -> RefinedTrajectory:
         own = np.array(rig.body_SE3_left)
         poses = np.stack([se3.compose(se3.map_SE3_body(pair.pose), own) for pair in frame_pairs])
-        return RefinedTrajectory(tuple(frame_pairs), outcome, detail, poses, own, None)
+        return RefinedTrajectory(tuple(frame_pairs), outcome, detail, poses, own, None, errors=errors)
 
     if not params.refine:
         return as_logged(RefinementOutcome.SWITCHED_OFF, "refinement is switched off")
-    log = read_log(frame_pairs, rig, params)
     measured = measured_motions(frame_pairs, motions, params)
     if not len(measured.start):
         return as_logged(RefinementOutcome.NO_MEASUREMENT, "no two consecutive frame pairs could be compared")
+    sparse = is_interpolated(frame_pairs)
+    common_sigmas = [params.scale_sigma, _TURN_RAD_PER_M] if sparse else [params.scale_sigma]
+    errors = errors or log_errors_of(frame_pairs, rig, measured, params)
+    log = read_log(frame_pairs, rig, params, errors)
     good = plausible_motions(log, measured, params.scale_sigma)
     if not good.any():
         detail = f"all {len(good)} measured motions contradict GNSS/INS or each other"
         return as_logged(RefinementOutcome.NO_MEASUREMENT, detail)
-    kept = MeasuredMotions(measured.start[good], measured.next_SE3_first[good], measured.cov[good])
     observed = _observations(frame_pairs, [*(cone.positions for cone in control), *cones])
     priors = [LandmarkPrior(k, cone.xyz_m, np.asarray(np.linalg.inv(cone.cov_m2))) for k, cone in enumerate(control)]
-    sparse = is_interpolated(frame_pairs)
-    common_sigmas = [params.scale_sigma, _TURN_RAD_PER_M] if sparse else [params.scale_sigma]
-    solved = adjust(log, kept, observed, params.robust_sigmas, common_sigmas, priors)
-    if solved is not None and sparse:
-        share = _white_share(log, log.positions - solved[1], frame_pairs, params)
-        log = read_log(frame_pairs, rig, params.model_copy(update={"gnss_white_share": share}))
-        solved = adjust(log, kept, observed, params.robust_sigmas, common_sigmas, priors)
+    solved = adjust(log, only(measured, good), observed, params.robust_sigmas, common_sigmas, priors)
     if solved is None:
         return as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
-    rotations, places, scale, normal = solved
+    rotations, places, _, normal = solved
     shift = places - log.positions
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
+    path = fit_path(
+        log, rotations, only(measured, good), stated_errors(frame_pairs), errors or assumed_errors(params), params
+    )
     worst = float(np.max(np.sum((shift / log.sigma_p) ** 2, axis=1)))
     if worst > params.max_shift_chi2:
         detail = (
             f"visual odometry would move a pose by {worst**0.5:.1f} of its stated sigmas, more than "
             f"{params.max_shift_chi2**0.5:.1f}; the stated sigmas of GNSS/INS or of the calibration are too small"
         )
-        return as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail)
+        return replace(as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail), path=path)
     cov = chain_solver.covariance(normal)
     sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
     map_SE3_body = se3.se3(rotations, places)
@@ -159,8 +172,27 @@ def refine_trajectory(
     map_SE3_left = se3.compose(map_SE3_body, log.body_SE3_left)
     return RefinedTrajectory(
         pairs, RefinementOutcome.REFINED, detail, map_SE3_left, log.body_SE3_left, cov,
-        (scale, float(cov.shared[0, 0]) ** 0.5),
+        path, errors=errors,
     )  # fmt: skip
+
+
+def log_errors_of(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, params: TrajectoryParams
+) -> LogErrors | None:
+    """The errors of the log by the motions that do not contradict them; None if none could be compared.
+
+    Two rounds: which motions are plausible depends on the errors.
+    """
+    errors: LogErrors | None = rough_errors(read_log(frame_pairs, rig, params), measured, params)
+    log = read_log(frame_pairs, rig, params, errors)
+    kept = only(measured, plausible_motions(log, measured, params.scale_sigma))
+    solved = adjust(log, kept, (), params.robust_sigmas, [params.scale_sigma]) if len(kept.start) else None
+    return None if solved is None else estimate_log_errors(log, solved[0], kept, stated_errors(frame_pairs), params)
+
+
+def only(motions: MeasuredMotions, chosen: Bools) -> MeasuredMotions:
+    """Some of M motions."""
+    return MeasuredMotions(motions.start[chosen], motions.next_SE3_first[chosen], motions.cov[chosen])
 
 
 def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Floats:
@@ -183,28 +215,48 @@ def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Fl
     return cov.reshape(count * POSE, count * POSE)
 
 
-def read_log(frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams) -> LoggedPoses:
-    sigma_p = np.maximum([pair.pose.sigma_enu_m for pair in frame_pairs], _LEAST_SIGMA_M)
-    sigma_a = np.maximum([pair.pose.sigma_rpy_rad for pair in frame_pairs], _LEAST_SIGMA_RAD)
-    share = np.repeat([params.gnss_white_share, params.attitude_white_share], 3)
-    stated = np.hstack([sigma_p, sigma_a])
-    times_s = np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.float64) * 1e-9
+def read_log(
+    frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams, errors: LogErrors | None = None
+) -> LoggedPoses:
+    """The log with the model of its errors: estimated ones, or as assumed."""
+    errors = errors or assumed_errors(params)
+    white, fast, slow, fast_s, slow_s, jitter_s, factor = (
+        errors.by_axis(field) for field in ("white", "fast", "slow", "fast_s", "slow_s", "jitter_s", "factor")
+    )
+    times_s, stated, between, apart_s = stated_errors(frame_pairs)
     step_s = np.maximum(np.diff(times_s), LEAST_STEP_S)
-    keep = np.exp(-step_s[:, None] / np.repeat([params.gnss_correlation_s, params.attitude_correlation_s], 3))
+    usual_s = float(np.median(step_s))
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in frame_pairs])
-    between, gap_s = _interpolation(frame_pairs)
-    own = _without(stated, between)
-    new = white = np.maximum(share, 1e-3) * own
+    variance = factor * stated**2
+    jitter = np.zeros_like(stated)
+    if jitter_s.any() and len(times_s) > 1:
+        jitter[:, :3] = (jitter_s[:3] * np.gradient(poses[:, :3, 3], rising(times_s), axis=0)) ** 2
+    alone = np.maximum(white, _LEAST_SHARE) * variance + jitter
+    lasting, changing = fast * variance, fast * variance * (1 - np.exp(-usual_s / fast_s))
+    own, noise = alone + lasting + between**2, alone + changing
+    independent = alone + lasting * np.maximum(2 * fast_s / usual_s, 1.0)
     if between.any():
         # All frame pairs between two records together count as one record; from one to the next their errors change
         # by a part only.
-        sharing = np.maximum(gap_s / np.median(step_s), 1.0)[:, None]
-        new = np.hypot(white, between * np.minimum(_CHANGING / sharing, 1.0))
-        white = np.sqrt(sharing) * np.hypot(white, between)
+        sharing = np.maximum(apart_s / usual_s, 1.0)[:, None]
+        noise = noise + (between * np.minimum(_CHANGING / sharing, 1.0)) ** 2
+        independent = sharing * (alone + between**2) + lasting * np.maximum(2 * fast_s / usual_s, 1.0)
+    levels, changes = sigma_levels(stated)
+    keep = np.exp(-step_s[:, None] / slow_s - np.diff(changes, axis=0))
     return LoggedPoses(
-        poses[:, :3, :3], poses[:, :3, 3], sigma_p, white, np.sqrt(np.maximum(1 - share**2, 1e-6)) * own, keep,
-        np.array(rig.body_SE3_left), new,
+        poses[:, :3, :3], poses[:, :3, 3], np.sqrt(variance + jitter)[:, :3], np.sqrt(independent),
+        np.sqrt(np.maximum(slow, _LEAST_SHARE) * factor) * levels, keep, np.array(rig.body_SE3_left),
+        np.sqrt(noise), np.sqrt(own),
     )  # fmt: skip
+
+
+def stated_errors(frame_pairs: Sequence[FramePair]) -> StatedErrors:
+    """What the log states of its errors."""
+    stated = np.array([(*pair.pose.sigma_enu_m, *pair.pose.sigma_rpy_rad) for pair in frame_pairs])
+    stated = np.maximum(stated, np.repeat([_LEAST_SIGMA_M, _LEAST_SIGMA_RAD], 3))
+    times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
+    between, apart_s = _interpolation(frame_pairs)
+    return StatedErrors(times_s, _without(stated, between), between, apart_s)
 
 
 def is_interpolated(frame_pairs: Sequence[FramePair]) -> bool:
@@ -216,25 +268,6 @@ def is_by_course(frame_pairs: Sequence[FramePair]) -> bool:
     """Whether the attitudes are not recorded, but those of a course, which has no roll that could be interpolated."""
     found = [pair.pose.interpolated for pair in frame_pairs]
     return any(found) and all(part is None or part.sigma_rpy_rad[0] == 0 for part in found)
-
-
-def _white_share(
-    log: LoggedPoses, error_m: Floats, frame_pairs: Sequence[FramePair], params: TrajectoryParams
-) -> float:
-    """Share of the sigmas of sparse positions that is independent in every record, from their errors against the adjusted ones.
-
-    error_m: (K, 3). At least the share in `params`: positions without an INS may scatter by more.
-    """
-    apart_s = float(np.median(_interpolation(frame_pairs)[1]))
-    times_s = np.array([pair.captured_at_ns for pair in frame_pairs], dtype=np.int64) * 1e-9
-    lag = round(apart_s / float(np.median(np.diff(times_s))))
-    if not 0 < lag < len(error_m):
-        return params.gnss_white_share
-    kept = np.exp(-apart_s / params.gnss_correlation_s)
-    # Heading and slope were fitted to few records: Student's variance of the residuals.
-    freedom = max(3 * (len(error_m) / lag - 1) - 4, 0.5)
-    change2 = np.mean(((error_m[lag:] - error_m[:-lag]) / log.sigma_p[lag:]) ** 2) / 2 * (freedom + 4) / freedom
-    return float(np.sqrt(np.clip((change2 - (1 - kept)) / kept, params.gnss_white_share**2, 1.0)))
 
 
 def _interpolation(frame_pairs: Sequence[FramePair]) -> tuple[Floats, Floats]:
@@ -278,8 +311,8 @@ def measured_motions(
 def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: float) -> Bools:
     """(M,): which measured intervals are plausible.
 
-    An interval is rejected if it contradicts GNSS/INS beyond its errors, or if it alone differs from its neighbours while
-    GNSS/INS is smooth: errors of GNSS/INS last longer than one interval.
+    One is rejected if it contradicts GNSS/INS beyond its errors, or differs from its neighbours beyond them, unless GNSS/INS
+    differs from these neighbours by more: then GNSS/INS steps, as where a receiver finds other satellites.
     """
     k = motions.start
     residual, from_first, from_second = motion_residuals(log, log.rotations, log.positions, motions, 0.0)
@@ -302,10 +335,12 @@ def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: f
     by_log = observed - residual[:, 3:]
     each = np.hstack([residual, observed, by_log])
     medians, counts = _medians_beside(k[inside], each[inside], k)
-    off = np.abs(each - medians)
+    off, known = np.abs(each - medians), counts >= _NEIGHBOURS
+    by_images = off[:, 6:9] > off[:, 9:]  # rougher by the images than by GNSS/INS
     lone = off[:, :6] > _LONE_SIGMAS * sigma
-    lone[:, 3:] &= off[:, 6:9] > off[:, 9:]  # rougher by the images than by GNSS/INS
-    return np.asarray(inside & ~((counts >= _NEIGHBOURS) & lone.any(axis=1)))
+    lone[:, 3:] &= by_images
+    steps = known & (off[:, 9:].max(axis=1) > _STEPS_BY * off[:, 6:9].max(axis=1))
+    return np.asarray((inside | steps) & ~(known & lone.any(axis=1)))
 
 
 def _medians_beside(rows: Ints, values: Floats, asked: Ints) -> tuple[Floats, Ints]:

@@ -21,7 +21,7 @@ from conetl.geometry.linear_reference import locate, spacing_beside
 from conetl.model.arrays import Floats
 from conetl.model.base import Record
 from conetl.model.params import LayoutParams, WorkZoneParams
-from conetl.model.work_zone_records import ConeRow, Finding, Level, Rule, Taper, ZoneHistory, ZoneLayout
+from conetl.model.work_zone_records import ConeRow, LayoutFinding, Level, Rule, Taper, ZoneHistory, ZoneLayout
 from conetl.workzones.road_lines import lanes_at
 
 FOOT_M = 0.3048
@@ -61,7 +61,7 @@ def _certain_level(norm: str | None) -> Level:
 
 def check_layout(
     zone: ZoneHistory, layout: ZoneLayout, speed_kmh: float, rules: LayoutParams, params: WorkZoneParams
-) -> list[Finding]:
+) -> list[LayoutFinding]:
     """All findings of one zone, by station; none for a zone without a row."""
     check = _Check(zone, layout, speed_kmh, rules, params)
     found = [finding for row in layout.rows for finding in _gaps(check, row)]
@@ -79,15 +79,15 @@ class _Check(NamedTuple):
     rules: LayoutParams
     params: WorkZoneParams
 
-    def finding(self, members: Iterable[int], **values: Any) -> Finding:
+    def finding(self, members: Iterable[int], **values: Any) -> LayoutFinding:
         """A finding in metres about these cones of the layout."""
         cones = [self.layout.cones[k] for k in members]
         values.setdefault("xy_m", tuple((cone.xyz_m[0], cone.xyz_m[1]) for cone in cones))
         feature_ids = tuple(cone.feature_id for cone in cones)
-        return Finding(zone_id=self.zone.zone_id, unit="m", feature_ids=feature_ids, **values)
+        return LayoutFinding(zone_id=self.zone.zone_id, unit="m", feature_ids=feature_ids, **values)
 
 
-def _gaps(check: _Check, row: ConeRow) -> Iterator[Finding]:
+def _gaps(check: _Check, row: ConeRow) -> Iterator[LayoutFinding]:
     layout, rules, speed_kmh = check.layout, check.rules, check.speed_kmh
     members = np.array(row.members)
     s, sigma = layout.stations_m[members], layout.sigmas_s_m[members]
@@ -222,7 +222,7 @@ def _regular(gaps: Floats, inside: Floats, index: int) -> tuple[float, float] | 
     return taper, tangent
 
 
-def _taper_lengths(check: _Check, row: ConeRow) -> Iterator[Finding]:
+def _taper_lengths(check: _Check, row: ConeRow) -> Iterator[LayoutFinding]:
     layout, rules = check.layout, check.rules
     ratio = taper_ratio(check.speed_kmh, rules)
     members = np.array(row.members)
@@ -274,7 +274,7 @@ def _is_merging(layout: ZoneLayout, taper: Taper, members: Floats, params: WorkZ
     return bool(min(low for low, _ in edges) + _ON_LANE_LINE_M < offset)
 
 
-def _in_lane(check: _Check) -> Iterator[Finding]:
+def _in_lane(check: _Check) -> Iterator[LayoutFinding]:
     """Strays on the traffic side of their row."""
     layout, rules = check.layout, check.rules
     in_rows = {k for row in layout.rows for k in row.members}

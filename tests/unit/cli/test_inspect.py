@@ -67,7 +67,7 @@ def test_inspect_shows_what_is_lost(
         "covered parts of the lenses", "blurred parts of the lenses", "trigger of both cameras", "seams in the images",
         "columns of the right images", "distortion of the lenses", "rows of the right images",
     ]  # fmt: skip
-    assert "+- 0.30 px (limit 0.7)" in text
+    assert "+- 0.30 px (limit 4)" in text
 
 
 def test_inspect_exits_with_2_for_what_cannot_be_ingested(
@@ -96,4 +96,4 @@ def test_inspect_exits_with_1_for_a_smeared_lens(tmp_path: Path, capsys: pytest.
     images_changed(only_right(smeared(7.0)))(drive)
     code, text, _ = run(["inspect", str(drive)], capsys)
     assert code == 1
-    assert "Warning, blurred parts of the lenses: " in text and "Clean the lens." in text
+    assert "Note, blurred parts of the lenses: " in text and "Clean the lens." in text

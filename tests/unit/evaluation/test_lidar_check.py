@@ -82,7 +82,7 @@ def test_untwisting_undoes_the_motion_during_a_turn(speed: float, rate: float, a
 
 def residual_of(range_m: float, residual_m: float) -> LidarResidual:
     lidar = LidarRange(range_m, 0.03, 20)
-    return LidarResidual(0, 0, lidar.ground_range_m, lidar.sigma_m, range_m + residual_m, 0.04, residual_m)
+    return LidarResidual(0, 0, lidar.ground_range_m, lidar.sigma_m, range_m + residual_m, 0.04, 0.04, residual_m)
 
 
 def test_the_summary_is_by_range_and_robust() -> None:
@@ -102,4 +102,6 @@ def test_true_sigmas_give_a_ratio_of_one() -> None:
     assert band.ratio_std == pytest.approx(1.0, abs=0.07)
     _, doubtful, *_ = summarise([residual_of(9.0, float(e)) for e in rng.normal(0, 0.10, 2000)])
     assert doubtful.ratio_std == pytest.approx(2.0, abs=0.14)
+    assert band.within_2_sigmas == pytest.approx(0.954, abs=0.015)
+    assert doubtful.within_2_sigmas == pytest.approx(0.683, abs=0.03)
     assert [band.pairs for band in summarise([])] == [0, 0, 0, 0]

@@ -9,12 +9,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from conetl.checks.verdict import judge
 from conetl.mapping.agreement import check_agreement
 from conetl.mapping.changes import reconcile
 from conetl.mapping.deltas import ReconcileContext
-from conetl.mapping.displacement import check_arrangement, check_far_positions, check_same_cones
+from conetl.mapping.displacement import check_displacement, check_far_positions, check_same_cones
 from conetl.mapping.visibility import NotObserved
 from conetl.model.drive import Track
+from conetl.model.health import Finding
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
 from tests import records
@@ -76,7 +78,7 @@ def finding(
     backwards = check_agreement(tracks[::-1], known[::-1], deltas[::-1], PARAMS)
     assert found == backwards, "the order matters"
     assert found is None or (found.value is not None and found.limit is not None and abs(found.value) > found.limit)
-    return found and found.detail
+    return found and judge(found).detail
 
 
 def turned(places: Floats, degrees: float, about: tuple[float, float] = (-30.0, 0.0)) -> Floats:
@@ -100,8 +102,8 @@ def turned(places: Floats, degrees: float, about: tuple[float, float] = (-30.0, 
         (turned(ZONE, 3.0), "rotated by +3.0 degrees"),
         (turned(ZONE, -1.5), "rotated by -1.5 degrees"),
         (ZONE + np.array((0, 50.0, 0)), "50.0 m from those of the map"),
-        (ZONE[:0], "remove 9 of the 9 cones in its view and shows no cones"),
-        (ZONE[:1], "remove 8 of the 9 cones in its view and shows 1 cone"),
+        (ZONE[:0], "remove 9 of the 9 cones in its view, and shows 0:"),
+        (ZONE[:1], "remove 8 of the 9 cones in its view, and shows 1:"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
@@ -258,7 +260,7 @@ def test_a_drive_whose_classes_are_others_is_one_finding(renamed: int, found: bo
     for drive in (tracks, tracks[::-1]):
         check = check_agreement(drive, features_at(ZONE), [], PARAMS)
         said = f"{renamed} have another class, such as drum instead of traffic_cone"
-        assert (check is not None and said in check.detail) == found
+        assert (check is not None and said in judge(check).detail) == found
 
 
 def test_a_sign_above_a_cone_is_no_cone_of_a_higher_drive() -> None:
@@ -277,7 +279,7 @@ def imported(places: Floats, before: Floats, sigma_m: float = 0.03) -> str | Non
     """What an imported map of cones at `places` (N, 3), measured anew, finds against a map with cones at `before`."""
     stated = features_at(places + np.random.default_rng(5).normal(0, 0.01, places.shape), sigma_m)
     found = check_same_cones(stated, features_at(before), PARAMS)
-    return found and found.detail
+    return found and judge(found).detail
 
 
 @pytest.mark.parametrize(
@@ -326,8 +328,8 @@ def test_other_cones_of_an_imported_map_are_no_displacement(places: Floats, befo
 def test_the_same_cones_far_away_are_known_by_their_arrangement(places: Floats, says: str | None) -> None:
     measured = places + np.random.default_rng(6).normal(0, 0.01, places.shape)
     found = check_far_positions(tracks_at(measured), features_at(SET_UP), PARAMS)
-    assert (found and found.name) == (says and "the same cones elsewhere")
-    assert found is None or str(says) in found.detail
+    assert (found and found.check) == (says and "the same cones elsewhere")
+    assert found is None or str(says) in judge(found).detail
 
 
 @pytest.mark.parametrize("degrees", [30.0, 90.0, 180.0])
@@ -336,11 +338,15 @@ def test_the_same_cones_are_known_whatever_the_direction_of_a_local_frame(
     zone: Floats, same: bool, degrees: float
 ) -> None:
     turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
-    for shift_m, check in (((80.0, 60.0, 0.0), check_far_positions), ((5.0, 20.0, 0.0), check_arrangement)):
+
+    def near(tracks: list[Track], features: list[MapFeature], params: ReconcileParams) -> Finding | None:
+        return check_displacement(tracks, features, (), params)
+
+    for shift_m, check in (((80.0, 60.0, 0.0), check_far_positions), ((5.0, 20.0, 0.0), near)):
         found = check(tracks_at(zone @ turn.T + shift_m), features_at(SET_UP), PARAMS)
         assert (found is not None) == same
-        assert found is None or (f"rotated by {degrees:+.1f}" in found.detail.replace("-180", "+180"))
-        assert found is None or "heading_deg of its georeference" in found.detail
+        assert found is None or (f"rotated by {degrees:+.1f}" in judge(found).detail.replace("-180", "+180"))
+        assert found is None or "heading_deg of its georeference" in judge(found).detail
 
 
 @pytest.mark.parametrize(
@@ -354,5 +360,5 @@ def test_the_same_cones_are_known_whatever_the_direction_of_a_local_frame(
 )
 def test_a_section_in_another_height_system_is_known_by_the_cones_before_it(places: Floats, says: str | None) -> None:
     found = check_far_positions(tracks_at(places), features_at(ZONE), PARAMS)
-    assert (found and found.name) == (says and "heights of another section")
-    assert found is None or str(says) in found.detail
+    assert (found and found.check) == (says and "heights of another section")
+    assert found is None or str(says) in judge(found).detail

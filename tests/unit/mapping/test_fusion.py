@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.calibration.covariance import pack_jacobians, unpack_jacobians
 from conetl.geometry.packing import cov3, cov_matrix
-from conetl.mapping.fusion import MOST_CALIBRATIONS, fuse, tracks_in_map_frame
+from conetl.mapping.fusion import MOST_CALIBRATIONS, difference_cov, fuse, tracks_in_map_frame
 from conetl.model.base import Cov3, SharedErrorJacobian
 from conetl.model.drive import Track
 from conetl.model.map_records import MapFeature
@@ -43,7 +43,7 @@ def estimate(own: Floats, moved_m: dict[UUID, Floats]) -> Estimate:
 
 
 def fused(old: Estimate, new: Estimate) -> tuple[Floats, Floats, Estimate]:
-    [gain], [cov_m2], [jacobian] = fuse([old[0]], [old[1]], [new[0]], [new[1]])
+    [gain], [cov_m2], [jacobian], _ = fuse([old[0]], [old[1]], [new[0]], [new[1]])
     return gain, cov_m2, (cov3(cov_m2), jacobian)
 
 
@@ -96,6 +96,20 @@ def test_weights_and_covariances_are_those_of_the_formula(pair: tuple[Estimate, 
         assert np.linalg.eigvalsh(cov - sum(a @ a.T for a in moved)).min() > -1e-7 * scale
 
 
+@settings(max_examples=100, deadline=None)
+@given(estimates())
+def test_the_covariance_of_a_difference_is_without_what_both_share(pair: tuple[Estimate, Estimate]) -> None:
+    (old_cov, old), (new_cov, new) = pair
+    [cov] = difference_cov([old_cov], [old], [new_cov], [new])
+    np.testing.assert_array_equal(cov, fuse([old_cov], [old], [new_cov], [new]).difference_m2[0])
+    gain, _ = by_formula(*pair)
+    _, fused_cov, _ = fused(*pair)
+    # The covariance after the fusion is that before less gain times the difference's times gain'.
+    expected = cov_matrix(old_cov) - gain @ cov @ gain.T
+    scale = float(np.trace(cov_matrix(old_cov)))
+    np.testing.assert_allclose(fused_cov, expected, rtol=1e-4, atol=1e-5 * scale)
+
+
 def test_jacobians_of_opposite_sides_cancel_and_independent_parts_average() -> None:
     a = np.array([[0.2], [0.0], [0.05]])
     own = 0.02**2 * np.eye(3)
@@ -135,11 +149,11 @@ def test_rows_do_not_depend_on_the_rows_beside_them() -> None:
     for k in range(20):
         moved = [{one: rounded(rng.normal(0, 0.05, (3, 5))) for one in CALIBRATIONS[: k % n]} for n in (3, 4)]
         rows.append((estimate(spd(rng, 0.02), moved[0]), estimate(spd(rng, 0.02), moved[1])))
-    gains, covs_m2, jacobians = fuse(
+    gains, covs_m2, jacobians, _ = fuse(
         [o[0] for o, _ in rows], [o[1] for o, _ in rows], [n[0] for _, n in rows], [n[1] for _, n in rows]
     )
     for k, (old, new) in enumerate(rows):
-        [gain], [cov_m2], [jacobian] = fuse([old[0]], [old[1]], [new[0]], [new[1]])
+        [gain], [cov_m2], [jacobian], _ = fuse([old[0]], [old[1]], [new[0]], [new[1]])
         np.testing.assert_array_equal(gain, gains[k])
         np.testing.assert_array_equal(cov_m2, covs_m2[k])
         assert jacobian == jacobians[k]

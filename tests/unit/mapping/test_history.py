@@ -43,13 +43,13 @@ def random_case(seed: int, count: int) -> list[DriveEvidence]:
 
 
 def with_wrong_ones(rng: np.random.Generator, drives: list[DriveEvidence]) -> list[DriveEvidence]:
-    """Some of the drives see nothing, or everything 3 m aside or 48 m lower."""
-    shifts: tuple[tuple[float, float, float] | None, ...] = (None, (0.0, 3.0, 0.0), (0.0, 0.0, -48.0))
+    """Some of the drives see nothing, or everything 0.4 or 3 m aside or 48 m lower."""
+    shifts: tuple[tuple[float, float, float] | None, ...] = (None, (0.0, 3.0, 0.0), (0.0, 0.4, 0.0), (0.0, 0.0, -48.0))
     wrong = []
     for drive in drives:
         if rng.random() < 0.5:
             wrong.append(drive)
-        elif (shift := shifts[int(rng.integers(3))]) is None:
+        elif (shift := shifts[int(rng.integers(4))]) is None:
             wrong.append(
                 replace(drive, tracks=[], check_visibility=lambda f, *_, d=drive: NotObserved(9, d.key[0], -6.0))
             )

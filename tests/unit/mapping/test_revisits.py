@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from conetl.checks.verdict import judge
 from conetl.geometry.packing import vec3
 from conetl.mapping.revisits import check_revisits
 from conetl.model.health import HealthCheck
@@ -52,7 +53,7 @@ def found(
             tracks.append(one.model_copy(update=update))
         else:
             tracks += [one, other]
-    return next(check_revisits(tracks, positions, path, IngestParams()), None)
+    return next(map(judge, check_revisits(tracks, positions, path, IngestParams())), None)
 
 
 @pytest.mark.parametrize("backwards", [False, True])

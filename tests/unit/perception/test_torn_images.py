@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from conetl.checks.verdict import judge
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.drive import FramePair
 from conetl.model.health import HealthCheck, Verdict
@@ -60,10 +61,11 @@ class Recording:
 
     def seams(self) -> HealthCheck:
         chosen = np.linspace(0, len(PAIRS) - 1, 5).astype(int).tolist()
-        return check_seams(
+        finding = check_seams(
             {side: [thinned(self.images[k, side]) for k in chosen] for side in SIDES},
             lambda side: [thinned(self.images[k, side]) for k in range(1, len(PAIRS), 2) if k not in chosen],
         )
+        return judge(finding)
 
 
 def frames(torn: list[TornImage]) -> set[int]:
@@ -74,7 +76,7 @@ def test_intact_images_are_not_torn() -> None:
     recording = Recording()
     assert recording.torn() == [] and recording.seams().verdict is Verdict.PASS
     check, rejections = check_torn([], DRIVE)
-    assert check.verdict is Verdict.PASS and check.value == 0.0 and rejections == []
+    assert judge(check).verdict is Verdict.PASS and check.value == 0.0 and rejections == []
 
 
 @pytest.mark.parametrize("row", [96, 150, 200, 256])
@@ -91,12 +93,14 @@ def test_images_after_it_that_are_torn_at_the_same_row_are_found() -> None:
 def test_a_pair_with_two_torn_images_is_rejected_once_and_many_hold_the_drive() -> None:
     few = Recording().tear(200, 10).torn()
     check, [rejection] = check_torn(few, DRIVE)
-    assert len(few) == 2 and check.verdict is Verdict.PASS and "1 of 39 frame pairs were torn" in check.detail
+    passed = judge(check)
+    assert len(few) == 2 and passed.verdict is Verdict.PASS and "1 of 39 frame pairs were torn" in passed.detail
     assert rejection.reason is RejectionReason.IMAGE_TORN and rejection.payload["frame_index"] == PAIRS[10].frame_index
     assert f"{Path(PAIRS[10].left_path).name}: from about row" in rejection.detail
     many = Recording().tear(200, *range(4, 39, 3)).torn()
     check, rejections = check_torn(many, DRIVE)
-    assert check.verdict is Verdict.HOLD and len(rejections) == 12 and "12 of 39 frame pairs are torn" in check.detail
+    held = judge(check)
+    assert held.verdict is Verdict.HOLD and len(rejections) == 12 and "12 of 39 frame pairs are torn" in held.detail
 
 
 @pytest.mark.parametrize("row", [130, 192, 256])

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from conetl.geometry.packing import vec3
 from conetl.model.drive import FramePair
-from conetl.pipeline.checks.adjoining import _misfit_m, _Part
+from conetl.pipeline.compared.adjoining import _misfit_m, _Part
 from tests.integration.drives_of_days import RIG
 from tests.synthetic.world import make_path, shifted
 

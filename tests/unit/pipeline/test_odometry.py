@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from conetl.checks.verdict import judge, judge_all
 from conetl.files.parquet_store import load_result
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
 from conetl.model.health import Verdict
@@ -32,7 +33,7 @@ def test_a_frame_that_both_cameras_lose_or_repeat_is_found(frames: int, named: s
     drive = images_shifted(frames, 8)(read_drive(SAMPLES[0])[0])
     pairs, rig, params = drive.frame_pairs[:13], drive.rig, TrajectoryParams()
     motions = motions_of(follow_drive(pairs, rig, grey_reader(rig), params), pairs, rig, params)
-    check = check_lost_frames(pairs, rig, list(motions), grey_reader(rig), params)
+    check = judge(check_lost_frames(pairs, rig, list(motions), grey_reader(rig), params))
     assert named in check.detail and check.verdict is (Verdict.HOLD if frames else Verdict.PASS)
 
 
@@ -42,7 +43,8 @@ def test_a_drive_of_which_one_pair_is_left_is_checked() -> None:
     followed = follow_drive(pairs, rig, grey_reader(rig), params.trajectory)
     motions = list(motions_of(followed, pairs, rig, params.trajectory))
     drive = drive.model_copy(update={"frame_pairs": pairs[:1]})
-    checks = steps.check_poses(drive, motions, steps.refine(drive, motions, [], params), params.trajectory)
+    refined = steps.refine(drive, motions, [], params)
+    checks = judge_all(steps.check_poses(drive, motions, refined, params.trajectory, params.check))
     assert {check.verdict for check in checks} <= {Verdict.PASS}
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.model.drive import FramePair
 from conetl.model.rig import Rig
-from conetl.pipeline.checks.same_recording import has_same_log, is_redated, is_same_camera
+from conetl.pipeline.compared.same_recording import has_same_log, is_redated, is_same_camera
 from tests.synthetic.world import drive_of, make_path, make_rig, shifted
 
 RIG = make_rig()

@@ -322,6 +322,8 @@ FAILURES: dict[str, tuple[Callable[[Path], object], str]] = {
     "map CRS in degrees": (settings("map_srid: 4326"), "not a projected CRS"),
     "Web Mercator": (settings("map_srid: 3857"), "stretches lengths"),
     "negative sigma": (settings("sigmas: {yaw_deg: -1}"), "sigmas.yaw_deg: "),
+    "one common error twice": (settings("common_errors: [{id: b, sigma_m: 1}, {id: b, sigma_m: 2}]"), "the same id"),
+    "a common error without a sigma": (settings("common_errors: {id: b}"), "common_errors.0.sigma_m"),
     "calibration outside by ..": (settings("calibration: ../calib_cam_to_cam.txt"), "is outside"),
     "camera folder by ..": (settings("cameras: {left: ../x/image_02, right: image_03}"), "cameras.left"),
 }  # fmt: skip
@@ -388,6 +390,20 @@ def test_pos_accuracy_does_not_matter_where_the_sigma_is_given(drive: Path) -> N
     change_oxts(3, 23, "0")(drive)
     (drive / "drive.yaml").write_text("sigmas: {horizontal_m: 0.05}")
     assert read_drive(drive)[1] == []
+
+
+def test_common_errors_are_a_part_of_the_stated_sigmas_which_grow_where_they_are_smaller(drive: Path) -> None:
+    first = read_drive(drive)[0]
+    (drive / "drive.yaml").write_text("sigmas: {horizontal_m: 0.05}\ncommon_errors: {id: base-north, sigma_m: 0.02}")
+    result, rejections = read_drive(drive)
+    assert rejections == [] and result.content_sha256 != first.content_sha256
+    assert [(one.id, one.sigma_m, one.axes) for one in result.common_errors] == [("base-north", (0.02,) * 3, "map")]
+    np.testing.assert_allclose(result.frame_pairs[0].pose.sigma_enu_m, (0.05, 0.05, 0.075))
+    text = "[{id: base, sigma_m: [0.03, 0.03, 0.1]}, {id: antenna, sigma_m: [0.04, 0, 0], axes: vehicle}]"
+    (drive / "drive.yaml").write_text(f"sigmas: {{horizontal_m: 0.01}}\ncommon_errors: {text}")
+    pose = read_drive(drive)[0].frame_pairs[0].pose
+    forward = np.array(pose.map_R_body)[:, 0]
+    np.testing.assert_allclose(np.square(pose.sigma_enu_m), np.square([0.03, 0.03, 0.1]) + np.square(0.04 * forward))
 
 
 def test_the_content_hash_depends_on_bytes_and_not_on_the_path(drive: Path, tmp_path: Path) -> None:

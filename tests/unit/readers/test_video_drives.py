@@ -562,6 +562,7 @@ def test_names_of_files_do_not_change_the_meaning_of_a_template(tmp_path: Path) 
     [
         {"clock": {}}, {"clock": {"offset_s": "estimate"}}, {"pair": ["a", "b"], "cameras": {"left": "image_01"}},
         {"control_points": {"file": "points.csv", "sigma_m": 0.02}, "antenna_t_m": [0.4, -0.2, 1.1], "map_srid": 25832},
+        {"common_errors": [{"id": "base", "sigma_m": 0.02}, {"id": "roof", "sigma_m": [0.1, 0, 0], "axes": "vehicle"}]},
         {"trajectory": {"date": "2024-02-07", "delimiter": " ", "decimal": ",", "columns": {"time": 1, "lat": "Höhe, ell."}}},
         {"images": {"start": "2026-03-02 10:00:00.250Z", "layout": "left-right"}, "timestamps_timezone": "Europe/Berlin"},
     ],
@@ -873,6 +874,9 @@ def test_init_keeps_what_the_file_states(folder: Path, tmp_path: Path, sample: D
     after = renewed("images.right=r.mp4", "trajectory.file=other.csv")
     assert after["images"]["start"] == "2026-03-02 09:41:07.010000000Z" and after["images"]["right_offset_s"] == 0.0
     (copy / "drive.yaml").write_text(f"images: {{right: r.mp4, start: '{start}', right_offset_s: 0}}\n")
+    after = renewed("common_errors.id=base-north", "common_errors.sigma_m=0.5")
+    assert after["common_errors"] == [{"id": "base-north", "sigma_m": [0.5, 0.5, 0.5]}]
+    assert read_drive(copy)[0].frame_pairs[0].pose.sigma_enu_m == (0.5, 0.5, 0.5)
     for value, expected in (("control_points=none.csv", "none.csv"), ("images.right=left.mp4", "the same file")):
         refused = init(copy, "--force", "images.left=left.mp4", value)
         assert expected in str(refused.exception), refused.output

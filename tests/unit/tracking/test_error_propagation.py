@@ -13,10 +13,18 @@ from conetl.geometry.consistency import Nees
 from conetl.geometry.intersection import fit_point, pair_jacobian
 from conetl.geometry.motion.chain_solver import cross_covariance
 from conetl.geometry.packing import cov_matrix
-from conetl.model.drive import FramePair, Position
+from conetl.model.drive import CommonError, FramePair, Position
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import TrajectoryParams
-from conetl.tracking.error_propagation import common_cov, constant_and_change, moved_cov, outline_jacobian, pose_cov
+from conetl.tracking.error_propagation import (
+    common_cov,
+    common_error_id,
+    constant_and_change,
+    moved_cov,
+    outline_jacobian,
+    pose_cov,
+    shared_by_drives,
+)
 from conetl.tracking.matching.covariance import shared_disparity_px
 from conetl.tracking.trajectory import log_errors, refine_trajectory
 from tests import records
@@ -210,3 +218,44 @@ def test_points_of_one_frame_move_together() -> None:
         for b in range(5):
             block = cov[6 * rank[a] : 6 * rank[a] + 6, 6 * rank[b] : 6 * rank[b] + 6]
             assert np.allclose(moved[a, :, b], jacobian[a] @ block @ jacobian[b].T)
+
+
+BASE = CommonError(id="base", sigma_m=(0.02, 0.02, 0.04))
+ANTENNA = CommonError(id="antenna", sigma_m=(0.05, 0.01, 0.0), axes="vehicle")
+
+
+def test_common_errors_are_a_part_of_the_poses_errors_which_are_never_smaller() -> None:
+    poses, shares = [pair.pose for pair in make_path(4)], np.tile(np.eye(3) / 4, (4, 1, 1))
+    shared, lacking = shared_by_drives([BASE], shares, poses, 0.1**2 * np.eye(3), corrected=False)
+    [(key, moved)] = shared
+    assert key == common_error_id(BASE)
+    np.testing.assert_allclose(moved, np.diag(BASE.sigma_m), atol=1e-15)
+    np.testing.assert_allclose(lacking, 0.0, atol=1e-15)
+    # The adjustment averaged down what does not change within the drive, in height.
+    of_poses = np.diag([0.1, 0.1, 0.01]) ** 2
+    _, lacking = shared_by_drives([BASE], shares, poses, of_poses, corrected=False)
+    np.testing.assert_allclose(of_poses + lacking, np.diag([0.1, 0.1, 0.04]) ** 2, atol=1e-12)
+    assert shared_by_drives([], shares, poses, of_poses, corrected=False)[0] == []
+
+
+def test_control_points_leave_at_most_what_the_adjustment_states_of_a_common_error() -> None:
+    poses, shares = [pair.pose for pair in make_path(1)], np.eye(3)[None]
+    of_poses = 0.01**2 * np.eye(3)
+    [(_, moved)], lacking = shared_by_drives([BASE], shares, poses, of_poses, corrected=True)
+    assert not lacking.any()
+    np.testing.assert_allclose(moved, np.diag(BASE.sigma_m) / 4, rtol=1e-9, atol=1e-15)
+
+
+def test_the_error_of_a_lever_arm_turns_with_the_vehicle() -> None:
+    there, back = (make_path(1, east=east)[0].pose for east in (True, False))
+    of_poses, shares = 0.1**2 * np.eye(3), np.eye(3)[None]
+    moved = [shared_by_drives([ANTENNA], shares, [pose], of_poses, corrected=False)[0][0][1] for pose in (there, back)]
+    np.testing.assert_allclose(moved[0], -moved[1], atol=1e-12)
+    np.testing.assert_allclose(moved[0][:2, 0], 0.05 * np.array(there.map_R_body)[:2, 0], atol=1e-12)
+
+
+def test_another_sigma_or_other_axes_are_another_error() -> None:
+    same = CommonError.model_validate({"id": "base", "sigma_m": [0.02, 0.02, 0.04]})
+    others = [BASE.model_copy(update=update) for update in ({"sigma_m": (0.03,) * 3}, {"axes": "vehicle"}, {"id": "b"})]
+    assert common_error_id(same) == common_error_id(BASE)
+    assert len({common_error_id(one) for one in (BASE, *others)}) == 4

@@ -9,6 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from conetl.checks.verdict import judge
 from conetl.geometry.motion.stereo_motion import StereoCameras
 from conetl.model.drive import FramePair, Track
 from conetl.model.health import Verdict
@@ -17,6 +18,7 @@ from tests import records
 
 BASELINE_M, SPANS, POINTS = 0.4, 20, 150
 INTRINSICS = np.array([700.0, 700.0, 480.0, 200.0])
+EVEN = [13.0] * SPANS
 
 
 def cameras() -> StereoCameras:
@@ -47,15 +49,16 @@ def seen_spans(
 
 @pytest.mark.parametrize("ahead_m", [-0.05, 0.0, 0.01, 0.05])
 def test_the_right_camera_is_found_before_its_place(ahead_m: float) -> None:
-    found = np.array([right_camera_ahead(cameras(), seen_spans(ahead_m, seed)) for seed in range(20)])
+    found = np.array([right_camera_ahead(cameras(), seen_spans(ahead_m, seed), EVEN) for seed in range(20)])
     assert np.abs(found[:, 0] * BASELINE_M - ahead_m).max() < 0.004
     assert found[:, 1].max() < 0.01
 
 
 def test_the_sigma_holds_for_the_scatter_of_drives() -> None:
-    found = np.array([right_camera_ahead(cameras(), seen_spans(0.0, seed)) for seed in range(400)])
+    found = np.array([right_camera_ahead(cameras(), seen_spans(0.0, seed), EVEN) for seed in range(400)])
     alone = np.sqrt(found[:, 1] ** 2 - 0.002**2)  # without what no number of points improves
-    assert 0.7 < np.mean((found[:, 0] / alone) ** 2) < 1.4
+    # Parts of the image scatter by noise alone here, so that their scatter counts twice.
+    assert 0.4 < np.mean((found[:, 0] / alone) ** 2) < 1.0
 
 
 @pytest.mark.parametrize(
@@ -64,12 +67,23 @@ def test_the_sigma_holds_for_the_scatter_of_drives() -> None:
 )
 def test_other_errors_of_the_right_camera_are_told_from_it(turn_rad: float, zoom: float, rows_px: float) -> None:
     spans = seen_spans(0.0, 3, turn_rad=turn_rad, zoom=zoom, rows_px=rows_px)
-    share, sigma = right_camera_ahead(cameras(), spans)
+    share, sigma = right_camera_ahead(cameras(), spans, EVEN)
     assert abs(share) < 4 * sigma and abs(share) < 0.02
 
 
+@pytest.mark.parametrize(("per_m_s", "fixed_m", "grows"), [(0.004, 0.0, True), (0.0, 0.05, False)])
+def test_a_late_trigger_differs_from_a_moved_camera_where_the_speed_changes(
+    per_m_s: float, fixed_m: float, grows: bool
+) -> None:
+    speeds = np.linspace(5.0, 20.0, SPANS)
+    spans = [seen_spans(fixed_m + per_m_s * speed, seed)[0] for seed, speed in enumerate(speeds.tolist())]
+    share, _, growing, sigma = right_camera_ahead(cameras(), spans, speeds.tolist())
+    assert share * BASELINE_M == pytest.approx(0.05, abs=0.005)
+    assert abs(growing - (share if grows else 0.0)) < 3 * sigma < abs(share)
+
+
 def test_few_spans_say_nothing() -> None:
-    assert right_camera_ahead(cameras(), seen_spans(0.05, 1)[:7]) == ()
+    assert right_camera_ahead(cameras(), seen_spans(0.05, 1)[:7], EVEN[:7]) == ()
 
 
 def survey(columns_m: Sequence[float], *, doubled: bool = False) -> tuple[list[Track], Sequence[FramePair]]:
@@ -84,11 +98,11 @@ def survey(columns_m: Sequence[float], *, doubled: bool = False) -> tuple[list[T
 
 @pytest.mark.parametrize("spacing_m", [0.9, 1.2, 2.4, 5.0])
 def test_rows_of_objects_pass(spacing_m: float) -> None:
-    assert check_doubled(*survey([30.0 + spacing_m * k for k in range(9)])).verdict is Verdict.PASS
+    assert judge(check_doubled(*survey([30.0 + spacing_m * k for k in range(9)]))).verdict is Verdict.PASS
 
 
 def test_doubled_objects_are_held() -> None:
     row = [30.0 + 5.0 * k for k in range(9)]
-    assert check_doubled(*survey(row, doubled=True)).verdict is Verdict.HOLD
-    assert check_doubled(*survey(row[:3], doubled=True)).verdict is Verdict.PASS  # two rows of three may be real
-    assert check_doubled([], []).verdict is Verdict.PASS
+    assert judge(check_doubled(*survey(row, doubled=True))).verdict is Verdict.HOLD
+    assert judge(check_doubled(*survey(row[:3], doubled=True))).verdict is Verdict.PASS  # two rows of three may be real
+    assert judge(check_doubled([], [])).verdict is Verdict.PASS

@@ -185,6 +185,18 @@ def test_the_distance_from_one_pair_includes_the_error_of_the_calibration() -> N
     assert position.cov_m2[5] > exact.cov_m2[5]
 
 
+@pytest.mark.parametrize("rows_px", [0.1, 4.0])
+def test_the_sigma_of_one_pair_contains_its_own_residual(rows_px: float) -> None:
+    """Rows of foot and tip of both images differ by more than their sigmas predict: so may the columns."""
+    points = see(ahead(10.0))
+    lower = {name: (left, right + np.array([0.0, rows_px])) for name, (left, right) in points.items()}
+    (fits,), _ = locate_in_camera([match_of(points)], RIG, PARAMS)
+    (position,), _ = locate_in_camera([match_of(lower)], RIG, PARAMS)
+    # The difference of two rows with sigmas of 0.5 px, of foot and tip alike.
+    ratio = position.ground_distance_sigma_m / fits.ground_distance_sigma_m
+    assert ratio == pytest.approx(max(1.0, rows_px / (0.5 * math.sqrt(2))), rel=0.02)
+
+
 def test_heights_of_a_tilted_rig_are_along_the_body_axis() -> None:
     tilt = se3.rotation_from_rpy(0, math.radians(8), 0) @ BODY_R_CAM
     left = se3.se3(tilt, [1.0, 0.2, 0.7])

@@ -22,6 +22,8 @@ from conetl.tracking.self_calibration import (
     choose_spans,
     self_calibrate,
     self_calibrated_rig,
+    with_assumed_errors,
+    with_measured_scale,
 )
 from tests.synthetic.spans import CX_PX, FOCAL_PX, followed, make_span, motion
 from tests.synthetic.world import calibrated, make_rig
@@ -59,6 +61,12 @@ FULL = {
     "left.fx_px": 2.0, "right.cx_px": 0.7, "relative.ry_rad": 0.7 / FOCAL_PX, "relative.rx_rad": 0.5 / FOCAL_PX,
     "relative.rz_rad": 0.5 / FOCAL_PX,
 }  # fmt: skip
+
+
+def disparity_sigma_px(rig: Rig) -> float:
+    """Of the middle of the image, by the calibration."""
+    depth_sigma_m = float(np.sqrt(calibration_cov(np.array([[0.0, 0.0, 10.0]]), rig)[0, 2, 2]))
+    return depth_sigma_m * FOCAL_PX * RIG.baseline_m / 100
 
 
 def moves(*ways_m: float, turn_rad: float = 0.0) -> list[np.ndarray]:
@@ -105,21 +113,27 @@ def test_the_remaining_uncertainty_is_an_error_of_the_calibration() -> None:
     rig = self_calibrated_rig(RIG, found_by(), PARAMS)
     assert rig.calibration_covariance is not None
     assert rig.calibration_covariance.names == (
-        "relative.rx_rad", "relative.ry_rad", "relative.rz_rad", "right.cx_px"
+        "relative.rx_rad", "relative.ry_rad", "relative.rz_rad", "right.cx_px",
+        "relative.tx_m", "relative.ty_m", "relative.tz_m",
     )  # fmt: skip
-    matrix = np.array(rig.calibration_covariance.matrix)
+    matrix = np.array(rig.calibration_covariance.matrix)[:4, :4]
     middle = np.array([0, FOCAL_PX, 0, -1])  # turn and principal point: only their sum moves the middle of the image
     sigma_px = np.sqrt(middle @ matrix @ middle)
     assert 0.05 <= sigma_px < 0.2
     assert 0.05 <= np.sqrt(matrix[3, 3]) < 0.3  # and the bend determines the principal point
     depth_sigma_m = float(np.sqrt(calibration_cov(np.array([[0.0, 0.0, 10.0]]), rig)[0, 2, 2]))
-    assert depth_sigma_m == pytest.approx(100 * sigma_px / (FOCAL_PX * RIG.baseline_m), rel=0.05)
+    by_turn_m, by_scale_m = 100 * sigma_px / (FOCAL_PX * RIG.baseline_m), 10 * PARAMS.scale_sigma
+    assert depth_sigma_m == pytest.approx(np.hypot(by_turn_m, by_scale_m), rel=0.05)
 
 
 def test_insignificant_and_small_corrections_are_not_applied() -> None:
     found = found_by(turn=np.zeros(3))
     assert found.outcome is SelfCalibrationOutcome.INSIGNIFICANT
-    assert self_calibrated_rig(RIG, found, PARAMS) is RIG
+    stated = calibrated(RIG, FULL)
+    assert self_calibrated_rig(stated, found, PARAMS) is stated
+    rig = self_calibrated_rig(RIG, found, PARAMS)
+    assert rig.body_SE3_right == RIG.body_SE3_right and rig.right == RIG.right
+    assert disparity_sigma_px(rig) < 0.2 < PARAMS.self_calibration_prior_px, "it was measured"
     coarse = PARAMS.model_copy(update={"self_calibration_least_px": 1.0})
     assert found_by(params=coarse).outcome is SelfCalibrationOutcome.INSIGNIFICANT
 
@@ -146,14 +160,10 @@ def test_a_known_covariance_is_reduced_and_not_replaced() -> None:
     assert np.sqrt(matrix[2, 2]) * FOCAL_PX < 0.3  # separated from the principal point by the bend
 
 
-def test_of_unknown_accuracy_a_calibration_has_one_id_in_all_drives_and_shared_errors_are_a_part() -> None:
+def test_of_unknown_accuracy_a_calibration_has_one_id_in_all_drives() -> None:
     rigs = [self_calibrated_rig(RIG, found_by(bend_px=bend_px), PARAMS) for bend_px in (0.0, 1.6)]
     one, other = (shared_errors(rig) for rig in rigs)
     assert one is not None and other is not None and one.calibration == other.calibration
-    assert rigs[0].calibration_covariance is not None
-    part, whole = np.array(one.matrix), np.array(rigs[0].calibration_covariance.matrix)
-    scale = np.sqrt(np.diag(whole))
-    assert np.linalg.eigvalsh((whole - part @ part.T) / np.outer(scale, scale)).min() > -1e-9
 
 
 def test_shared_errors_are_part_of_the_remaining_covariance() -> None:
@@ -232,5 +242,42 @@ def test_a_standing_or_turning_car_gives_no_estimate() -> None:
         assert spans == []
     found = self_calibrate(RIG, [], [], PARAMS)
     assert found.outcome is SelfCalibrationOutcome.NO_ESTIMATE
-    assert self_calibrated_rig(RIG, found, PARAMS) is RIG
-    assert self_calibrated_rig(RIG, SWITCHED_OFF, PARAMS) is RIG
+    for unmeasured in (found, SWITCHED_OFF):
+        rig = self_calibrated_rig(RIG, unmeasured, PARAMS)
+        assert rig == with_assumed_errors(RIG, PARAMS)
+        assert disparity_sigma_px(rig) == pytest.approx(PARAMS.self_calibration_prior_px, rel=0.1)
+    stated = calibrated(RIG, FULL)
+    assert self_calibrated_rig(stated, SWITCHED_OFF, PARAMS) is stated
+
+
+def test_distances_of_the_log_show_the_scale_of_a_calibration_that_states_no_errors() -> None:
+    assumed = with_assumed_errors(RIG, PARAMS)
+    sigmas = [
+        rig.calibration_covariance.sigmas["relative.tx_m"] / RIG.baseline_m
+        for rig in (
+            with_measured_scale(assumed, RIG, scale, PARAMS) for scale in (None, (0.0003, 0.0004), (0.01, 0.001))
+        )
+        if rig.calibration_covariance is not None
+    ]
+    assert sigmas == pytest.approx([PARAMS.scale_sigma, 0.0005, PARAMS.scale_sigma])
+    measured = with_measured_scale(assumed, RIG, (0.0003, 0.0004), PARAMS)
+    one, other = shared_errors(assumed), shared_errors(measured)
+    assert one is not None and other is not None and one.calibration == other.calibration
+    assert disparity_sigma_px(measured) == pytest.approx(disparity_sigma_px(assumed), rel=0.03)
+    stated = calibrated(RIG, FULL)
+    assert with_measured_scale(stated, stated, (0.0003, 0.0004), PARAMS) is stated
+
+
+def test_drives_of_an_unstated_calibration_share_its_errors_measured_or_not() -> None:
+    """An error of the calibration moves what both drives see alike: the measured part is smaller, and correlated."""
+    found = [found_by(), found_by(turn=np.zeros(3)), SWITCHED_OFF]
+    shared = [shared_errors(self_calibrated_rig(RIG, one, PARAMS)) for one in found]
+    assert len({one.calibration for one in shared if one is not None}) == 1
+    for one, calibration in zip(shared, found, strict=True):
+        covariance = self_calibrated_rig(RIG, calibration, PARAMS).calibration_covariance
+        assert one is not None and covariance is not None
+        part, whole = np.array(one.matrix), np.array(covariance.matrix)
+        kept = np.diag(whole) > 0
+        scale = np.sqrt(np.diag(whole)[kept])
+        own = (whole - part @ part.T)[np.ix_(kept, kept)] / np.outer(scale, scale)
+        assert np.linalg.eigvalsh(own).min() > -1e-9

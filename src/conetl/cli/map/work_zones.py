@@ -25,7 +25,7 @@ from conetl.files.documents import read_yaml_model
 from conetl.model.base import Record
 from conetl.model.errors import InputError
 from conetl.model.params import LayoutParams, WorkZoneParams
-from conetl.model.work_zone_records import Finding, Level, WorkZone
+from conetl.model.work_zone_records import LayoutFinding, Level, WorkZone
 from conetl.pipeline.maps.work_zones import read_zones, zone_as_dict
 from conetl.workzones import layout_check
 
@@ -136,7 +136,7 @@ def check_layout_command(
         say(f"image -> {picture}")
 
 
-def _print_zone(zone: WorkZone, findings: list[Finding], lane_lines_from: str | None) -> None:
+def _print_zone(zone: WorkZone, findings: list[LayoutFinding], lane_lines_from: str | None) -> None:
     layout = zone.layout
     source = {"lanes": f"lane lines ({lane_lines_from})", "drives": "the drive paths", "cones": "the cones alone"}
     length = layout.stations_m[-1] - layout.stations_m[0]

@@ -23,6 +23,7 @@ from conetl.pipeline.settings import read_settings
 from conetl.reports.camera_images import write_annotated_image
 
 if TYPE_CHECKING:
+    from conetl.tracking.pair_calibration import PairCalibration
     from conetl.tracking.positions import CameraPosition
 
 #: Boxes of this score and more are used for the map.
@@ -185,9 +186,11 @@ def locate(
                 "without_partner": found.unmatched,
                 "no_cones_by_height": misfits,
                 "rejections": found.rejections,
+                "calibration": _calibration(found.calibration),
             }
         )
         return
+    ui.say(f"Calibration: {found.calibration.detail}.")
     count_left, count_right = map(len, found.detections)
     located = [*found.cones, *found.objects]
     cones = f", {ui.counted(len(found.cones), 'cone')} among them" if found.objects else ""
@@ -206,3 +209,15 @@ def locate(
 
 def _row(one: CameraPosition) -> dict[str, Any]:
     return {name: getattr(one, name) for name in _FIELDS}
+
+
+def _calibration(found: PairCalibration) -> dict[str, Any]:
+    """What the pair shows of its calibration: row offsets of the right image (px) in the middle and at its right side."""
+    seen = found.offsets
+    return {
+        "detail": found.detail,
+        "has_stated_errors": found.stated,
+        "points": 0 if seen is None else seen.points,
+        "rows_px": None if seen is None else [seen.rows_px[0], seen.rows_px.sum()],
+        "least_disparity_px": None if seen is None else seen.farthest_px,
+    }

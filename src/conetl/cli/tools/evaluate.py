@@ -34,7 +34,15 @@ from conetl.reports.html import Section
 if TYPE_CHECKING:
     from conetl.pipeline.analysis import AnalysedDrive
 
-_COLUMNS = ("range m", "matches", "median m", "median |m|", "robust std m", "std of residual / sigma")
+_COLUMNS = (
+    "range m",
+    "matches",
+    "median m",
+    "median |m|",
+    "robust std m",
+    "std of residual / sigma",
+    "within 2 sigmas",
+)
 
 
 def evaluate(
@@ -241,5 +249,5 @@ def lidar_check(
 
 
 def _cells(band: ResidualBand) -> tuple[Any, ...]:
-    figures = (band.median_m, band.median_abs_m, band.robust_std_m, band.ratio_std)
+    figures = (band.median_m, band.median_abs_m, band.robust_std_m, band.ratio_std, band.within_2_sigmas)
     return (f"{band.from_m:g}-{band.to_m:g}", band.pairs, *("-" if x is None else x for x in figures))

@@ -12,6 +12,7 @@ from uuid import UUID
 
 import numpy as np
 
+from conetl.checks.verdict import judge
 from conetl.db.connection import Connection, read, stream, stream_values
 from conetl.db.copy_rows import json_text
 from conetl.db.map.import_store import read_statements
@@ -67,6 +68,7 @@ def read_evidence(conn: Connection, drives: Sequence[DriveRef]) -> list[DriveEvi
                 markings=markings,
                 check_view=in_view,
                 params=params,
+                judge=judge,
                 imported=statements,
             )
         )

@@ -208,8 +208,8 @@ def unpack_jacobians(
     return result
 
 
-def with_covariance(rig: Rig, covariance: CalibrationCovariance) -> Rig:
-    """The rig with another covariance of the calibration that took the images (`known_covariance`)."""
+def with_covariance(rig: Rig, covariance: CalibrationCovariance | None) -> Rig:
+    """The rig with another covariance of the calibration that took the images (`known_covariance`); None: unknown."""
     if rig.rectified_from is None:
         return rig.model_copy(update={"calibration_covariance": covariance})
     taken = rig.rectified_from.model_copy(update={"calibration_covariance": covariance})

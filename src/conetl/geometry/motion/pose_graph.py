@@ -38,15 +38,18 @@ class LoggedPoses:
     positions: Floats
     sigma_p: Floats
     white: Floats
-    """(K, 6): sigma of the error that is independent in every record, position and attitude."""
+    """(K, 6): sigma of the error that counts as independent in every frame, position and attitude; errors that last for some
+    frames are scaled up so that their mean is as uncertain as it is."""
     drift: Floats
     """(K, 6): sigma of the slowly varying part."""
     correlation: Floats
     """(K - 1, 6): of the drift between a frame and the next."""
     body_SE3_left: Floats
     noise: Floats
-    """(K, 6): sigma of the error that changes between neighbouring records apart from the drift: the white part, or far less
+    """(K, 6): sigma of the error that changes between neighbouring frames apart from the drift: the white part, or far less
     where poses are interpolated."""
+    own: Floats
+    """(K, 6): sigma of all of a frame's error but the drift."""
 
 
 class MeasuredMotions(NamedTuple):

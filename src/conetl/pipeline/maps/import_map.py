@@ -14,6 +14,7 @@ from uuid import UUID, uuid5
 import numpy as np
 from scipy.spatial import cKDTree
 
+from conetl.checks.verdict import judge
 from conetl.db.connection import Connection
 from conetl.db.map import import_store as store
 from conetl.db.map.decision_store import read_decisions
@@ -116,6 +117,7 @@ def import_map(
             influence_m=store.IMPORT_INFLUENCE_M,
             check_visibility=lambda feature, offset_m, others_m: None,
             params=params.reconcile,
+            judge=judge,
             imported=imported.statements,
         )
         seeds = [drive_uuid, *superseded_drives(conn, drive_uuid)]
@@ -284,7 +286,7 @@ def _refuse_displaced(conn: Connection, imported: ImportedMap, params: ImportPar
     sigma = f"with a stated sigma of {found.sigma:.2f} m"
     wrong = "or revert the changeset (conetl map revert) whose"
     accept = "are wrong; --accept imports them as they are; nothing was written"
-    if found.name.endswith("heights"):
+    if found.check.endswith("heights"):
         raise InputError(
             f"{where} {'higher' if found.value > 0 else 'lower'} than those of the map {map_name} at the same positions, "
             f"{sigma}: give the height system of the file (--crs EPSG:25832+7837), {wrong} heights {accept}"

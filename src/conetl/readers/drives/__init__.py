@@ -13,7 +13,8 @@ import numpy as np
 
 from conetl.files.names import require_utf8
 from conetl.files.storage import as_path, forget_listing, is_remote, storage_errors
-from conetl.model.drive import Drive
+from conetl.geometry.packing import vec3
+from conetl.model.drive import CommonError, Drive
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
@@ -22,6 +23,7 @@ from conetl.readers.drives.formats import DriveFormat, image_files, names_in, wi
 from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
 from conetl.readers.stated_sigmas import implausible_sigma
 from conetl.readers.surveyed_points import read_surveyed_points
+from conetl.tracking.error_propagation import common_axes
 
 __all__ = ["FORMATS", "find_format", "read_drive", "zed_recording"]
 
@@ -69,6 +71,7 @@ def read_drive(
             points = tuple(read_surveyed_points(control_file, drive.map_srid, **stated))
             drive = drive.model_copy(update={"control_points": points})
         _require_plausible_sigmas(drive)
+        drive = _with_common_errors(drive, settings.common_errors)
     drive, frozen = without_frozen(drive)
     return drive, [*rejections, *frozen]
 
@@ -90,6 +93,18 @@ def _require_plausible_sigmas(drive: Drive) -> None:
             f"{drive.source_path}: {problem} State the sigma in drive.yaml, for example "
             f"'sigmas: {{horizontal_m: {np.median(sigmas_m.max(axis=1)) ** 0.5 or 0.02:.2g}}}'"
         )
+
+
+def _with_common_errors(drive: Drive, errors: tuple[CommonError, ...]) -> Drive:
+    """The drive with errors of its positions that others share; sigmas of the poses that are smaller are enlarged to them."""
+    if not errors:
+        return drive
+    rotation = np.array([pair.pose.map_R_body for pair in drive.frame_pairs])
+    stated_m = np.array([pair.pose.sigma_enu_m for pair in drive.frame_pairs])
+    common_m = np.linalg.norm(np.concatenate([common_axes(one, rotation) for one in errors], axis=2), axis=2)
+    sigmas_m = map(vec3, np.maximum(stated_m, common_m))
+    pairs = tuple(pair.with_pose(sigma_enu_m=m) for pair, m in zip(drive.frame_pairs, sigmas_m, strict=True))
+    return drive.model_copy(update={"common_errors": errors, "frame_pairs": pairs})
 
 
 def _control_file(source: Source) -> Path | None:

@@ -6,11 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, Field, model_validator
+from pydantic import AfterValidator, BaseModel, Field, field_validator, model_validator
 
 from conetl.files.documents import library_errors, nested_model, read_yaml_mapping, shown, validated
 from conetl.files.names import printable
 from conetl.model.base import GeodeticPosition, NonNegative, Positive, Record
+from conetl.model.drive import CommonError
 from conetl.model.errors import InputError
 from conetl.model.rig import MAX_LEVER_ARM_M, MAX_READOUT_MS, StampRow
 from conetl.perception.video import Layout
@@ -205,6 +206,12 @@ class DriveYaml(Record):
     shutter: ShutterSettings = Field(default=ShutterSettings(), description="Rolling shutter of the cameras.")
     clock: Clock | None = Field(default=None, description="Of the images relative to the trajectory.")
     """None: images and trajectory have one clock."""
+    common_errors: tuple[CommonError, ...] = setting(
+        "Errors of the positions that other drives share, of base station, datum or lever arm, as a part of the sigmas.",
+        [{"id": "base-north", "sigma_m": 0.02}],
+        default=(),
+    )
+    """One, or a list of them."""
     control_points: ControlPoints | None = setting("Surveyed cones that correct the poses.", "points.csv")
     pair_tolerance_ms: float = Field(default=5.0, gt=0, le=60_000)
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
@@ -213,6 +220,19 @@ class DriveYaml(Record):
     antenna_t_m: tuple[Metres, Metres, Metres] | None = None
     """The GNSS antenna in the frame of the attitudes (of bags the IMU's, where /tf_static has none); 0, 0, 0 if the positions are
     those of its origin."""
+
+    @field_validator("common_errors", mode="before")
+    @classmethod
+    def _one_alone(cls, value: object) -> object:
+        return (value,) if isinstance(value, Mapping) else value
+
+    @field_validator("common_errors")
+    @classmethod
+    def _each_once(cls, value: tuple[CommonError, ...]) -> tuple[CommonError, ...]:
+        ids = [one.id for one in value]
+        if len(set(ids)) < len(ids):
+            raise ValueError("two errors have the same id")
+        return value
 
     @property
     def pair_tolerance_ns(self) -> int:

@@ -35,7 +35,7 @@ _OPTIONAL: dict[str, tuple[str, ...]] = {
     "clock": ("offset_s",),
     "shutter": ("readout_ms", "stamp_row"),
 }
-_OPTIONAL_VALUES = ("drive_id", "timestamps_timezone", "control_points")
+_OPTIONAL_VALUES = ("drive_id", "timestamps_timezone", "common_errors", "control_points")
 _WIDTH = 110
 
 
@@ -90,7 +90,8 @@ def is_key(key: str) -> bool:
 
 def similar_keys(word: str) -> list[str]:
     """Keys of drive.yaml that are like a word: whose last part is, or which are as a whole."""
-    ends = {key: key.rpartition(".")[2] for key in KEYS if not key.startswith(("cameras", "streams", "control_points"))}
+    hidden = ("cameras", "streams", "common_errors.", "control_points")
+    ends = {key: key.rpartition(".")[2] for key in KEYS if not key.startswith(hidden)}
     near = get_close_matches(word.rpartition(".")[2].replace("-", "_"), ends.values(), n=1, cutoff=0.65)
     found = [key for key, end in ends.items() if [end] == near]
     return get_close_matches(word, found, n=1, cutoff=0.8) or found or get_close_matches(word, KEYS, n=1, cutoff=0.8)

@@ -24,38 +24,44 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion, StereoCameras, 
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_of, shifts_between
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import left_SE3_right
-from conetl.model.arrays import Floats, Image
+from conetl.model.arrays import Floats, Image, Ints
 from conetl.model.drive import FramePair, Track
-from conetl.model.health import HealthCheck, hold_if
-from conetl.model.params import TrajectoryParams
+from conetl.model.health import Finding
+from conetl.model.params import ExposureCheckParams, TrajectoryParams
 from conetl.model.rig import Rig, Side
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
+from conetl.tracking.self_calibration import DOUBTFUL_SIGMAS, is_ahead
 
 EXPOSURES, DOUBLED = "exposures of both cameras", "images of one instant"
-#: Shares of the baseline by which the right camera may be off along the path, and to which that is known at best. Cones 4 m
-#: aside are off by 0.08 m then. Sample drives and KITTI: 0.1 to 0.6 %.
-_MAX_AHEAD, _FLOOR, _SIGMAS = 0.02, 0.002, 6.0
+_DEFAULT = ExposureCheckParams()
+#: Share of the baseline to which the offset of the right camera along the path is known at best.
+_FLOOR = 0.002
 #: Points are outliers beyond this many sigmas of the median deviation.
 _OUTLIER_SIGMAS, _ROUNDS = 3.0, 6
 _LEAST_SPANS = 8
-#: Objects are doubled where this many pairs, and this share of all objects, are one interval's travel apart (to this many metres)
-#: without a third one in that row. Shorter travel does not separate the images of one object.
-_LEAST_PAIRS, _PAIRED_SHARE, _APART_M, _LEAST_STEP_M = 4, 0.6, 0.15, 0.3
-#: A lost frame shows where the log moves that far in an interval, at an even speed; at most this many intervals are tried.
-_UNEVEN_SHARE, _MOST_TRIED = 0.2, 40
-#: Images of another path contradict the log by this much (m), and by this many times the change of an even log; it turns
-#: by no more than this much (rad) beyond the mean of the intervals before and after.
-_ELSEWHERE_M, _EVEN_TIMES = 0.2, 2.0
+#: Speeds that differ by less than this share of their mean are one.
+_LEAST_CHANGE = 0.02
+#: Objects are one interval's travel apart to this many metres; shorter travel does not separate the images of one object.
+_APART_M, _LEAST_STEP_M = 0.15, 0.3
+#: At most this many intervals are tried.
+_MOST_TRIED = 40
+#: Images of another path contradict the log by this many times the change of an even log, which turns by no more than this much
+#: (rad) beyond the mean of the intervals before and after.
+_EVEN_TIMES = 2.0
 _EVEN_RAD = np.radians(0.3)
 #: Intervals, by their first and second pair counted from the one before, that cross it; and those beside it of equal lengths.
 _ACROSS, _BESIDE = ((0, 1), (-1, 1), (0, 2), (-1, 2)), ((-1, 0), (1, 2), (-2, 0), (1, 3))
 
 
-def right_camera_ahead(cameras: StereoCameras, spans: Sequence[Floats]) -> tuple[float, ...]:
-    """How far the right camera is before its calibrated position, and the sigma of that, as shares of the baseline.
+def right_camera_ahead(
+    cameras: StereoCameras, spans: Sequence[Floats], speeds_m_s: Sequence[float]
+) -> tuple[float, ...]:
+    """How far the right camera is before its calibrated position at the mean speed, and the sigma of that, as shares of the
+    baseline; also how much of it grows with the speed, and its sigma, if the speed changes.
 
-    spans: points (N, 4) u_left, v_left, u_right, v_right (px). Empty where they do not determine it.
+    spans: points (N, 4) u_left, v_left, u_right, v_right (px); speeds: of each span. Empty where they do not determine the
+    offset. A camera that exposes late is the farther ahead the faster it drives, one that is mounted elsewhere is not.
     """
     if len(spans) < _LEAST_SPANS:
         return ()
@@ -67,44 +73,66 @@ def right_camera_ahead(cameras: StereoCameras, spans: Sequence[Floats]) -> tuple
     x, y = (right[:, :2] / right[:, 2:]).T
     disparity = np.linalg.norm(cameras.right_SE3_left[:3, 3]) / right[:, 2]
     rows = (seen[:, 3] - cameras.right_px[3]) / cameras.right_px[1] - y
-    effects = np.column_stack([y * disparity, y, x, x * y, y * y, np.ones_like(y)])
+    speeds = np.asarray(speeds_m_s) / max(float(np.mean(speeds_m_s)), 1e-3) - 1
+    effects = np.column_stack([y * disparity, speeds[span] * y * disparity, y, x, x * y, y * y, np.ones_like(y)])
+    if np.ptp(speeds) < _LEAST_CHANGE:
+        effects = np.delete(effects, 1, axis=1)
     kept, estimate = np.full(len(rows), True), np.zeros(effects.shape[1])
     for _ in range(_ROUNDS):
         estimate = np.linalg.lstsq(effects[kept], rows[kept], rcond=None)[0]
         rest = np.abs(rows - effects @ estimate)
         kept = rest <= _OUTLIER_SIGMAS * 1.4826 * np.median(rest[kept])
-    parts = [(effects[kept & (span == k)], rows[kept & (span == k)]) for k in range(len(spans))]
+    # Errors that repeat in all spans, as of a lens, differ from one part of the image to another, or from near to far points.
+    thirds = np.minimum((3 * seen[:, 0] / (2 * cameras.left_px[2])).astype(int), 2)
+    blocks = thirds + 3 * (disparity > np.median(disparity)) + 6 * (y > 0)
+    by_span, by_block = (_jackknife(effects[kept], rows[kept], part[kept]) for part in (span, blocks))
+    if by_span is None or by_block is None:
+        return ()
+    sigma = np.sqrt((by_span + by_block)[:2])
+    found = float(estimate[0]), float(np.hypot(sigma[0], _FLOOR))
+    return found if np.ptp(speeds) < _LEAST_CHANGE else (*found, float(estimate[1]), float(sigma[1]))
+
+
+def _jackknife(effects: Floats, rows: Floats, part: Ints) -> Floats | None:
+    """(P,) variance of least squares from its scatter without one of the parts (N,) each; None if that is not determined."""
+    numbers = np.unique(part)
+    parts = [(effects[part == k], rows[part == k]) for k in numbers]
     normals, sides = np.array([a.T @ a for a, _ in parts]), np.array([a.T @ r for a, r in parts])
     without = normals.sum(axis=0) - normals
-    if np.linalg.matrix_rank(without).min() < len(estimate):
-        return ()
-    others = np.linalg.solve(without, (sides.sum(axis=0) - sides)[:, :, None])[:, 0, 0]
-    sigma = np.sqrt((len(spans) - 1) * others.var())
-    return float(estimate[0]), float(np.hypot(sigma, _FLOOR))
+    if len(numbers) < 2 or np.linalg.matrix_rank(without).min() < effects.shape[1]:
+        return None
+    others = np.linalg.solve(without, (sides.sum(axis=0) - sides)[:, :, None])[:, :, 0]
+    return np.asarray((len(numbers) - 1) * others.var(axis=0))
 
 
-def check_exposures(ahead: tuple[float, ...], rig: Rig, frame_pairs: Sequence[FramePair]) -> list[HealthCheck]:
+def check_exposures(
+    ahead: tuple[float, ...], rig: Rig, frame_pairs: Sequence[FramePair], limits: ExposureCheckParams = _DEFAULT
+) -> list[Finding]:
     """Whether both cameras expose at the same instant; where not, by how many milliseconds at the speed of the drive."""
     if not ahead:
         return []
     baseline_m = float(np.linalg.norm(left_SE3_right(rig)[:3, 3]))
-    off_m, sigma_m, limit_m = baseline_m * np.array([*ahead, _MAX_AHEAD])
-    wrong = abs(off_m) > max(limit_m, _SIGMAS * sigma_m)
-    detail = "The position of the right camera agrees with the calibration."
-    if wrong:
-        path = np.array([pair.pose.map_t_body_m for pair in frame_pairs])
-        seconds = np.diff([pair.captured_at_ns for pair in frame_pairs]) / 1e9
-        speed_m_s = max(float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1) / seconds)), 1e-3)
-        detail = (
-            f"The right camera is {abs(off_m):.3f} +- {sigma_m:.3f} m {'ahead of' if off_m > 0 else 'behind'} its calibrated "
-            f"position: at {speed_m_s:.1f} m/s it exposes {abs(off_m) / speed_m_s * 1e3:.1f} ms too "
-            f"{'late' if off_m > 0 else 'early'}. Trigger both cameras together. If they are, check that both have the same "
-            "brightness curve (gamma, contrast; a different one has the same effect), or calibrate the rig (conetl calibrate)."
-        )
-    return [hold_if(wrong, EXPOSURES, detail, value=off_m, sigma=sigma_m, limit=limit_m, unit="m")]
+    off_m, sigma_m, limit_m = (baseline_m * np.array([*ahead[:2], limits.max_ahead_share])).tolist()
+    path = np.array([pair.pose.map_t_body_m for pair in frame_pairs])
+    seconds = np.diff([pair.captured_at_ns for pair in frame_pairs]) / 1e9
+    speed_m_s = max(float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1) / seconds)), 1e-3)
+    where, when = ("ahead of", "late") if off_m > 0 else ("behind", "early")
+    facts = {"speed_m_s": speed_m_s, "late_ms": abs(off_m) / speed_m_s * 1e3, "where": where, "when": when}
+    finding = Finding(check=EXPOSURES, value=off_m, sigma=sigma_m, limit=limit_m, facts=facts)
+    return [finding.model_copy(update={"says": ("", _cause(ahead)), "treated": "widened" if is_ahead(ahead) else ""})]
 
 
-def check_doubled(tracks: Sequence[Track], frame_pairs: Sequence[FramePair]) -> HealthCheck:
+def _cause(ahead: tuple[float, ...]) -> str:
+    """Name of the message on the cause: a wrong trigger and a wrong mount differ only where the speed changes."""
+    if len(ahead) == 2 or abs(ahead[0]) < DOUBTFUL_SIGMAS * ahead[3]:
+        return "either"
+    grows, stays = (abs(ahead[2] - expected) < DOUBTFUL_SIGMAS * ahead[3] for expected in (ahead[0], 0.0))
+    return "trigger" if grows and not stays else "mount" if stays and not grows else "either"
+
+
+def check_doubled(
+    tracks: Sequence[Track], frame_pairs: Sequence[FramePair], limits: ExposureCheckParams = _DEFAULT
+) -> Finding:
     """Whether each image shows two instants, as interlaced video does and frames that a converter blended: all objects stand
     twice then, one interval's travel apart. In a real row of that spacing most have neighbours on both sides."""
     path = {pair.frame_index: np.array(pair.pose.map_t_body_m) for pair in frame_pairs}
@@ -124,16 +152,10 @@ def check_doubled(tracks: Sequence[Track], frame_pairs: Sequence[FramePair]) -> 
                 following.append((i, j))
     ends = Counter(chain.from_iterable(following))
     pairs = sum(ends[i] == ends[j] == 1 for i, j in following)
-    wrong = pairs >= _LEAST_PAIRS and 2 * pairs >= _PAIRED_SHARE * len(tracks)
-    detail = "No objects appear twice."
-    if wrong:
-        detail = (
-            f"{2 * pairs} of {len(tracks)} objects form pairs at the distance driven in one interval: each image shows two "
-            "instants, because the video is interlaced, or because frames were blended when the frame rate was converted. "
-            "Deinterlace the video, or export it at its original frame rate."
-        )
     share = 2 * pairs / len(tracks) if tracks else None
-    return hold_if(wrong, DOUBLED, detail, value=share, limit=_PAIRED_SHARE)
+    found = pairs >= limits.least_doubled_pairs and 2 * pairs >= limits.max_doubled_share * len(tracks)
+    facts = {"doubled": 2 * pairs, "objects": len(tracks)}
+    return Finding(check=DOUBLED, value=share, found=found, limit=limits.max_doubled_share, facts=facts)
 
 
 def check_lost_frames(
@@ -142,7 +164,8 @@ def check_lost_frames(
     motions: Sequence[RelativeMotion],
     read: ImageReader,
     params: TrajectoryParams,
-) -> HealthCheck:
+    limits: ExposureCheckParams = _DEFAULT,
+) -> Finding:
     """Whether both cameras lost or repeated a frame: between two frame pairs the images move twice or half as far as a smooth
     log, and all later images have other poses than their numbers or time stamps state.
 
@@ -152,43 +175,43 @@ def check_lost_frames(
     at_s = np.array([pair.captured_at_ns - pairs[0].captured_at_ns for pair in pairs]) * 1e-9
     lengths_m = np.linalg.norm(np.diff([pair.pose.map_t_body_m for pair in pairs], axis=0), axis=1)
     speeds = lengths_m / np.maximum(np.diff(at_s), 1e-6)
-    even = np.abs(speeds[1:-1] - (speeds[:-2] + speeds[2:]) / 2) < _UNEVEN_SHARE * speeds[1:-1]
+    uneven = limits.uneven_share
+    even = np.abs(speeds[1:-1] - (speeds[:-2] + speeds[2:]) / 2) < uneven * speeds[1:-1]
     ratios = np.linalg.norm(shifts_between(pairs, motions), axis=1)
     ratios /= [max(float(np.linalg.norm(expected[:3, 3])), 1e-6) for expected in expected_motions(pairs, rig)]
-    usual = np.abs(ratios - 1) < 2 * _UNEVEN_SHARE
+    usual = np.abs(ratios - 1) < 2 * uneven
     alone = even & usual[:-2] & ~usual[1:-1] & usual[2:] & (lengths_m[1:-1] > _LEAST_STEP_M)
     suspected = (np.flatnonzero(alone) + 1).tolist()
+
+    def again(k: int, factor: float) -> float:
+        return _times_expected(factor, pairs[k], pairs[k + 1], rig, read, params)
+
     found = [
         pairs[k + 1].frame_index
         for k in evenly_spaced(suspected, _MOST_TRIED)
         if any(
-            _is_about(ratios[k], factor)
-            or (np.isnan(ratios[k]) and _moves_by(factor, pairs[k], pairs[k + 1], rig, read, params))
+            _is_about(ratios[k], factor, uneven)
+            or (np.isnan(ratios[k]) and _is_about(again(k, factor), factor, uneven))
             for factor in (2.0, 0.5)
         )
     ]
-    detail = "No frame was lost or repeated by both cameras."
-    if found:
-        detail = (
-            f"Both cameras lost a frame or repeated one before frame pair {found[0]}: there the images move twice or half as far "
-            "as GNSS/INS, so all later images have wrong poses. Correct the numbers or time stamps of the images."
-        )
-    return hold_if(found, "frames lost by both cameras", detail, value=float(len(found)), limit=0.0)
+    facts = {"first": found[0]} if found else {}
+    return Finding(check="frames lost by both cameras", value=float(len(found)), facts=facts)
 
 
-def _moves_by(
+def _times_expected(
     factor: float, first: FramePair, second: FramePair, rig: Rig, read: ImageReader, params: TrajectoryParams
-) -> bool:
-    """Whether the images of two frame pairs show this many times the motion of their poses."""
+) -> float:
+    """How many times the motion of their poses the images of two frame pairs show, searched around a factor."""
     start, end = np.array(first.pose.map_t_body_m), np.array(second.pose.map_t_body_m)
     both = first, second.with_pose(map_t_body_m=vec3(start + factor * (end - start)))
     [motion] = motions_of(follow_drive(both, rig, read, params), both, rig, params)
     expected_m = float(np.linalg.norm(expected_motions(both, rig)[0][:3, 3]))
-    return _is_about(float(np.linalg.norm(motion.shift_m())) / expected_m, 1.0)
+    return factor * float(np.linalg.norm(motion.shift_m())) / expected_m
 
 
-def _is_about(ratio: float, factor: float) -> bool:
-    return bool(abs(ratio - factor) < _UNEVEN_SHARE * factor)
+def _is_about(ratio: float, factor: float, share: float) -> bool:
+    return bool(abs(ratio - factor) < share * factor)
 
 
 def check_recording(
@@ -197,7 +220,8 @@ def check_recording(
     motions: Sequence[RelativeMotion],
     read: ImageReader,
     params: TrajectoryParams,
-) -> HealthCheck:
+    limits: ExposureCheckParams = _DEFAULT,
+) -> Finding:
     """Whether images of another recording begin somewhere: there the images depart from the log, although the log is smooth.
 
     The motions before and after agree with the log. The one between them contradicts it, and so do all motions across it; or none
@@ -211,26 +235,26 @@ def check_recording(
     uneven_m, uneven_rad, uneven_s = (
         np.linalg.norm(x[1:-1] - (x[:-2] + x[2:]) / 2, axis=1) for x in (expected[:, :3, 3], turns, seconds[:, None])
     )
-    even = (uneven_m < _ELSEWHERE_M / _EVEN_TIMES) & (uneven_rad < _EVEN_RAD) & (uneven_s < seconds[1:-1] / 2)
-    usual = sizes_m < _ELSEWHERE_M / _EVEN_TIMES
-    suspected = np.flatnonzero(even & usual[:-2] & ~(sizes_m[1:-1] < _ELSEWHERE_M) & usual[2:]) + 1
+    even = (uneven_m < limits.elsewhere_m / _EVEN_TIMES) & (uneven_rad < _EVEN_RAD) & (uneven_s < seconds[1:-1] / 2)
+    usual = sizes_m < limits.elsewhere_m / _EVEN_TIMES
+    suspected = np.flatnonzero(even & usual[:-2] & ~(sizes_m[1:-1] < limits.elsewhere_m) & usual[2:]) + 1
     found = [
         pairs[k].frame_index
         for k in evenly_spaced(suspected.tolist(), _MOST_TRIED)
-        if _goes_elsewhere(k, off_m[k], pairs, rig, read, params)
+        if _goes_elsewhere(k, off_m[k], pairs, rig, read, params, limits.elsewhere_m)
     ]
-    detail = "Images and GNSS/INS show the same path."
-    if found:
-        detail = (
-            f"After frame pair {' and '.join(map(str, found))} the images jump and GNSS/INS does not, while both agree before "
-            "and after: images of another recording are mixed with these, or frames were lost. Check the names and numbers of "
-            "the images."
-        )
-    return hold_if(found, "images of one recording", detail, value=float(len(found)), limit=0.0)
+    facts = {"frames": " and ".join(map(str, found))}
+    return Finding(check="images of one recording", value=float(len(found)), facts=facts)
 
 
 def _goes_elsewhere(
-    k: int, off_m: Floats, pairs: Sequence[FramePair], rig: Rig, read: ImageReader, params: TrajectoryParams
+    k: int,
+    off_m: Floats,
+    pairs: Sequence[FramePair],
+    rig: Rig,
+    read: ImageReader,
+    params: TrajectoryParams,
+    elsewhere_m: float,
 ) -> bool:
     """Whether all motions across the interval after pair k agree with it. off_m (3,): NaN where it was not measured."""
 
@@ -245,6 +269,6 @@ def _goes_elsewhere(
     across = np.array([off_of(*ends) for ends in _ACROSS])
     if np.isnan(off_m).any():
         beside = np.array([off_of(*ends) for ends in _BESIDE if k + ends[0] >= 0 and k + ends[1] < len(pairs)])
-        return bool(np.isnan(across).all() and (np.linalg.norm(beside, axis=1) < _ELSEWHERE_M).all())
+        return bool(np.isnan(across).all() and (np.linalg.norm(beside, axis=1) < elsewhere_m).all())
     known = across[~np.isnan(across[:, 0])]
     return len(known) > 1 and bool((np.linalg.norm(known - off_m, axis=1) < np.linalg.norm(off_m) / 2).all())

@@ -8,35 +8,39 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
-from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
+from conetl.geometry.motion.pose_graph import MeasuredMotions
 from conetl.geometry.motion.steps import unexplained_step_m
 from conetl.geometry.motion.stereo_tracks import PAUSE_S, expected_motions
 from conetl.geometry.rig import map_SE3_left
-from conetl.model.arrays import Bools, Floats
+from conetl.model.arrays import Bools
 from conetl.model.drive import FramePair
-from conetl.model.health import HealthCheck, hold_if
+from conetl.model.health import Finding
+from conetl.model.params import JumpCheckParams
 from conetl.model.rig import Rig
 
 JUMPS = "jumps of the poses"
-#: A jump is at least this many metres, and this many of the sigmas that the log states for its change within an interval.
-_LEAST_M, _JUMP_SIGMAS = 0.1, 6.0
-#: A jump of the attitude is at least this many radians, and this many of its sigmas; where no motion was measured, beyond what a
-#: vehicle may gain in turn rate (rad/s^2) against this many neighbours on each side.
-_TURN_RAD, _TURN_ACCELERATION, _NEIGHBOURS = np.radians(0.3), 1.0, 4
-#: Jumps that a filter spreads span this many intervals, and are at least this many sigmas: good drives have up to 7.6.
-#: Shares of the distance that all motions have in common are computed from longer ones than this (m).
-_SPANS, _SLOW_SIGMAS, _LEAST_STEP_M = (5, 10, 20), 9.0, 0.05
+#: Where no motion was measured, a jump of the attitude is beyond what a vehicle may gain in turn rate (rad/s^2) against this many
+#: neighbours on each side.
+_TURN_ACCELERATION, _NEIGHBOURS = 1.0, 4
 #: Least time between two frame pairs.
 _LEAST_STEP_S = 1e-3
 
 
-def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools) -> HealthCheck:
-    """Intervals that no accepted motion confirms, and in which the log moves unlike their neighbours or, across a pause, unlike
-    the images."""
+def check_jumps(
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    measured: MeasuredMotions,
+    good: Bools,
+    limits: JumpCheckParams,
+    clock_sigma_s: float,
+) -> Finding:
+    """The interval in which the log moves most unlike the images or, where these do not show it, unlike the intervals around.
+
+    Whatever the spectrum of its errors, both ends of a step err by the stated sigmas.
+    """
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
     times_s = np.maximum.accumulate(times_s + _LEAST_STEP_S * np.arange(len(times_s)))
     left = np.array([map_SE3_left(pair.pose, rig) for pair in frame_pairs])
@@ -45,69 +49,26 @@ def check_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMo
     in_images_m[start] = se3.compose(left[start], se3.invert(measured.next_SE3_first))[:, :3, 3] - left[start, :3, 3]
     speeds[start[good]] = (in_images_m / step_s[:, None])[start[good]]
     sigma_m = np.array([(max(pair.pose.sigma_enu_m[:2]), pair.pose.sigma_enu_m[2]) for pair in frame_pairs])
+    sigma_m[:, 0] = np.hypot(sigma_m[:, 0], clock_sigma_s * float(np.median(np.linalg.norm(steps_m, axis=1) / step_s)))
     worst_m, worst = 0.0, 0
-    for k in np.flatnonzero(np.isnan(speeds[:, 0])).tolist():
-        errors_m = np.maximum(_LEAST_M, _JUMP_SIGMAS * sigma_m[k : k + 2].max(axis=0))
-        off_m = unexplained_step_m(steps_m, speeds, times_s, k, errors_m)
-        east_m, north_m, up_m = steps_m[k] - in_images_m[k]
-        if step_s[k] > PAUSE_S and ((np.hypot(east_m, north_m), abs(up_m)) > errors_m).any():
-            off_m = float(np.hypot(np.hypot(east_m, north_m), up_m))
+    for k in range(len(steps_m)):
+        errors_m = np.maximum(limits.least_m, limits.sigmas * np.hypot(*sigma_m[k : k + 2]))
+        off_m = 0.0
+        if np.isnan(speeds[k, 0]):
+            off_m = unexplained_step_m(steps_m, speeds, times_s, k, errors_m)
+        if step_s[k] > PAUSE_S or not np.isnan(speeds[k, 0]):
+            east_m, north_m, up_m = steps_m[k] - in_images_m[k]
+            if ((np.hypot(east_m, north_m), abs(up_m)) > errors_m).any():
+                off_m = float(np.hypot(np.hypot(east_m, north_m), up_m))
         if off_m > worst_m:
             worst_m, worst = off_m, k
-    detail = "The poses do not jump."
-    if worst_m:
-        first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
-        detail = (
-            f"GNSS/INS jumps by {worst_m:.1f} m between frame pairs {first} and {second}, but the images do not. conetl cannot "
-            "tell which side is correct. Reprocess the GNSS/INS log. Do not split the recording into two drives, unless you know "
-            "that their positions are correct."
-        )
-    return hold_if(worst_m, JUMPS, detail, value=worst_m, limit=_LEAST_M, unit="m")
+    first, second = frame_pairs[worst].frame_index, frame_pairs[worst + 1].frame_index
+    return Finding(check=JUMPS, value=worst_m, found=worst_m > 0, facts={"first": first, "second": second})
 
 
-def check_slow_jumps(
-    frame_pairs: Sequence[FramePair],
-    log: LoggedPoses,
-    measured: MeasuredMotions,
-    good: Bools,
-    residual: Floats,
-) -> HealthCheck:
-    """Whether the log moves against the images within some intervals, by more than its errors change in that time.
-
-    Each interval may agree within its own errors: a filter spreads a jump over a second. What all motions have in common (scale,
-    alignment) is taken out.
-    """
-    off_m, variance, driven_m = (np.full((len(frame_pairs) - 1, n), np.nan) for n in (3, 3, 1))
-    start = measured.start[good]
-    off_m[start], variance[start] = residual[good, 3:], np.diagonal(measured.cov[good], axis1=1, axis2=2)[:, 3:]
-    driven_m[start, 0] = np.linalg.norm(measured.next_SE3_first[good, :3, 3], axis=1)
-    long = driven_m[:, 0] > _LEAST_STEP_M
-    if long.any():
-        off_m = off_m - np.median(off_m[long] / driven_m[long], axis=0) * driven_m
-    worst, value_m, limit_m, frames = 1.0, 0.0, _LEAST_M, (0, 0)
-    for span in _SPANS:
-        if span > len(off_m):
-            break
-        moved_m, spread = (sliding_window_view(part, span, axis=0).sum(axis=-1) for part in (off_m, variance))
-        kept = sliding_window_view(log.correlation[:, :3], span, axis=0).prod(axis=-1)
-        changed = 2 * log.drift[:-span, :3] ** 2 * (1 - kept) + log.white[:-span, :3] ** 2 + log.white[span:, :3] ** 2
-        limits_m = np.maximum(_LEAST_M, _SLOW_SIGMAS * np.sqrt(spread + changed.max(axis=1, keepdims=True)))
-        ratio = np.nan_to_num(np.abs(moved_m) / limits_m)
-        k, axis = divmod(int(ratio.argmax()), 3)
-        if ratio[k, axis] > worst:
-            worst, value_m, limit_m = float(ratio[k, axis]), float(abs(moved_m[k, axis])), float(limits_m[k, axis])
-            frames = frame_pairs[k].frame_index, frame_pairs[k + span].frame_index
-    detail = "Over several intervals, GNSS/INS and images show the same motion."
-    if value_m:
-        detail = (
-            f"GNSS/INS moves by {value_m:.1f} m relative to the images between frame pairs {frames[0]} and {frames[1]}, more "
-            "than its stated sigmas allow: probably a jump that its filter has smoothed. Reprocess the GNSS/INS log, or state "
-            "its true sigmas."
-        )
-    return hold_if(value_m, "slow jumps of the poses", detail, value=value_m, limit=limit_m, unit="m")
-
-
-def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools) -> HealthCheck:
+def check_turn_jumps(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, good: Bools, limits: JumpCheckParams
+) -> Finding:
     """Intervals that no accepted motion confirms, and in which the log does not turn like the images or the intervals around.
 
     A wrong measured motion is rejected too: then that motion differs from its neighbours.
@@ -129,7 +90,7 @@ def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: Measu
         if min((near < k).sum(), (near > k).sum()) < 2:
             continue
         usual = np.median(accepted[near] / step_s[near, None], axis=0) * step_s[k]
-        limit = np.maximum(_TURN_RAD, _JUMP_SIGMAS * sigma[k : k + 2].max(axis=0))
+        limit = np.maximum(np.radians(limits.turn_deg), limits.sigmas * sigma[k : k + 2].max(axis=0))
         if np.isnan(rejected[k, 0]):
             off = np.abs(logged[k] - usual)
             limit = limit + _TURN_ACCELERATION * step_s[k] * (times_s[end] - times_s[begin]) / 8
@@ -139,12 +100,5 @@ def check_turn_jumps(frame_pairs: Sequence[FramePair], rig: Rig, measured: Measu
         beyond = off[off > limit]
         if len(beyond) and beyond.max() > worst:
             worst, first = float(beyond.max()), k
-    detail = "The attitudes do not jump."
-    if worst:
-        frames = frame_pairs[first].frame_index, frame_pairs[first + 1].frame_index
-        detail = (
-            f"GNSS/INS turns by {np.degrees(worst):.1f} degrees between frame pairs {frames[0]} and {frames[1]}, but the images "
-            "do not: the attitudes before or after it are wrong. Reprocess the GNSS/INS log."
-        )
-    value, limit_deg = np.degrees([worst, _TURN_RAD]).tolist()
-    return hold_if(worst, "jumps of the attitude", detail, value=value, limit=limit_deg, unit="degrees")
+    frames = {"first": frame_pairs[first].frame_index, "second": frame_pairs[first + 1].frame_index}
+    return Finding(check="jumps of the attitude", value=float(np.degrees(worst)), found=worst > 0, facts=frames)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
+from uuid import UUID
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -23,7 +24,7 @@ from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.markings import Marking, MarkingColour, MarkingTrack, marking_existence
 from conetl.model.params import MarkingParams
 from conetl.perception.markings.points import MarkingPoints
-from conetl.tracking.error_propagation import PoseCov, constant_and_change, moved_by_poses, moved_cov
+from conetl.tracking.error_propagation import PoseCov, constant_and_change, moved_by_poses, moved_cov, shared_by_drives
 from conetl.tracking.markings.chains import chains_of
 from conetl.tracking.markings.located import LocatedPoints, locate_points
 from conetl.tracking.markings.patterns import PatternPiece, pieces_of, searched_rows
@@ -208,7 +209,9 @@ def _track(
     if robust_std(residual) > _MAX_SCATTER_M or width_scatter > _MAX_WIDTH_SCATTER * width:
         return None
     xyz = np.column_stack([locate(points.line_m, course.station_m, course.offset_m), course.height_m])
-    joint, pose_part, calibrated = _covariances(points, course, xyz, _WORN_SHARE * width_scatter, drive, pairs, poses)
+    joint, pose_part, calibrated, common = _covariances(
+        points, course, xyz, _WORN_SHARE * width_scatter, drive, pairs, poses
+    )
     own_cov = np.concatenate([np.einsum("kikj->kij", stretch) for stretch in joint])
     middle = len(xyz) // 2
     contrast = float(np.median(own.columns.contrast))
@@ -235,7 +238,7 @@ def _track(
         last_seen_ns=max(seen),
         contrast=contrast,
         blur_px=max(float(np.median(own.columns.blur_px2)), 0.0) ** 0.5,
-        shared_jacobian=jacobian_of(calibrated[middle], drive.rig),
+        shared_jacobian=jacobian_of(calibrated[middle], drive.rig, common[middle]),
     )
 
 
@@ -247,14 +250,16 @@ def _covariances(
     drive: Drive,
     pairs: dict[int, FramePair],
     poses: PoseCov,
-) -> tuple[list[Floats], tuple[Floats, Floats], Floats]:
+) -> tuple[list[Floats], tuple[Floats, Floats], Floats, list[list[tuple[UUID, Floats]]]]:
     """Of K vertices: joint covariances (k, 3, k, 3) m^2 from the images, stretch by stretch; (K, 3, 3) from all errors of the
-    poses, and from the part of them that the frame pairs do not share; (K, 3, C) derivatives by the calibration's parameters."""
+    poses, and from the part of them that the frame pairs do not share; (K, 3, C) derivatives by the calibration's parameters; ids
+    and Jacobians of errors of the poses that drives share."""
     rig, count = drive.rig, len(xyz)
     direction = directions_at(points.line_m, course.station_m)
     across = np.stack([-direction[:, 1], direction[:, 0], np.zeros(count)], axis=1)
     axes = np.stack([across, np.broadcast_to([0.0, 0.0, 1.0], across.shape)], axis=2)
-    whole, change, calibrated, by_images = np.zeros((count, 3, 3)), np.zeros((count, 3, 3)), [], []
+    whole, change = np.zeros((count, 3, 3)), np.zeros((count, 3, 3))
+    calibrated, common, by_images = [], [], []
     for k, vertex in enumerate(xyz):
         largest = np.abs(course.shares[:, k]).max(axis=0)
         used = largest > _LEAST_SHARE * largest.max()
@@ -275,11 +280,16 @@ def _covariances(
         rank = np.arange(len(members))
         for target, part in ((whole, cov), (change, constant_and_change(cov)[1])):
             target[k] = moved_cov(moved, rank, part).reshape(len(rank), 3, len(rank), 3).sum(axis=(0, 2))
+        shared, lacking = shared_by_drives(
+            drive.common_errors, shares, [one.pose for one in members], whole[k], corrected=bool(drive.control_points)
+        )
+        whole[k] += lacking
+        common.append(shared)
         by_calibration = left[:, :3, :3] @ calibration_jacobian(seen, rig)
         calibrated.append((shares @ by_calibration).sum(axis=0))
     stretches = [slice(first, first + _STRETCH) for first in range(0, count, _STRETCH)]
     joint = [_joint_cov(course, axes, worn_m, by_images, stretch) for stretch in stretches]
-    return joint, (whole, change), np.stack(calibrated)
+    return joint, (whole, change), np.stack(calibrated), common
 
 
 def _by_images(left: Floats, seen: Floats, shares: Floats, axes: Floats, focal_px: float, focal_base: float) -> Floats:

@@ -21,7 +21,8 @@ from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.agreement import BEFORE_NS, LEAST_CONFIRMED
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive, FramePair
-from conetl.model.health import ADJOINING, HealthCheck, hold
+from conetl.model.health import ADJOINING, Finding
+from conetl.model.params import JumpCheckParams
 from conetl.model.rig import Rig
 
 #: Drives that begin at most this long after another ended may be parts of one recording; longer gaps cannot be bridged.
@@ -29,14 +30,14 @@ WITHIN_NS = 5_000_000_000
 #: The vehicle's speed comes from the frame pairs of half a second, between two and `_PAIRS` of them. It keeps its direction:
 #: `_LEAST_COSINE` is the minimum cosine of the angle between both.
 _PAIRS, _NEAR_NS, _LEAST_COSINE = 10, 500_000_000, 0.8
-#: Minimum size of a jump, in metres and in sigmas.
-_JUMP_M, _JUMP_SIGMAS = 0.3, 6.0
+#: Of all drives of a map, whatever the parameters of the newest one.
+_LIMITS = JumpCheckParams()
 
 
 class Doubt(NamedTuple):
     """Whether a drive may lie in the wrong place."""
 
-    check: HealthCheck | None
+    finding: Finding | None
     """Why the drive goes on hold, unless it is trusted itself; None if nothing contradicts it, or it continues a trusted one."""
     contested: bool
     """Whether it, or one that it continues, is contradicted at all."""
@@ -47,7 +48,7 @@ class Doubt(NamedTuple):
 
     @property
     def is_settled(self) -> bool:
-        return self.on_hold == (self.check is not None and not self.trusted)
+        return self.on_hold == (self.finding is not None and not self.trusted)
 
 
 class NewDrive(NamedTuple):
@@ -141,10 +142,10 @@ def _propagate(
         }
         trusted = {one for one in chain if trust.get(one)}
         for one in chain:
-            check = None
+            finding = None
             if contradicted and not trusted - {one}:
-                check = contradicted.get(one) or _continuation(drives[next(iter(contradicted))].drive_id)
-            doubts[one] = Doubt(check, bool(contradicted), one in trusted, drives[one].on_hold)
+                finding = contradicted.get(one) or _continuation(drives[next(iter(contradicted))].drive_id)
+            doubts[one] = Doubt(finding, bool(contradicted), one in trusted, drives[one].on_hold)
     return doubts
 
 
@@ -159,7 +160,7 @@ def _misfit_m(one: _Part, other: _Part) -> float | None:
     off = begin.xyz_m - end.xyz_m - (begin.velocity + end.velocity) / 2 * apart_s
     off_m = np.array([np.hypot(off[0], off[1]), abs(off[2])])
     sigma_m = np.hypot(np.hypot(end.sigma_m, begin.sigma_m), np.hypot(end.sigma_speed, begin.sigma_speed) * apart_s / 2)
-    limit_m = np.maximum(_JUMP_M, _JUMP_SIGMAS * sigma_m) + max_deviation_m(apart_s)
+    limit_m = np.maximum(_LIMITS.adjoining_m, _LIMITS.sigmas * sigma_m) + max_deviation_m(apart_s)
     return float(np.hypot(*off_m)) if (off_m > limit_m).any() else 0.0
 
 
@@ -198,19 +199,9 @@ def _motion(rig: Rig, pairs: Sequence[FramePair]) -> _Motion | None:
     )
 
 
-def _contradiction(other_id: str, off_m: float) -> HealthCheck:
-    detail = (
-        f"This drive and drive {other_id}, recorded right before or after it by the same cameras, are {off_m:.1f} m apart where "
-        "one continues the other: GNSS/INS jumps there, and conetl cannot tell which of them is correct. Reprocess the GNSS/INS "
-        "log and deliver the wrong drive again, or accept the correct one. If they were recorded by two vehicles, give the rig "
-        "of one a separate rig_id in its drive.yaml (rig_id: NAME), and ingest that drive again."
-    )
-    return hold(ADJOINING, detail, value=round(off_m, 3), limit=_JUMP_M, unit="m")
+def _contradiction(other_id: str, off_m: float) -> Finding:
+    return Finding(check=ADJOINING, value=off_m, limit=_LIMITS.adjoining_m, facts={"drive_id": other_id})
 
 
-def _continuation(other_id: str) -> HealthCheck:
-    detail = (
-        f"This drive continues drive {other_id}, which is on hold because GNSS/INS jumps between it and another drive. If that "
-        "drive has a position error, this one has it too. conetl uses this drive as soon as it uses that one."
-    )
-    return hold(ADJOINING, detail, value=None)
+def _continuation(other_id: str) -> Finding:
+    return Finding(check=ADJOINING, found=True, says=("continues",), facts={"drive_id": other_id})

@@ -1,0 +1,79 @@
+"""The one rule by which a finding gets a verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from conetl.checks.check import Check
+from conetl.checks.log import COMMON_MESSAGES
+from conetl.checks.table import TABLE
+from conetl.model.health import AGREEMENT, Finding, HealthCheck, Verdict
+from conetl.model.params import CheckParams
+
+_DEFAULT = CheckParams()
+
+
+def judge(finding: Finding, params: CheckParams = _DEFAULT) -> HealthCheck:
+    """The verdict on a finding, with its message: by its row of the table, whose limits are those of the parameters.
+
+    What was not measured, or is within its limit, passes. What the analysis has corrected, or covered by larger sigmas, counts.
+    Beyond the limit follows what the row states, unless the sigmas cover its effect on positions.
+    """
+    row, limit = TABLE[finding.check], _limit(finding, params)
+    was_measured = finding.found is not None or finding.value is not None
+    verdict = Verdict.PASS
+    if was_measured and _is_beyond(finding, row, limit):
+        is_covered = finding.effect_m is not None and finding.effect_m <= finding.covered_m
+        verdict = Verdict.WIDENED if is_covered else _follows(finding, row)
+    elif finding.treated:
+        verdict = Verdict(finding.treated)
+    messages = [row.passed if was_measured else row.unobserved]
+    if verdict is not Verdict.PASS:
+        messages = [*(row.messages.get(name) or COMMON_MESSAGES[name] for name in finding.says), row.remedy]
+    value, sigma, limit = (_rounded(figure) for figure in (finding.value, finding.sigma, limit))
+    return HealthCheck(
+        name=row.name, verdict=verdict, value=value, sigma=sigma, limit=limit, unit=row.unit,
+        detail=" ".join(filter(None, messages)).format_map(_facts(finding)),
+    )  # fmt: skip
+
+
+def judge_all(findings: Iterable[Finding], params: CheckParams = _DEFAULT) -> list[HealthCheck]:
+    """As `judge`, of each."""
+    return [judge(finding, params) for finding in findings]
+
+
+def _limit(finding: Finding, params: CheckParams) -> float | None:
+    """Largest (of some checks smallest) value, or deviation from the expected one, that is within the limit; None without any."""
+    row, least = TABLE[finding.check], finding.limit
+    if least is None and row.least:
+        least = params.value(row.least)
+    if least is not None and row.sigmas and finding.sigma is not None:
+        least = max(least, params.value(row.sigmas) * finding.sigma)
+    return least
+
+
+def _is_beyond(finding: Finding, row: Check, limit: float | None) -> bool:
+    if finding.found is not None or finding.value is None:
+        return bool(finding.found)
+    if row.is_smallest:
+        return finding.value < (limit or 0.0)
+    return abs(finding.value - row.expected) > (limit or 0.0)
+
+
+def _follows(finding: Finding, row: Check) -> Verdict:
+    """The first of what its messages and the row state."""
+    return next((row.follows_from[name] for name in finding.says if name in row.follows_from), row.follows)
+
+
+def _rounded(figure: float | None) -> float | None:
+    """To four digits, so that a repeated computation gives the same."""
+    return None if figure is None else float(f"{figure:.4g}")
+
+
+def _facts(finding: Finding) -> Mapping[str, object]:
+    size = None if finding.value is None else abs(finding.value)
+    return {"value": finding.value, "size": size, "sigma": finding.sigma, **finding.facts}
+
+
+#: Of a drive that the map does not contradict.
+AGREES = judge(Finding(check=AGREEMENT, found=False))

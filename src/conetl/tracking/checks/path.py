@@ -1,0 +1,90 @@
+"""What the path of the log and that of the images differ by (`path_fit.py`), and whether the log's stated sigmas cover it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from conetl.model.drive import FramePair
+from conetl.model.health import Finding
+from conetl.model.params import PathCheckParams, TrajectoryParams
+from conetl.tracking.log_errors import GROUPS, LogErrors, StatedErrors, assumed_errors, compared_frames
+from conetl.tracking.path_difference import ASIDE, LEVER, SCALE, UP, measured_cov
+from conetl.tracking.path_fit import PRIOR, PathFit, fitted_changes
+from conetl.tracking.trajectory import RefinedTrajectory, RefinementOutcome, stated_errors
+
+DISTANCES, SIGMAS = "distances by images and by GNSS/INS", "stated sigmas of the poses"
+#: What is known beforehand of the heights' factor: one sigma. Another unit is one foot in metres, to this share.
+_HEIGHTS_PRIOR, _FOOT_M, _SAME_FACTOR = 3.0, 0.3048, 0.3
+_NAMES = ("easting and northing", "height", "roll and pitch", "heading")
+assert len(_NAMES) == len(GROUPS)
+
+
+def check_path(
+    frame_pairs: Sequence[FramePair], trajectory: RefinedTrajectory, params: TrajectoryParams, limits: PathCheckParams
+) -> list[Finding]:
+    """Distances, directions, lever arm and heights of a log against the images, and its stated sigmas."""
+    findings, fit = [_stated_sigmas(trajectory, limits)], trajectory.path
+    if fit is None:
+        return findings
+    sigma = fit.sigma.copy()
+    sigma[:3] = np.hypot(sigma[:3], fit.stated)
+    k, way = max(((ASIDE, "sideways"), (UP, "up or down")), key=lambda one: abs(fit.found[one[0]]) / sigma[one[0]])
+    arms = list(zip(fit.found[LEVER], sigma[LEVER], ("forward", "left"), strict=False))
+    arm_m, arm_sigma_m, arm_way = max(arms, key=lambda one: abs(one[0]) / one[1])
+    treated = ["widened" if doubtful else "" for doubtful in fit.doubtful]
+    angle_deg, angle_sigma_deg = np.degrees([abs(fit.found[k]), sigma[k]]).tolist()
+    return [
+        *findings,
+        Finding(
+            check=DISTANCES, value=100 * float(fit.found[SCALE]), sigma=100 * float(sigma[SCALE]), treated=treated[SCALE],
+            says=("", "covered"),
+        ),
+        Finding(
+            check="alignment of cameras and GNSS/INS", value=angle_deg, sigma=angle_sigma_deg, treated=treated[k],
+            facts={"way": way, "drift_cm": 100 * float(abs(fit.found[k]))},
+        ),
+        Finding(check="lever arm of the cameras", value=float(arm_m), sigma=float(arm_sigma_m), facts={"way": arm_way}),
+        _heights(fit, stated_errors(frame_pairs), trajectory.errors or assumed_errors(params)),
+    ]  # fmt: skip
+
+
+def _heights(fit: PathFit, records: StatedErrors, errors: LogErrors) -> Finding:
+    """By what factor the log climbs more than the images."""
+    difference = fit.difference
+    climbs = np.zeros((*fit.changes.shape[:2], 1))
+    climbs[:, 2, 0] = difference.path_m[:, 2]
+    changes = np.concatenate([fit.changes, climbs], axis=2)
+    found, cov = fitted_changes(difference, records, errors, changes, np.append(PRIOR, _HEIGHTS_PRIOR))
+    # Errors of the measured path look like climbs that GNSS/INS does not have: the factor is too small by their share.
+    frames = compared_frames(records)
+    even = np.column_stack([np.ones(len(frames)), difference.driven_m[frames]])
+    rest = np.eye(len(frames)) - even @ np.linalg.pinv(even)
+    shown = float(np.square(rest @ climbs[frames, 2, 0]).sum())
+    wrong = float(np.trace(rest @ measured_cov(difference, records.stated, frames, 2) @ rest)) / max(shown, 1e-12)
+    factor, sigma = 1 + float(found[-1]), float(np.hypot(cov[-1, -1] ** 0.5, wrong))
+    likely = {1 / _FOOT_M: "feet", _FOOT_M: "feet twice"}
+    named = (cause for times, cause in likely.items() if abs(factor / times - 1) < _SAME_FACTOR)
+    return Finding(
+        check="heights of GNSS/INS",
+        value=factor,
+        sigma=sigma,
+        says=("", "sign" if factor < 0 else next(named, "unit")),
+    )
+
+
+def _stated_sigmas(trajectory: RefinedTrajectory, limits: PathCheckParams) -> Finding:
+    """By what factor the stated sigmas are too small, where the images show that."""
+    if trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS:
+        detail = trajectory.detail
+        return Finding(
+            check=SIGMAS, found=True, says=("moved",), facts={"outcome": f"{detail[0].upper()}{detail[1:]}."}
+        )
+    if trajectory.errors is None:
+        return Finding(check=SIGMAS)
+    factor, group = max((shares.factor**0.5, k) for k, shares in enumerate(trajectory.errors))
+    return Finding(
+        check=SIGMAS, value=factor, treated="widened" if factor > 1.0 else "", facts={"of": _NAMES[group]},
+        says=("", "widened" if factor <= limits.sigma_factor else "beyond"),
+    )  # fmt: skip

@@ -1,0 +1,91 @@
+"""Scale, alignment, lever arm and clock by which the path of a log differs from that of the images.
+
+All are estimated together by generalised least squares (e.g. Koch 1999, ch. 3.2) with the model of the log's errors, so that what
+a drive does not show has a large sigma, and errors of the log within its stated sigmas are significant for none of them. A drift
+of the log at a constant rate is the same to the images as a wrong scale or alignment: where one is significant, the positions may
+have drifted by it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
+from conetl.model.arrays import Bools, Floats
+from conetl.model.params import TrajectoryParams
+from conetl.tracking.log_errors import GROUPS, LogErrors, StatedErrors, compared_frames, difference_terms, log_cov
+from conetl.tracking.path_difference import ASIDE, SCALE, UP, PathDifference, path_changes, path_difference
+
+#: What is known beforehand of scale, direction (rad), lever arm (m) and clock (s): one sigma.
+PRIOR = np.array([0.1, 0.2, 0.2, 3.0, 3.0, 3.0, 0.05])
+#: Beyond this many sigmas of what is stated, and of the estimate, positions may have drifted.
+_DOUBTFUL_SIGMAS, _SIGNIFICANT_SIGMAS = 2.0, 3.0
+
+
+class PathFit(NamedTuple):
+    """Estimates in the units of `path_changes`."""
+
+    found: Floats
+    """(7,)"""
+    sigma: Floats
+    """(7,) by the drive alone."""
+    stated: Floats
+    """(3,): stated sigmas of scale and of both directions."""
+    difference: PathDifference
+    changes: Floats
+    """(K, 3, 7), see `path_changes`."""
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """By what share the images show longer distances than the log, and its sigma."""
+        return float(self.found[SCALE]), float(self.sigma[SCALE])
+
+    @property
+    def doubtful(self) -> Bools:
+        """(3,): whether neither calibration nor log, as they are stated, explain the scale, and the directions."""
+        least = np.maximum(_DOUBTFUL_SIGMAS * self.stated, _SIGNIFICANT_SIGMAS * self.sigma[:3])
+        return np.asarray(np.abs(self.found[:3]) > least)
+
+    def drifts(self) -> Floats:
+        """(K, 3, D) m: by how much positions may have drifted, from the first or to the last of them."""
+        changes = (self.changes[:, :, :3] * self.found[:3])[:, :, self.doubtful]
+        ends = changes[[0, -1]]
+        constant = np.broadcast_to((ends[1] - ends[0]) / 2, changes.shape)
+        return np.concatenate([constant, changes - ends.mean(axis=0)], axis=2)
+
+
+def fit_path(
+    log: LoggedPoses, rotations: Floats, motions: MeasuredMotions, records: StatedErrors, errors: LogErrors,
+    params: TrajectoryParams,
+) -> PathFit:  # fmt: skip
+    """rotations: (K, 3, 3) of the body, adjusted. motions: without those that are implausible. errors: of the log."""
+    difference = path_difference(log, rotations, motions, records.times_s, params)
+    changes = path_changes(difference)
+    found, cov = fitted_changes(difference, records, errors, changes, PRIOR)
+    stated = np.zeros(3)
+    stated[SCALE] = params.scale_sigma
+    stated[ASIDE], stated[UP] = (np.median(records.stated[:, axes].max(axis=1)) for axes in ((5,), (3, 4)))
+    return PathFit(found, np.sqrt(np.diag(cov)), stated, difference, changes)
+
+
+def fitted_changes(
+    difference: PathDifference, records: StatedErrors, errors: LogErrors, changes: Floats, prior: Floats
+) -> tuple[Floats, Floats]:
+    """Generalised least squares of the difference of positions by changes (K, 3, C): (C,) and its covariance (C, C).
+
+    errors: of the log. prior: (C,) sigmas.
+    """
+    frames = compared_frames(records)
+    normal, right = np.diag(prior**-2.0), np.zeros(len(prior))
+    for group, axes in enumerate(GROUPS[:2]):
+        for axis in axes:
+            part = difference_terms(difference, records, frames, axis, None, group == 0)
+            by = changes[frames, axis]
+            solved = cho_solve(cho_factor(log_cov(part, errors[group])), np.column_stack([by, part.off]))
+            normal += by.T @ solved[:, :-1]
+            right += by.T @ solved[:, -1]
+    cov = np.linalg.inv(normal)
+    return np.asarray(cov @ right), np.asarray((cov + cov.T) / 2)

@@ -1,0 +1,87 @@
+"""Honest recordings are not held, and their sigmas are right; logs err by as much as they state. More: `make bench-honest`."""
+
+from __future__ import annotations
+
+from functools import cache, partial
+
+import numpy as np
+import pytest
+from _pytest.mark import ParameterSet
+from scipy.spatial.transform import Rotation
+
+from conetl.geometry import pose as se3
+from conetl.pipeline.settings import Settings
+from tests.folders import SAMPLES
+from tests.honest.drives import outcome_of, rng_of
+from tests.honest.logs import PARAMS, SHAPES, Floats, LogShape, Times, recorded_poses
+from tests.honest.outcomes import Outcome, pooled
+from tests.honest.recordings import outcome_of as with_images
+from tests.honest.recordings import part_of, sample
+
+#: Shapes that are held, and with sigmas that are too small: a steady drift is taken for the alignment of the cameras, and for
+#: their scale.
+NOT_YET = ("wave longer than the drive",)
+WITH_IMAGES = ("constant", "white", "saw-tooth of 1 s", "rounded to 1e-7 degrees", "attitudes white")
+_DRIVES = 3
+HALF = partial(part_of, partial(sample, 1, SAMPLES[0]), 0, 24)
+_VELOCITY_M_S = np.array([11.0, 7.0, 0.3])
+
+
+def not_yet(shape: LogShape) -> ParameterSet:
+    """A shape as a parameter of a test."""
+    marks = [pytest.mark.xfail(strict=True, reason="drifts are taken for alignment")] if shape.name in NOT_YET else []
+    return pytest.param(shape, id=shape.name, marks=marks)
+
+
+@cache
+def some(shape: LogShape) -> list[Outcome]:
+    """Drives with errors of this shape, of its strengths in turn."""
+    return [outcome_of(seed, shape, shape.strengths_m[seed % len(shape.strengths_m)]) for seed in range(_DRIVES)]
+
+
+@pytest.mark.parametrize("shape", map(not_yet, SHAPES))
+def test_drives_with_errors_as_stated_are_not_held(shape: LogShape) -> None:
+    assert [one.held for one in some(shape) if one.held is not None] == []
+
+
+@pytest.mark.parametrize("shape", map(not_yet, SHAPES))
+def test_cones_are_as_accurate_as_stated(shape: LogShape) -> None:
+    """Not less, and not more."""
+    nees = pooled("absolute", some(shape))
+    assert nees.holds(0.999), nees.per_dof
+
+
+@pytest.mark.parametrize("shape", [one for one in SHAPES if one.name in WITH_IMAGES], ids=lambda shape: shape.name)
+def test_recordings_with_errors_as_stated_are_not_held(sample_settings: Settings, shape: LogShape) -> None:
+    """A part of a sample drive, whose images are searched once."""
+    assert with_images(0, shape, shape.strengths_m[0], HALF, sample_settings).held is None
+
+
+def moving(times_s: Floats) -> Floats:
+    """(K, 4, 4) true poses of a vehicle at constant speed, which pitches and turns a little."""
+    turn = se3.rotation_from_rpy(0.01 * np.sin(times_s), 0.02 * np.sin(0.7 * times_s), 0.4 + 0.1 * times_s)
+    return se3.se3(turn, times_s[:, None] * _VELOCITY_M_S)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.name)
+def test_errors_of_a_log_are_as_large_as_it_states(shape: LogShape) -> None:
+    """Otherwise it would not be honest, or too easy."""
+    seconds = np.arange(0.0, 20.0, 1 / (shape.rate_hz or 10.0))
+    times = Times(seconds, np.tile(_VELOCITY_M_S, (len(seconds), 1)))
+    true = moving(seconds)
+    squares = []
+    for seed in range(100):
+        rng = rng_of(seed, "as stated", shape.name)
+        errors = shape.draw(rng, times, shape.strengths_m[seed % len(shape.strengths_m)])
+        poses = recorded_poses(moving(seconds + errors.late_s), rng, errors)
+        clock_s, lever_m = errors.clock_sigma_s or PARAMS.clock_sigma_s, PARAMS.lever_arm_sigma_m
+        stated = np.sqrt(errors.sigma_m**2 + (_VELOCITY_M_S * clock_s) ** 2 + lever_m**2)
+        off = (poses[:, :3, 3] - true[:, :3, 3]) / stated
+        turn = (
+            Rotation.from_matrix(np.swapaxes(true[:, :3, :3], 1, 2) @ poses[:, :3, :3]).as_rotvec() / errors.sigma_rad
+        )
+        squares.append(np.concatenate([(off**2).mean(axis=0), (turn**2).mean(axis=0)]))
+    of_axes = np.mean(squares, axis=0)
+    known = of_axes if "heading only" not in shape.name else of_axes[[0, 1, 2, 5]]
+    assert known == pytest.approx(1.0, abs=0.35), known
+    assert known.mean() == pytest.approx(1.0, abs=0.12)
