@@ -91,7 +91,10 @@ def write_video_drive(
     seconds, rest = divmod(times[0], 10**9)
     start = f"{np.datetime64(seconds, 's')}".replace("T", " ") + f".{rest:09d}Z"
     layout_text = f", layout: {layout}" if layout else ", right_offset_s: 0"
-    (root / "drive.yaml").write_text(f"images: {{start: '{start}'{layout_text}}}\n")
+    settings = (
+        f"images: {{start: '{start}'{layout_text}}}\nshutter: {{readout_ms: 0}}\n"  # its cameras are simulated ones
+    )
+    (root / "drive.yaml").write_text(settings)
     if trajectory:
         write_csv(root, known_of(drive))
     return root

@@ -12,10 +12,12 @@ import typer
 from conetl.cli.console import JsonOption, answer, complain, note, print_json, say, spinner
 from conetl.files.atomic import atomic_files
 from conetl.files.documents import parse_yaml, shown, validated
+from conetl.geometry.motion.rolling_shutter import shutter_of
+from conetl.model.drive import Drive
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, InputError
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.stereo_check import TRIGGER, check_stereo
-from conetl.perception.video import video_facts
+from conetl.perception.video import frame_of, video_facts
 from conetl.readers.drives import find_format, kitti, plain, zed_recording
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml, stated
 from conetl.readers.drives.header import read_header
@@ -97,7 +99,7 @@ def init(
     note(*header.remarks)
     if header.problem is not None:
         raise _unreadable(root, header.problem)
-    _finish(folder, text + _estimated(found.timing, stated_images), settings, as_json)
+    _finish(folder, text + _estimated(found.timing, stated_images) + _unknown_readout(found.drive), settings, as_json)
 
 
 def _format_of_drive(root: Path) -> str | None:
@@ -269,6 +271,17 @@ def _estimated(timing: Timing, stated_images: Mapping[str, Any]) -> str:
             f"+-{1000 * timing.clock.sigma_s:.0f} ms. If you know the exact time, set images.start."
         )
     return text
+
+
+def _unknown_readout(drive: Drive) -> str:
+    """A question about the rolling shutter, for video whose readout is not stated."""
+    if frame_of(drive.frame_pairs[0].left_path) is None or shutter_of(drive.rig, "left") is not None:
+        return ""
+    return (
+        "\nDo the cameras read their rows one after the other (rolling shutter), as most video cameras and phones do? State them "
+        "with --set shutter.readout_ms=MS (0: global shutter) and --set shutter.stamp_row=first, middle or last. Otherwise the "
+        "readout is estimated from the images, and positions get larger sigmas."
+    )
 
 
 def _write(root: Path, settings: Mapping[str, Any], missing: Sequence[Missing], rig: Rig | None) -> None:

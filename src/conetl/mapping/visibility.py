@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.geometry.linear_reference import spaced
-from conetl.geometry.rig import map_SE3_camera, map_SE3_left
+from conetl.geometry.motion.rolling_shutter import as_exposed, camera_rates, readouts_s, right_rates
+from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.base import Vec3
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, absence_log_ratio, class_evidence
@@ -80,6 +81,14 @@ class DriveObservations:
     figures: AbsenceFigures
     unclear: Mapping[str, Bools] = field(default_factory=dict)
     """By side: which squares (rows, columns) of the image show nothing or are blurred; empty where all are clear."""
+    rates: Mapping[Side, Floats] = field(default_factory=dict)
+    """By side, of cameras with a rolling shutter: (N, 6) rate of static points in the camera's frame; else empty."""
+
+    def as_exposed(self, side: Side, points_m: Floats, rows: Ints) -> Floats:
+        """Points (M, 3) of one camera's frame where a rolling shutter saw them. rows (M,): of their frame pairs."""
+        if side not in self.rates:
+            return points_m
+        return as_exposed(points_m, camera_of(self.rig, side), self.rig, side, self.rates[side][rows])
 
     def is_unclear(self, side: Side, u_px: Floats, v_px: Floats) -> Bools:
         """Whether image points, arrays of one shape, lie where the lens shows nothing, or blurred."""
@@ -119,7 +128,16 @@ def observations_of_drive(
         positions_m={key: np.array(some) for key, some in xyz_m.items()},
         figures=figures,
         unclear=_unclear_grids(rig, figures),
+        rates=_rates(rig, frame_pairs),
     )
+
+
+def _rates(rig: Rig, frame_pairs: Sequence[FramePair]) -> dict[Side, Floats]:
+    """As `DriveObservations.rates`."""
+    if not (readouts_s(rig).any() and frame_pairs):
+        return {}
+    left = camera_rates(frame_pairs, rig)
+    return {"left": left, "right": right_rates(rig, left)}
 
 
 def _unclear_grids(rig: Rig, figures: AbsenceFigures) -> dict[str, Bools]:
@@ -216,10 +234,12 @@ def pairs_in_view(
     Returns their rows in `drive` (K,), the cone's apparent heights (K, 2) in px and its boxes, left and right.
     """
     tip_m = foot_m + np.array([0.0, 0.0, object_height_m])
-    boxes, inside = [], np.ones(len(drive.frames), dtype=bool)
-    for poses, camera in ((drive.map_SE3_left, drive.rig.left), (drive.map_SE3_right, drive.rig.right)):
+    boxes, every = [], np.arange(len(drive.frames))
+    inside = np.ones(len(every), dtype=bool)
+    for side, poses, camera in _views(drive):
         to_camera = np.swapaxes(poses[:, :3, :3], 1, 2)
-        foot, tip = (np.einsum("nij,nj->ni", to_camera, point - poses[:, :3, 3]) for point in (foot_m, tip_m))
+        still = (np.einsum("nij,nj->ni", to_camera, point - poses[:, :3, 3]) for point in (foot_m, tip_m))
+        foot, tip = (drive.as_exposed(side, points, every) for points in still)
         box = apparent_boxes(foot, tip, camera, category)
         inside &= are_in_view(box, camera, params)
         boxes.append(box)
@@ -227,6 +247,11 @@ def pairs_in_view(
     left, right = boxes[0][rows], boxes[1][rows]
     heights_px = np.column_stack([left[:, 3] - left[:, 1], right[:, 3] - right[:, 1]])
     return rows, heights_px, [(_box(a), _box(b)) for a, b in zip(left, right, strict=True)]
+
+
+def _views(drive: DriveObservations) -> tuple[tuple[Side, Floats, Camera], ...]:
+    """Side, (N, 4, 4) poses and camera."""
+    return ("left", drive.map_SE3_left, drive.rig.left), ("right", drive.map_SE3_right, drive.rig.right)
 
 
 def _is_detected(
@@ -242,14 +267,14 @@ def _is_detected(
 
     Far cones are located to a metre, but their boxes to a pixel.
     """
-    threshold = drive.figures.evidence.match_iou
-    views = (("left", drive.map_SE3_left, drive.rig.left), ("right", drive.map_SE3_right, drive.rig.right))
-    for (side, poses, camera), box in zip(views, boxes, strict=True):
+    threshold, rows = drive.figures.evidence.match_iou, np.full(len(others_m), number)
+    for (side, poses, camera), box in zip(_views(drive), boxes, strict=True):
         own = [(d, share) for d in found if d.side == side and (share := iou(box, d)) >= threshold]
         if own and len(others_m):
             pose = poses[number]
-            feet = (others_m - pose[:3, 3]) @ pose[:3, :3]
-            tips = (others_m + np.array([0.0, 0.0, object_height_m]) - pose[:3, 3]) @ pose[:3, :3]
+            feet = drive.as_exposed(side, (others_m - pose[:3, 3]) @ pose[:3, :3], rows)
+            tops_m = others_m + np.array([0.0, 0.0, object_height_m])
+            tips = drive.as_exposed(side, (tops_m - pose[:3, 3]) @ pose[:3, :3], rows)
             others = [_box(other) for other in apparent_boxes(feet, tips, camera, category) if not np.isnan(other[0])]
             own = [(d, share) for d, share in own if all(iou(other, d) <= share for other in others)]
         if own:
@@ -320,12 +345,11 @@ def markings_in_view(
     rows = rows[np.linalg.norm(drive.map_SE3_left[rows, :3, 3] - middle_m, axis=1) <= reach_m]
     rows = rows[spaced(drive.map_SE3_left[rows, :3, 3], _STEP_M)]
     in_view = np.ones((len(vertices_m), len(rows)), bool)
-    views: tuple[tuple[Floats, Camera, Side], ...] = (
-        (drive.map_SE3_left[rows], drive.rig.left, "left"),
-        (drive.map_SE3_right[rows], drive.rig.right, "right"),
-    )
-    for poses, camera, side in views:
-        x, y, z = np.einsum("knj,kji->ink", vertices_m[None] - poses[:, None, :3, 3], poses[:, :3, :3])
+    for side, every, camera in _views(drive):
+        poses = every[rows]
+        still = np.einsum("knj,kji->nki", vertices_m[None] - poses[:, None, :3, 3], poses[:, :3, :3])
+        shown_m = drive.as_exposed(side, still.reshape(-1, 3), np.tile(rows, len(vertices_m)))
+        x, y, z = np.moveaxis(shown_m.reshape(still.shape), 2, 0)
         in_view &= (z >= params.marking_view_from_m) & (z <= view_to_m)
         in_view &= np.abs(x) <= params.marking_view_aside_m
         depth = np.where(in_view, z, 1.0)

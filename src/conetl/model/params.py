@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field, field_validator
 
-from conetl.model.base import Positive, Record
+from conetl.model.base import NonNegative, Positive, Record
 from conetl.model.base import Probability as Fraction
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES, known_classes
 
@@ -264,6 +264,15 @@ class TrajectoryParams(Params):
     """A correction below this many of its own sigmas is not applied."""
     self_calibration_max_chi2: Positive = 37.8
     """A correction farther from the prior is not applied. 6 sigmas, 4.3 px of an assumed one: cameras are also knocked."""
+    self_calibration_readout_floor_m: Positive = 0.05
+    """Sigma of a readout from the images beyond their scatter, as the distance driven in that time: points that come near are
+    followed a little too far, as with a longer readout. By 0.03 m on the mean of five rendered drives, at most 0.065 m."""
+    video_readout_sigma_ms: NonNegative = 10.0
+    """Prior sigma of the readout of cameras with a rolling shutter, around 0, for video whose `readout_ms` is not stated: video
+    cameras and phones take 5 to 30 ms. 0: their shutters count as global, as those of images in folders and bags."""
+    readout_scale_per_s: NonNegative = 0.4
+    """By what share of the distance an error of the readout of 1 s scales measured motions, at most: 0.37 on a rendered drive at
+    15 m/s, less at lower speeds. With the sigma of the readout it adds to `scale_sigma`."""
     max_width_px: int = Field(default=1280, ge=64)
     """Wider images are reduced for tracking points."""
     cell_px: int = Field(default=40, ge=8)

@@ -10,7 +10,7 @@ from uuid import UUID
 
 from pydantic import Field, model_validator
 
-from conetl.model.base import Matrix4, Positive, Record
+from conetl.model.base import Matrix4, NonNegative, Positive, Record
 
 Side = Literal["left", "right"]
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -21,6 +21,9 @@ MAX_LEVER_ARM_M = 20.0
 MIN_FOCAL_SHARE, MAX_FOCAL_SHARE = 0.09, 20.0
 #: A 100-megapixel camera still fits.
 MAX_IMAGE_PIXELS = 2**27
+#: A phone reads 10 to 35 ms, a camera with 15 images a second at most 67.
+MAX_READOUT_MS = 100.0
+StampRow = Literal["first", "middle", "last"]
 LensModel = Literal["none", "radial", "brown", "rational", "fisheye"]
 #: Parameters of a camera and of the relative pose in the names of `CalibrationCovariance`.
 INTERIOR = ("fx_px", "fy_px", "cx_px", "cy_px")
@@ -47,6 +50,20 @@ class Lens(Record):
         return self
 
 
+class Shutter(Record):
+    """When the rows of a camera's images, as they are stored, were exposed: one after the other (rolling shutter).
+
+    The middle of the exposure of row v is v / (height - 1) times the readout after that of row 0.
+    """
+
+    readout_ms: float = Field(ge=-MAX_READOUT_MS, le=MAX_READOUT_MS)
+    """From the first row to the last. Negative: the last row is first, as of a camera upside down whose images were turned."""
+    readout_sigma_ms: NonNegative = 0.0
+    """Where it is not 0, the images of a drive are asked for a better value (`geometry/calibration/self_calibration.py`)."""
+    stamp_row: StampRow | None = None
+    """The row that the time stamp of an image belongs to; None: not known, the middle is assumed."""
+
+
 class Camera(Record):
     """Interior orientation of one camera in pixels; a rectified camera is one without a lens (model "none")."""
 
@@ -57,6 +74,8 @@ class Camera(Record):
     cx_px: float
     cy_px: float
     lens: Lens = Lens()
+    shutter: Shutter | None = Field(default=None, exclude_if=lambda shutter: shutter is None, repr=False)
+    """Of the camera that took the images (`Rig.rectified_from`); None: not stated, all rows count as exposed together."""
 
     @model_validator(mode="after")
     def _not_too_large(self) -> Camera:

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.geometry.motion.rolling_shutter import readout_sigma_s
 from conetl.geometry.motion.stereo_motion import StereoCameras, project, triangulate
 from conetl.geometry.motion.stereo_tracks import NoMeasurement, StereoTracks, cameras_of, motions_to_try
 from conetl.model.arrays import Bools, Floats, Image
@@ -79,11 +80,13 @@ def follow_spans(
     must be good to some pixels. Images of a pair that ends one span and begins the next are read once.
     """
     cameras, working = cameras_of(rig), working_size(rig, params.max_width_px)
+    # An unknown readout shows in how points move where the image grows; there large windows are followed too far.
+    window_px = _WINDOW_PX if readout_sigma_s(rig) else _WINDOW_OF_SPANS_PX
     at, end = -1, None
     for first, last, guess in spans:
         start = end if end is not None and at == first else read_working_images(frame_pairs[first], read, working)
         at, end = last, read_working_images(frame_pairs[last], read, working)
-        found = _follow_pair(start, end, working, cameras, guess, params, _WINDOW_OF_SPANS_PX)
+        found = _follow_pair(start, end, working, cameras, guess, params, window_px)
         yield _tracks(frame_pairs[first], frame_pairs[last], *found)
 
 

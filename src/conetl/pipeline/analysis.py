@@ -23,6 +23,7 @@ from conetl.model.rig import Rig
 from conetl.perception.detections import add_image_detail, drop_unread_pairs
 from conetl.perception.model_card import read_model_card
 from conetl.perception.stereo_check import check_stereo
+from conetl.perception.video import frame_of
 from conetl.pipeline import odometry
 from conetl.pipeline.chunks import Chunk, chunks_of, load_matches, parts_of
 from conetl.pipeline.detect import Detected, ExtraSteps, detail_path, detect, match
@@ -34,6 +35,7 @@ from conetl.tracking.checks.exposures import check_doubled, check_exposures
 from conetl.tracking.checks.poses import check_calibration
 from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
 from conetl.tracking.positions import locate_positions
+from conetl.tracking.rolling_shutter import matches_at_stamp, with_video_prior
 from conetl.tracking.self_calibration import (
     SWITCHED_OFF,
     SelfCalibration,
@@ -126,6 +128,7 @@ def analyse(
         details, _ = load_results([detail_path(part.detections) for part in parts], ImageDetail)
         drive, without_detail = add_image_detail(drive, details)
         matches, unmatched = load_matches(matched, drive.frame_pairs)
+        matches = matches_at_stamp(matches, drive.frame_pairs, drive.rig)
 
         # Fuse: the positions of an object into a track, the points of a line into a lane marking.
         fused = partial(executor.run, fuse, drive, detections, params, card.evidence, trajectory)
@@ -159,6 +162,7 @@ def _extra_steps(params: IngestParams) -> ExtraSteps:
 
 def _chunks(drive: Drive, params: IngestParams, settings: Settings) -> tuple[Drive, list[Chunk], list[Finding]]:
     """The drive with the calibration that fits its images, its chunks, and what was found about the calibration."""
+    drive = with_video_prior(drive, params.trajectory, is_video=frame_of(drive.frame_pairs[0].left_path) is not None)
     given, chunks = drive.rig, chunks_of(drive, settings, params)
     drive, findings = check_stereo(drive, params.check.stereo)
     if drive.rig != given:  # the calibration is known to be wrong: even small corrections are applied
@@ -261,10 +265,9 @@ def _calibrate(drive: Drive, chunk: Chunk, executor: Executor) -> tuple[SelfCali
 @step("locate", "locate {drive.drive_id}")
 def locate(drive: Drive, matches: Sequence[Path], params: IngestParams) -> tuple[list[Position], list[Rejection]]:
     """Positions of a drive by forward intersection. matches: the Parquet file of each chunk, located by itself."""
-    located = [
-        locate_positions(load_matches([path], drive.frame_pairs)[0], drive.frame_pairs, drive.rig, params.position)
-        for path in matches
-    ]
+    pairs, rig = drive.frame_pairs, drive.rig
+    found = (matches_at_stamp(load_matches([path], pairs)[0], pairs, rig) for path in matches)
+    located = [locate_positions(some, pairs, rig, params.position) for some in found]
     return [one for found, _ in located for one in found], [one for _, rejected in located for one in rejected]
 
 

@@ -40,6 +40,7 @@ from conetl.pipeline.one_pair import (
 )
 from conetl.pipeline.settings import Settings
 from conetl.tracking.positions import locate_positions
+from conetl.tracking.rolling_shutter import matches_at_stamp
 from conetl.tracking.self_calibration import with_assumed_errors
 from conetl.tracking.window_tracks import ObservedPair, WindowTracks, add_pair
 
@@ -67,6 +68,7 @@ class LiveDrive:
     """Of the first and the last pair taken."""
     frame_pair_count: int = 0
     tracks: WindowTracks = field(default_factory=WindowTracks)
+    last_pair: FramePair | None = None
 
 
 @dataclass(frozen=True)
@@ -134,13 +136,15 @@ def process_pair(
     searched, ended_s = search.searched()
     started, processor_s = time.monotonic(), time.thread_time()
     matches, _ = match_searched(searched, drive.rig, params.match, map_up_in_left(pair, drive.rig))
+    if drive.last_pair is not None:
+        matches = matches_at_stamp(matches, [drive.last_pair, pair], drive.rig)
     positions, _ = locate_positions(matches, [pair], drive.rig, params.position)
     detections = [box for side in SIDES for box in searched[side].detections]
     observed = ObservedPair(pair, detections, matches, positions)
     tracks, changed = add_pair(drive.tracks, observed, drive.rig, params, detectors.evidence)
     count, now_ns = drive.frame_pair_count, pair.captured_at_ns
     captured_ns = (drive.captured_ns[0] if count else now_ns, now_ns)
-    after = replace(drive, captured_ns=captured_ns, frame_pair_count=count + 1, tracks=tracks)
+    after = replace(drive, captured_ns=captured_ns, frame_pair_count=count + 1, tracks=tracks, last_pair=pair)
     tracked = time.monotonic()
     write_live(
         conn, after.watch, captured_ns=captured_ns, frame_pair_count=count + 1,

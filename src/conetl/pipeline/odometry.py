@@ -11,6 +11,7 @@ import numpy as np
 
 from conetl.files.parquet_store import has_result, load_result, load_results, result_key, result_path, save_result
 from conetl.geometry.linear_reference import evenly_spaced
+from conetl.geometry.motion.rolling_shutter import points_at_stamp, rate_of, readout_sigma_s, stamp_sigma_s
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import (
     StereoTracks,
@@ -38,6 +39,7 @@ from conetl.pipeline.executor import Tick, step
 from conetl.tracking.checks.exposures import check_lost_frames, check_recording, right_camera_ahead
 from conetl.tracking.checks.poses import check_trajectory
 from conetl.tracking.control_points import refine_with_control
+from conetl.tracking.rolling_shutter import matches_at_stamp
 from conetl.tracking.self_calibration import SelfCalibration, Span, choose_spans, span_params
 from conetl.tracking.self_calibration import self_calibrate as estimate_calibration
 from conetl.tracking.trajectory import RefinedTrajectory, is_by_course
@@ -147,14 +149,15 @@ def _speeds(spans: Sequence[Span], pairs: Sequence[FramePair]) -> list[float]:
 
 
 def _spans(rig: Rig, pairs: Sequence[FramePair], params: TrajectoryParams) -> list[Span]:
-    return list(choose_spans(expected_motions(pairs, rig), params.self_calibration_span_m))
+    steps_s = np.diff([pair.captured_at_ns for pair in pairs]) * 1e-9
+    return list(choose_spans(expected_motions(pairs, rig), params.self_calibration_span_m, steps_s.tolist()))
 
 
 def _followed(
     spans: Sequence[Span], pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams
 ) -> Iterator[StereoTracks]:
     read = grey_reader(rig, [pairs[k] for k in sorted({end for span in spans for end in span[:2]})])
-    return visual_odometry.follow_spans(spans, pairs, rig, read, span_params(params))
+    return visual_odometry.follow_spans((span[:3] for span in spans), pairs, rig, read, span_params(params))
 
 
 def _calibration(
@@ -165,8 +168,13 @@ def _calibration(
     params: TrajectoryParams,
 ) -> SelfCalibration:
     found = estimate_calibration(rig, spans, tracks, params)
-    points = [(each.points()[0], speed) for each, speed in zip(tracks, speeds_m_s, strict=True) if each.missing is None]
-    ahead = right_camera_ahead(cameras_of(rig), [one for one, _ in points], [speed for _, speed in points])
+    cameras = cameras_of(rig)
+    points = [
+        (points_at_stamp(rig, cameras, each.points()[0], rate_of(span.last_SE3_first, span.lasts_s)), speed)
+        for span, each, speed in zip(spans, tracks, speeds_m_s, strict=True)
+        if each.missing is None
+    ]
+    ahead = right_camera_ahead(cameras, [one for one, _ in points], [speed for _, speed in points])
     return found.model_copy(update={"right_ahead": ahead})
 
 
@@ -176,8 +184,8 @@ def refine(
 ) -> RefinedTrajectory:
     """Refined poses of the whole drive, or the logged ones with the reason if images or parameters do not allow it."""
     pairs = drive.frame_pairs
-    found, _ = load_matches(matches, pairs)
-    params = params.model_copy(update={"trajectory": _with_clock_sigma(drive, params.trajectory)})
+    found = matches_at_stamp(load_matches(matches, pairs)[0], pairs, drive.rig)
+    params = params.model_copy(update={"trajectory": params_of_drive(drive, params.trajectory)})
     if is_by_course(pairs):
         pairs = with_roll(pairs, drive.rig, motions, grey_reader(drive.rig), params.trajectory)
     result = refine_with_control(pairs, drive.rig, motions, found, params, drive.control_points)
@@ -214,7 +222,7 @@ def check_poses(
     """The logged poses against the images. drive: with the detail of its images (`FramePair.detail`)."""
     details = {pair.frame_index: pair.detail for pair in drive.frame_pairs}
     pairs = [pair.model_copy(update={"detail": details[pair.frame_index]}) for pair in trajectory.logged]
-    findings = check_trajectory(pairs, drive.rig, motions, trajectory, _with_clock_sigma(drive, params), limits)
+    findings = check_trajectory(pairs, drive.rig, motions, trajectory, params_of_drive(drive, params), limits)
     if motions and len(pairs) > 1:
         read = grey_reader(drive.rig)
         findings += [
@@ -226,9 +234,17 @@ def check_poses(
     return findings if trajectory.control is None else [*findings, trajectory.control]
 
 
-def _with_clock_sigma(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:
-    """The parameters with the sigma of the drive's own clocks, if known."""
-    return params if drive.clock_sigma_s is None else params.model_copy(update={"clock_sigma_s": drive.clock_sigma_s})
+def params_of_drive(drive: Drive, params: TrajectoryParams) -> TrajectoryParams:
+    """The parameters with the sigma of the drive's own clocks, if known, and what is not known of its shutters: the row that time
+    stamps belong to, and the readout, which changes measured distances."""
+    clock_s = params.clock_sigma_s if drive.clock_sigma_s is None else drive.clock_sigma_s
+    scale = params.readout_scale_per_s * readout_sigma_s(drive.rig)
+    return params.model_copy(
+        update={
+            "clock_sigma_s": float(np.hypot(clock_s, stamp_sigma_s(drive.rig))),
+            "scale_sigma": float(np.hypot(params.scale_sigma, scale)),
+        }
+    )
 
 
 def grey_reader(rig: Rig, in_order: Sequence[FramePair] = ()) -> ImageReader:

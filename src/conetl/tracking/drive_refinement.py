@@ -27,6 +27,7 @@ from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
 from conetl.tracking.error_propagation import motion_error
 from conetl.tracking.log_errors import assumed_errors
 from conetl.tracking.positions import locate_positions
+from conetl.tracking.rolling_shutter import row_time_sigma_s
 from conetl.tracking.trajectory import (
     LEAST_STEP_S,
     ControlCone,
@@ -82,7 +83,9 @@ def refine_with_cones(
                 together, frame_pairs=tuple(pairs), covariance=refined.covariance, path=refined.path, detail=detail
             )
     refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
-    return refined if refined.covariance is None else _with_common_errors(refined, params.trajectory, control)
+    if refined.covariance is None:
+        return refined
+    return _with_common_errors(refined, params.trajectory, control, row_time_sigma_s(matches, rig))
 
 
 def _landmarks(
@@ -126,11 +129,12 @@ def _clock(
 
 
 def _with_common_errors(
-    refined: RefinedTrajectory, params: TrajectoryParams, control: Sequence[ControlCone]
+    refined: RefinedTrajectory, params: TrajectoryParams, control: Sequence[ControlCone], row_time_s: float = 0.0
 ) -> RefinedTrajectory:
-    """The trajectory with the errors of clock and lever arm, and of what GNSS/INS errs by in all records alike, which move all
-    poses together: however many records there are, it is not averaged out. The best record (or control point) limits it. Where
-    images and log show different paths, the log may have drifted by the difference."""
+    """The trajectory with the errors of clock and lever arm, of rows of unknown time (`row_time_sigma_s`), and of what GNSS/INS
+    errs by in all records alike, which move all poses together: however many records there are, it is not averaged out. The best
+    record (or control point) limits it. Where images and log show different paths, the log may have drifted by the difference.
+    """
     assert refined.covariance is not None
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
     times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
@@ -148,6 +152,7 @@ def _with_common_errors(
     reach[:, :3, 1:4], reach[:, :3, 4:7] = poses[:, :3, :3], np.eye(3)
     reach[:, :3, 7:] = drifts
     clock_s = params.clock_sigma_s if refined.clock is None else refined.clock.remaining_s(params.clock_sigma_s)
+    clock_s = float(np.hypot(clock_s, row_time_s))
     cov = chain_solver.with_common_errors(
         refined.covariance,
         reach,

@@ -7,13 +7,15 @@ are not resampled: of a rig with `rectified_from` the camera that took them is t
 images, so that such rigs are only turned.
 
 Also the errors that are assumed of a calibration that states none (`with_assumed_errors`): the prior of the estimate, and, where
-nothing is estimated, part of the sigmas of all positions.
+nothing is estimated, part of the sigmas of all positions. The readout of a rolling shutter that is not known is estimated along
+with turn and bend, and replaces its prior whatever it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -28,14 +30,28 @@ from conetl.geometry.calibration.covariance import (
     square_root,
     with_covariance,
 )
-from conetl.geometry.calibration.self_calibration import SpanPoints, equivalent_camera, estimate_right_camera
+from conetl.geometry.calibration.self_calibration import (
+    Readouts,
+    RightCameraError,
+    SpanPoints,
+    equivalent_camera,
+    estimate_right_camera,
+)
+from conetl.geometry.motion.rolling_shutter import (
+    is_rolling,
+    pair_shares,
+    readout_sigma_s,
+    readouts_s,
+    shutter_of,
+    with_shutters,
+)
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import as_rows, vec3
 from conetl.geometry.rig import body_SE3_camera, left_SE3_right, right_camera_turned
 from conetl.model.arrays import Floats
 from conetl.model.base import Record, Vec3
 from conetl.model.params import TrajectoryParams
-from conetl.model.rig import CalibrationCovariance, Rig, SharedErrors
+from conetl.model.rig import MAX_READOUT_MS, CalibrationCovariance, Rig, SharedErrors, Shutter, Side
 
 _TURN_NAMES = ("relative.rx_rad", "relative.ry_rad", "relative.rz_rad")
 _BASELINE_NAMES = ("relative.tx_m", "relative.ty_m", "relative.tz_m")
@@ -55,6 +71,7 @@ class Span(NamedTuple):
     last: int
     last_SE3_first: Floats
     """(4, 4) motion of the left camera by the logged poses."""
+    lasts_s: float = 0.0
 
 
 class SelfCalibrationOutcome(StrEnum):
@@ -84,6 +101,8 @@ class SelfCalibration(Record):
     right_ahead: tuple[float, ...] = ()
     """Offset of the right camera forward of its calibrated position, and its sigma (`right_camera_ahead`); empty if unknown."""
     span_count: int = Field(default=0, ge=0)
+    readout_ms: tuple[float, float] | None = None
+    """By how much the readout of both cameras is longer than assumed, and the sigma of the result; None: not estimated."""
 
 
 SWITCHED_OFF = SelfCalibration(outcome=SelfCalibrationOutcome.SWITCHED_OFF, detail="self-calibration is switched off")
@@ -99,17 +118,17 @@ def span_params(params: TrajectoryParams) -> TrajectoryParams:
     )
 
 
-def choose_spans(motions: Iterable[Floats], span_m: float) -> Iterator[Span]:
+def choose_spans(motions: Iterable[Floats], span_m: float, steps_s: Iterable[float] = repeat(0.0)) -> Iterator[Span]:
     """Consecutive parts of a drive of about `span_m` each; motions (4, 4): of the left camera, one per interval, in order.
 
-    Parts in which the car does not move far enough give no span.
+    Parts in which the car does not move far enough give no span. steps_s: how long each interval is, for rolling shutters.
     """
-    start, pose = 0, np.eye(4)
-    for k, motion in enumerate(motions):
-        pose = se3.compose(motion, pose)
+    start, pose, lasts_s = 0, np.eye(4), 0.0
+    for k, (motion, step_s) in enumerate(zip(motions, steps_s, strict=False)):
+        pose, lasts_s = se3.compose(motion, pose), lasts_s + step_s
         if float(np.linalg.norm(pose[:3, 3])) >= span_m:
-            yield Span(start, k + 1, pose)
-            start, pose = k + 1, np.eye(4)
+            yield Span(start, k + 1, pose, lasts_s)
+            start, pose, lasts_s = k + 1, np.eye(4), 0.0
 
 
 def self_calibrate(
@@ -119,15 +138,16 @@ def self_calibrate(
 
     tracks: of each span. Of the logged poses only the start of each span's motion is used.
     """
+    readouts = Readouts(readouts_s(rig), readout_sigma_s(rig)) if is_rolling(rig) else None
     points = [
-        SpanPoints(*found.points(), span.last_SE3_first)
+        _span_points(rig, span, found, rolling=readouts is not None)
         for span, found in zip(spans, tracks, strict=True)
         if found.missing is None
     ]
     if len(points) < params.self_calibration_min_spans:
         needed = params.self_calibration_min_spans
         return _without_estimate(f"{len(points)} spans of the drive could be compared, at least {needed} are needed")
-    estimate = estimate_right_camera(cameras_of(rig), points, params)
+    estimate = estimate_right_camera(cameras_of(rig), points, params, readouts)
     if estimate is None:
         return _without_estimate("too few points are stationary, or all of them are far away")
     unit_px = pixels_per_unit(rig)
@@ -146,6 +166,7 @@ def self_calibrate(
     off = f"off by {-shift_px[1]:+.2f} +- {sigma_px[1]:.2f} px"
     sides = f", at the sides by {-shift_px[3]:+.2f} +- {sigma_px[3]:.2f} px more" if found[3] else ""
     figures = f"disparities {off}{sides}, rows by {shift_px[0]:+.2f} +- {sigma_px[0]:.2f} px"
+    readout_ms, readout_text = _readout_of(rig, points, estimate, params)
     outcome = SelfCalibrationOutcome.APPLIED
     rotation, _ = equivalent_camera(found, rig.right.fx_px)
     bend_text = f", its columns are bent by {found[3] * unit_px[3]:+.2f} px at the sides" if found[3] else ""
@@ -161,9 +182,36 @@ def self_calibrate(
         outcome = SelfCalibrationOutcome.IMPLAUSIBLE
         detail = f"kept as given; it would have to be wrong by {prior_chi2**0.5:.1f} of its sigmas ({figures})"
     return SelfCalibration(
-        outcome=outcome, detail=detail, rotation_rad=vec3(found[:3]), bend=float(found[3]),
+        outcome=outcome, detail=detail + readout_text, rotation_rad=vec3(found[:3]), bend=float(found[3]),
         cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(estimate.model_gap.tolist()), span_count=len(points),
+        readout_ms=readout_ms,
     )  # fmt: skip
+
+
+def _span_points(rig: Rig, span: Span, tracks: StereoTracks, *, rolling: bool) -> SpanPoints:
+    first_px, last_px, sigma_px = tracks.points()
+    shares = np.hstack([pair_shares(rig, first_px), pair_shares(rig, last_px)]) if rolling else None
+    return SpanPoints(first_px, last_px, sigma_px, span.last_SE3_first, span.lasts_s, shares)
+
+
+def _readout_of(
+    rig: Rig, spans: Sequence[SpanPoints], estimate: RightCameraError, params: TrajectoryParams
+) -> tuple[tuple[float, float] | None, str]:
+    """As `SelfCalibration.readout_ms`, and a part of a sentence about it."""
+    if estimate.readout_s is None:
+        return None, ""
+    longer_s, own_s = estimate.readout_s
+    prior2 = readout_sigma_s(rig) ** 2
+    # What the images alone say, with the error that all spans have in common.
+    information = max(own_s**-2 - 1 / prior2, 1e-9)
+    driven_m = sum(float(np.linalg.norm(span.last_SE3_first[:3, 3])) for span in spans)
+    speed_m_s = driven_m / max(sum(span.lasts_s for span in spans), 1e-9)
+    variance = 1 / information + (params.self_calibration_readout_floor_m / speed_m_s) ** 2
+    gain = prior2 / (prior2 + variance)
+    longer_ms, sigma_ms = 1e3 * gain * longer_s * own_s**-2 / information, 1e3 * (gain * variance) ** 0.5
+    found_ms = float(readouts_s(rig)[0]) * 1e3 + longer_ms
+    text = f"; by the images, the rows of an image are exposed within {found_ms:.0f} +- {sigma_ms:.0f} ms (rolling shutter)"
+    return (longer_ms, sigma_ms), text
 
 
 def with_assumed_errors(rig: Rig, params: TrajectoryParams) -> Rig:
@@ -185,8 +233,10 @@ def with_assumed_errors(rig: Rig, params: TrajectoryParams) -> Rig:
 def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryParams) -> Rig:
     """The rig with its right camera corrected and the remaining `calibration_covariance`; stated and not applied: unchanged.
 
-    A calibration that states no errors has the assumed ones, or, where the drive agrees with it, what these leave.
+    A calibration that states no errors has the assumed ones, or, where the drive agrees with it, what these leave. A readout that
+    was estimated is applied in any case.
     """
+    rig = _with_readout(rig, found)
     agrees = found.outcome is SelfCalibrationOutcome.INSIGNIFICANT and known_covariance(rig) is None
     applied = found.outcome is SelfCalibrationOutcome.APPLIED
     if not (applied or agrees):
@@ -215,6 +265,19 @@ def self_calibrated_rig(rig: Rig, found: SelfCalibration, params: TrajectoryPara
     if rig.rectified_from is None:
         rig = rig.model_copy(update={"right": rig.right.model_copy(update={"cx_px": rig.right.cx_px + shift_px})})
     return with_covariance(rig, covariance)
+
+
+def _with_readout(rig: Rig, found: SelfCalibration) -> Rig:
+    if found.readout_ms is None:
+        return rig
+    longer_ms, sigma_ms = found.readout_ms
+
+    def of(side: Side) -> Shutter:
+        known = shutter_of(rig, side) or Shutter(readout_ms=0.0)
+        readout_ms = float(np.clip(known.readout_ms + longer_ms, -MAX_READOUT_MS, MAX_READOUT_MS))
+        return known.model_copy(update={"readout_ms": readout_ms, "readout_sigma_ms": sigma_ms})
+
+    return with_shutters(rig, of("left"), of("right"))
 
 
 def is_ahead(ahead: Sequence[float]) -> bool:

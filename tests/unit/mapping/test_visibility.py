@@ -3,14 +3,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 
+from conetl.geometry.motion.rolling_shutter import with_shutters
 from conetl.mapping import visibility
 from conetl.model.detector_evidence import UNMEASURED_ABSENCE, AbsenceFigures, DetectorEvidence
 from conetl.model.drive import MIN_DETAIL, Detection, Position, UnclearSquares
 from conetl.model.feature_classes import LANE_MARKING
 from conetl.model.map_records import MapFeature
 from conetl.model.params import ReconcileParams
-from conetl.model.rig import Side
+from conetl.model.rig import Shutter, Side
 from conetl.perception.model_card import read_model_card
 from tests import records
 from tests.synthetic.world import ORIGIN_M, Cone, detect, make_path, make_rig, observe
@@ -169,3 +171,34 @@ def test_a_neighbour_is_not_taken_for_a_removed_cone() -> None:
     known = visibility.check_visibility(feature(CONE), np.zeros(3), others, observed(positions), PARAMS)
     assert known is not None
     assert known.occupied == 0
+
+
+def test_a_rolling_shutter_sees_a_cone_where_its_row_was_exposed() -> None:
+    """At 10 m/s and 20 ms the lowest row is 0.2 m farther along the road than the first one, to which the stamp belongs."""
+    shutter = Shutter(readout_ms=20.0, stamp_row="first")
+    still, rolling = (
+        visibility.observations_of_drive(rig, PAIRS, [], []) for rig in (RIG, with_shutters(RIG, shutter, shutter))
+    )
+    assert not still.rates
+    foot_m = ORIGIN_M + np.array(CONE.foot_m)
+    rows, _, at_stamp = visibility.pairs_in_view(foot_m, CONE.height_m, still, PARAMS)
+    seen_rows, _, exposed = visibility.pairs_in_view(foot_m, CONE.height_m, rolling, PARAMS)
+    assert set(seen_rows.tolist()) <= set(rows.tolist()) and len(seen_rows) >= len(rows) - 1
+    for row, (left, right) in zip(seen_rows.tolist(), exposed, strict=True):
+        pose = still.map_SE3_left[row]
+        depth_m = float((foot_m - pose[:3, 3]) @ pose[:3, 2])
+        before = at_stamp[rows.tolist().index(row)][0]
+        # The foot is below the camera by a fixed height: its row is inverse to the depth.
+        below_px = left[3] - RIG.left.cy_px
+        driven_m = 10.0 * 0.02 * left[3] / (RIG.left.height_px - 1)
+        assert below_px == pytest.approx((before[3] - RIG.left.cy_px) * depth_m / (depth_m - driven_m), abs=0.3)
+        assert right[3] == pytest.approx(left[3], abs=0.1)
+    vertices_m = foot_m + np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    figures = UNMEASURED_ABSENCE.model_copy(update={"categories": (LANE_MARKING,)})
+    views = [
+        visibility.markings_in_view(
+            vertices_m, visibility.observations_of_drive(rig, PAIRS, [], [], figures), 1.0, PARAMS
+        )
+        for rig in (RIG, rolling.rig)
+    ]
+    assert abs(int(views[0].in_view.sum()) - int(views[1].in_view.sum())) <= 2

@@ -115,3 +115,23 @@ def test_an_unusable_drive_raises_one_message(drive: Path, name: str) -> None:
         read_drive(drive)
     assert words in str(raised.value)
     assert "plain_run" in str(raised.value)
+
+
+def test_rolling_shutters_of_drive_yaml_and_rig_yaml(drive: Path) -> None:
+    def shutters() -> list[dict[str, object] | None]:
+        rig = read_drive(drive)[0].rig
+        return [one.shutter and one.shutter.model_dump() for one in (rig.left, rig.right)]
+
+    assert shutters() == [None, None]
+    left = CAMERA.replace("15.5}", "15.5, shutter: {readout_ms: 12, stamp_row: last}}")
+    (drive / "rig.yaml").write_text(RIG.replace(CAMERA, left, 1))
+    assert shutters() == [{"readout_ms": 12.0, "readout_sigma_ms": 0.0, "stamp_row": "last"}, None]
+    settings = "shutter: {readout_ms: 10, stamp_row: first, right: {readout_ms: 11, readout_sigma_ms: 0.5}}\n"
+    (drive / "drive.yaml").write_text(settings)
+    assert shutters() == [
+        {"readout_ms": 10.0, "readout_sigma_ms": 0.0, "stamp_row": "first"},
+        {"readout_ms": 11.0, "readout_sigma_ms": 0.5, "stamp_row": "first"},
+    ]
+    (drive / "drive.yaml").write_text("shutter: {stamp_row: first}\n")
+    with pytest.raises(DriveFolderError, match="'shutter' needs readout_ms"):
+        read_drive(drive)

@@ -189,6 +189,14 @@ def test_covariance_survives_the_file(tmp_path: Path) -> None:
     assert read_rig(tmp_path / "again.yaml") == rig
 
 
+def test_a_rolling_shutter_is_written_as_it_was_read(tmp_path: Path) -> None:
+    text = HEAD.replace("cy_px: 172.9}", "cy_px: 172.9, shutter: {readout_ms: 10, stamp_row: first}}", 1)
+    rig = read_rig(yaml_rig(tmp_path, f"rig_id: a\n{text}"))
+    assert rig.left.shutter is not None and rig.left.shutter.readout_ms == 10.0
+    write_rig_yaml(rig, tmp_path / "again.yaml")
+    assert read_rig(tmp_path / "again.yaml") == rig
+
+
 def covariance(names: str, rows: str) -> str:
     return f"{HEAD}calibration_covariance: {{names: [{names}], matrix: [{rows}]}}"
 
@@ -202,6 +210,7 @@ def with_lens(lens: str) -> str:
     [
         ("- a list", "expected a YAML mapping"),
         ("left: [", "this is not YAML"),
+        (HEAD.replace("cy_px: 172.9}", "cy_px: 172.9, shutter: {readout_ms: 400}}", 1), "left.shutter.readout_ms: "),
         (f"left: {PIXELS}\nbaseline_m: 0.3", "right: is missing"),
         (BOTH, "either baseline_m"),
         (f"{BOTH}baseline_m: -0.3", "baseline_m: "),

@@ -505,7 +505,7 @@ def test_a_drive_yaml_with_places_for_what_is_missing_can_be_completed(
             "left": "left.mp4", "right": "right.mp4", "start": start_of(sample), "right_offset_s": 0.0,
         },
         "trajectory": {"file": "van.gpx"}, "sigmas": {"horizontal_m": 0.02},
-        "mount": {"forward_m": 1.5, "left_m": 0.2, "up_m": 0.4}, "clock": None,
+        "mount": {"forward_m": 1.5, "left_m": 0.2, "up_m": 0.4}, "clock": None, "shutter": None,
     }  # fmt: skip
     # As much can be stated by options.
     again = copied(copy, tmp_path / "again", "rig.yaml")

@@ -10,13 +10,15 @@ import pytest
 from numpy.typing import NDArray
 
 from conetl.geometry import pose as se3
+from conetl.geometry.motion.rolling_shutter import as_exposed, camera_rates, right_rates, with_shutters
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.drive import Drive, FramePair, Pose
 from conetl.model.markings import MarkingTrack
 from conetl.model.params import MarkingParams
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import Camera, Rig, Shutter
 from conetl.perception.markings.points import MarkingPoints, PointColumns
+from conetl.tracking.markings.located import camera_points, locate_points
 from conetl.tracking.markings.tracks import fuse_markings
 from tests.synthetic.world import drive_of
 
@@ -263,3 +265,31 @@ def test_lines_end_on_their_course_although_depths_of_far_points_are_uncertain()
         (track,) = fused({-1.5: everywhere}, seed=seed, depth_px=0.6)
         last.append([_across(track, -1.5)[-1], track.marking.vertices_m[-1][2] - HEIGHT_M])
     assert np.mean(last, axis=0) == pytest.approx([0.0, 0.0], abs=0.012)
+
+
+@pytest.mark.parametrize(("left_ms", "right_ms"), [(20.0, 20.0), (20.0, 24.0)])
+def test_points_of_a_rolling_shutter_are_where_those_of_a_global_one_are(left_ms: float, right_ms: float) -> None:
+    """At 10 m/s: the image points are moved to where each row saw them, and come back."""
+    left, right = (Shutter(readout_ms=ms, stamp_row="first") for ms in (left_ms, right_ms))
+    rig = with_shutters(RIG, left, right)
+    drive = DRIVE.model_copy(update={"rig": rig})
+    rates = camera_rates(DRIVE.frame_pairs, RIG)
+    found, rolled = _points({1.0: everywhere}, share=1.0), []
+    for one in found:
+        own = one.columns()
+        at_road, at_stamp = (camera_points(own, px, RIG) for px in (own.road_px, own.disparity_px))
+        rate = rates[one.frame_index]
+        shift = np.array([RIG.baseline_m, 0.0, 0.0])
+        seen_left = as_exposed(at_stamp, CAMERA, rig, "left", rate)
+        seen_right = as_exposed(at_stamp - shift, CAMERA, rig, "right", right_rates(rig, rate[None])[0])
+        seen_road = as_exposed(at_road, CAMERA, rig, "left", rate)
+        u, v = (700.0 * seen_left[:, k] / seen_left[:, 2] + c for k, c in ((0, 600.0), (1, 150.0)))
+        u_right = 700.0 * seen_right[:, 0] / seen_right[:, 2] + 600.0
+        moved = own._replace(u_px=u, v_px=v, disparity_px=u - u_right, road_px=700.0 * 0.54 / seen_road[:, 2])
+        rolled.append(one.model_copy(update={"points": np.stack(moved, axis=1).astype("<f8").tobytes()}))
+    still = locate_points(found, DRIVE, 17.0)
+    for points, close_m in ((rolled, 0.003 if left_ms == right_ms else 0.02), (found, 0.5)):
+        located = locate_points(points, drive, 17.0)
+        assert still is not None and located is not None
+        off_m = np.abs(located.xyz_m - still.xyz_m).max()
+        assert off_m < close_m and (points is rolled or off_m > 0.1)

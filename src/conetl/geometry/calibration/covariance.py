@@ -120,8 +120,8 @@ def calibration_id(rig: Rig) -> UUID:
     taken = rig.rectified_from or rig
     covariance = known_covariance(rig)
     content = [
-        taken.left.model_dump(mode="json"),
-        taken.right.model_dump(mode="json"),
+        taken.left.model_dump(mode="json", exclude={"shutter"}),
+        taken.right.model_dump(mode="json", exclude={"shutter"}),
         # + 0 removes negative zeros
         (np.round(rigs.left_SE3_right(taken), _DECIMALS) + 0.0).tolist(),
         None if covariance is None else [covariance.names, covariance.matrix],

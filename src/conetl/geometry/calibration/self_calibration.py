@@ -10,6 +10,10 @@ other row errors: the skew absorbs that part. `model_gap` is the change of the r
 Legendre polynomial, the fourth. Points and motions are eliminated (Schur complement); the covariance is taken from the scatter
 between spans (M-estimates with clusters: Huber 1981, ch. 6; Liang & Zeger 1986; neighbours: Newey & West 1987).
 
+Of cameras with a rolling shutter whose readout is uncertain, a change of the readout of both, with its prior, is one more shared
+unknown: a point that has moved by some rows between the two ends was seen after another time than the rig's, so that near and far
+points, and those above and below the horizon, show different motions (`geometry/motion/rolling_shutter.py`).
+
 The rotation r = (rx, ry, rz) in radians perturbs left_SE3_right = (R, t) as (R exp([r]x), t), as in `CalibrationCovariance`. The
 bend b adds b x^2 to the column, in units of the focal length. A turn moves columns by -ry (1 + x^2), so turn and bend together
 are a camera turned by (rx, ry - b, rz) whose principal point is b focal lengths further to the left (`corrected`).
@@ -25,19 +29,22 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from conetl.geometry.motion.rolling_shutter import at_stamp, rate_of
 from conetl.geometry.motion.stereo_motion import MotionStatus, StereoCameras, estimate_motion, triangulate
 from conetl.geometry.small_arrays import apply_steps, cross_matrix, inverse_of_symmetric, upper_median
 from conetl.model.arrays import Floats
 from conetl.model.params import TrajectoryParams
 
-_OUTER, _INNER = 2, 10
-#: rx, ry, rz, the bend of columns and the skew of rows; and, tried only, the fourth Legendre polynomial of the column.
+#: Choices of the points; one more where these are moved to the time stamp by the motions found with the choice before.
+_OUTER, _OUTER_OF_ROLLING, _INNER = 2, 3, 10
+#: rx, ry, rz, the bend of columns and the skew of rows; and, tried only, the fourth Legendre polynomial of the column. The
+#: readout, where it is unknown, stands between them.
 _SHARED, _TRIED = 5, 6
-_SKEW, _BEND = 4, 3
+_SKEW, _BEND, _READOUT = 4, 3, 5
 _CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
 _HUBER_SIGMAS = 2.0
-#: Each point has 8 image coordinates and 3 unknowns of its own, a span's score the shared unknowns; median of chi-square(5) / 5.
-_FREEDOM, _MEDIAN_CHI2 = 5, 0.8703
+#: Each point has 8 image coordinates and 3 unknowns of its own, a span's score the shared unknowns; median of chi-square(n) / n.
+_FREEDOM, _MEDIAN_CHI2 = 5, {5: 0.8703, 6: 0.8914}
 _NEAREST_M = 0.3
 #: The last step, squared and in sigmas, must be smaller than this.
 _CONVERGED = 0.01
@@ -57,6 +64,19 @@ class SpanPoints:
     """(N,) of each coordinate."""
     last_SE3_first: Floats
     """(4, 4) approximate motion of the left camera, as in `estimate_motion`."""
+    lasts_s: float = 0.0
+    """Time between both ends, for a rolling shutter."""
+    shares: Floats | None = None
+    """(N, 4) `row_shares` of the points: left and right at the beginning, left and right at the end; None: global shutter."""
+
+
+class Readouts(NamedTuple):
+    """Of cameras with a rolling shutter."""
+
+    stated_s: Floats
+    """(2,) of the left and the right camera."""
+    sigma_s: float
+    """Prior sigma of a change of both; 0: nothing is estimated."""
 
 
 class RightCameraError(NamedTuple):
@@ -68,6 +88,8 @@ class RightCameraError(NamedTuple):
     """(4, 4), from the scatter between spans."""
     model_gap: Floats
     """(4,): change of the estimate if disparities may also follow a fourth-order field."""
+    readout_s: tuple[float, float] | None = None
+    """Change of both readouts and its sigma, prior included; None where it was not asked for."""
 
 
 def corrected(cameras: StereoCameras, turn_and_bend: Floats) -> StereoCameras:
@@ -86,25 +108,38 @@ def equivalent_camera(turn_and_bend: Floats, focal_px: float) -> tuple[Floats, f
 
 
 def estimate_right_camera(
-    cameras: StereoCameras, spans: Sequence[SpanPoints], params: TrajectoryParams
+    cameras: StereoCameras, spans: Sequence[SpanPoints], params: TrajectoryParams, readouts: Readouts | None = None
 ) -> RightCameraError | None:
     """Turn and bend of the right camera under which the points of all spans are static; None where they are not determined.
 
     Fewer usable spans than `self_calibration_min_spans` give no scatter. Points on moving objects are outvoted within each span.
+    readouts: of a rolling shutter, with spans that have shares of rows.
     """
-    state = np.zeros(_SHARED)
+    sigma_s = 0.0 if readouts is None else readouts.sigma_s
+    prior = np.zeros(_SHARED + (sigma_s > 0))
+    prior[_READOUT:] = sigma_s**-2 if sigma_s > 0 else 0.0
+    state = np.zeros(len(prior))
     starts: list[Floats | None] = [None] * len(spans)
-    for _ in range(_OUTER):
-        own = corrected(cameras, state[:_SKEW])
-        chosen = [_static_points(own, span, params, seed, starts[seed]) for seed, span in enumerate(spans)]
+    for _ in range(_OUTER if readouts is None else _OUTER_OF_ROLLING):
+        own, applied = corrected(cameras, state[:_SKEW]), state.copy()
+        if readouts is not None:
+            moved = [
+                _at_stamp(own, *both, readouts.stated_s + state[_READOUT:].sum())
+                for both in zip(spans, starts, strict=True)
+            ]
+        chosen = [
+            _static_points(own, span, params, seed, starts[seed])
+            for seed, span in enumerate(spans if readouts is None else moved)
+        ]
         starts = [None if c is None else c.last_SE3_first for c in chosen]
         used = [c for c in chosen if c is not None]
         if len(used) < params.self_calibration_min_spans:
             return None
         joint = _joined(own, used)
         for _ in range(_INNER):
-            normals, scores, joint = _step_spans(corrected(cameras, state[:_SKEW]), state[_SKEW], joint)
-            solved = _combine(normals, scores)
+            since = (state - applied)[_READOUT:] if sigma_s > 0 else None
+            normals, scores, joint = _step_spans(corrected(cameras, state[:_SKEW]), state[_SKEW], joint, since)
+            solved = _combine(normals, scores, prior, state)
             if solved is None:
                 return None
             step, cov, gap = solved
@@ -113,7 +148,20 @@ def estimate_right_camera(
                 break
         else:
             return None
-    return RightCameraError(state[:_SKEW], cov[:_SKEW, :_SKEW], gap[:_SKEW])
+    readout_s = (float(state[_READOUT]), float(cov[_READOUT, _READOUT] ** 0.5)) if sigma_s > 0 else None
+    return RightCameraError(state[:_SKEW], cov[:_SKEW, :_SKEW], gap[:_SKEW], readout_s)
+
+
+def _at_stamp(cameras: StereoCameras, span: SpanPoints, start: Floats | None, readouts_s: Floats) -> SpanPoints:
+    """The span with points as of a global shutter, by its motion. start: the motion, if known better; readouts_s (2,)."""
+    if span.shares is None or not readouts_s.any():
+        return span
+    rate = rate_of(span.last_SE3_first if start is None else start, span.lasts_s)
+    first, last = (
+        at_stamp(cameras, px, shares * readouts_s, rate)
+        for px, shares in ((span.first_px, span.shares[:, :2]), (span.last_px, span.shares[:, 2:]))
+    )
+    return replace(span, first_px=first, last_px=last)
 
 
 @dataclass(frozen=True)
@@ -130,6 +178,10 @@ class _JointSpans:
     """(S, 4, 4): last_SE3_first."""
     points: Floats
     """(N, 3) m in the left camera's frame at the beginning of the span."""
+    lasts_s: tuple[float, ...]
+    """(S,)"""
+    shares: Floats | None
+    """(N, 4), as those of spans."""
 
 
 def _joined(cameras: StereoCameras, spans: Sequence[SpanPoints]) -> _JointSpans:
@@ -140,6 +192,8 @@ def _joined(cameras: StereoCameras, spans: Sequence[SpanPoints]) -> _JointSpans:
         tuple(slice(start, end) for start, end in pairwise(ends.tolist())),
         np.array([span.last_SE3_first for span in spans]),
         triangulate(cameras, np.concatenate([span.first_px[:, :3] for span in spans]))[0],
+        tuple(span.lasts_s for span in spans),
+        None if spans[0].shares is None else np.concatenate([span.shares for span in spans if span.shares is not None]),
     )
 
 
@@ -153,21 +207,37 @@ def _static_points(
     if motion.status is not MotionStatus.OK:
         return None
     keep = motion.inliers
-    return SpanPoints(span.first_px[keep], span.last_px[keep], span.sigma_px[keep], motion.next_SE3_first)
+    shares = None if span.shares is None else span.shares[keep]
+    return SpanPoints(
+        span.first_px[keep], span.last_px[keep], span.sigma_px[keep], motion.next_SE3_first, span.lasts_s, shares
+    )
 
 
-def _step_spans(cameras: StereoCameras, skew: float, spans: _JointSpans) -> tuple[Floats, Floats, _JointSpans]:
-    """One Gauss-Newton step of each span, shared unknowns held: reduced normals (S, 6, 6), scores (S, 6), the spans after it."""
+def _step_spans(
+    cameras: StereoCameras, skew: float, spans: _JointSpans, readout_s: Floats | None = None
+) -> tuple[Floats, Floats, _JointSpans]:
+    """One Gauss-Newton step of each span, shared unknowns held: reduced normals (S, n, n), scores (S, n), the spans after it.
+
+    readout_s (1,): change of the readout since the points were moved to the time stamp; None where it is no unknown.
+    """
     points, parts, sigma_px = spans.points, spans.parts, spans.sigma_px[:, None]
     rotations = [pose[:3, :3] for pose in spans.poses]
     first, d_first, r_first = _image(cameras, skew, points)
     moved = np.concatenate([points[part] @ turn.T for part, turn in zip(parts, rotations, strict=True)])
     shift = np.repeat(spans.poses[:, :3, 3], [part.stop - part.start for part in parts], axis=0)
     last, d_last, r_last = _image(cameras, skew, moved + shift)
+    if readout_s is not None and spans.shares is not None:
+        rates = np.array([rate_of(pose, lasts) for pose, lasts in zip(spans.poses, spans.lasts_s, strict=True)])
+        rates = np.repeat(rates, [part.stop - part.start for part in parts], axis=0)
+        by_first = _by_readout(d_first, points, rates, spans.shares[:, :2])
+        by_last = _by_readout(d_last, moved + shift, rates, spans.shares[:, 2:])
+        first, last = first + readout_s * by_first, last + readout_s * by_last
+        r_first, r_last = (np.insert(r, _READOUT, by, axis=2) for r, by in ((r_first, by_first), (r_last, by_last)))
+    tried = r_first.shape[2]
     residual = (spans.seen_px - np.hstack([first, last])) / sigma_px
     turned = np.concatenate([d_last[part] @ turn for part, turn in zip(parts, rotations, strict=True)])
     by_point = np.concatenate([d_first, turned], axis=1) / sigma_px[:, :, None]
-    shared = np.zeros((len(points), 8, 6 + _TRIED))
+    shared = np.zeros((len(points), 8, 6 + tried))
     shared[:, 4:, :3] = -(d_last @ cross_matrix(moved))
     shared[:, 4:, 3:6] = d_last
     shared[:, :4, 6:], shared[:, 4:, 6:] = r_first, r_last
@@ -180,9 +250,9 @@ def _step_spans(cameras: StereoCameras, skew: float, spans: _JointSpans) -> tupl
     free -= by_point @ (own @ free)
     rest = free[:, :, -1]
     misfit = np.einsum("ni,ni->n", rest, rest) / _FREEDOM
-    products = np.empty((len(parts), 6 + _TRIED, 7 + _TRIED))
+    products = np.empty((len(parts), 6 + tried, 7 + tried))
     for k, part in enumerate(parts):
-        factor = max(upper_median(misfit[part]) / _MEDIAN_CHI2, 1e-6)
+        factor = max(upper_median(misfit[part]) / _MEDIAN_CHI2[_FREEDOM], 1e-6)
         weight = 1 / (1 + misfit[part] / factor / _CAUCHY_SIGMAS**2) / factor
         columns = free[part].reshape(-1, free.shape[2])
         products[k] = columns[:, :-1].T @ (columns * np.repeat(weight, free.shape[1])[:, None])
@@ -195,6 +265,12 @@ def _step_spans(cameras: StereoCameras, skew: float, spans: _JointSpans) -> tupl
     new_points[:, 2] = np.maximum(new_points[:, 2], 2 * _NEAREST_M)  # a point may not pass through the camera
     reduced, left = normal[:, 6:, 6:] - gain @ normal[:, :6, 6:], score[:, 6:] - gain @ score[:, :6]
     return reduced, left[:, :, 0], replace(spans, poses=apply_steps(spans.poses, steps), points=new_points)
+
+
+def _by_readout(by_point: Floats, points: Floats, rates: Floats, shares: Floats) -> Floats:
+    """(N, 4) px/s: derivative of image points by the readout. by_point (N, 4, 3); rates (N, 6); shares (N, 2), left and right."""
+    moving = np.cross(rates[:, :3], points) + rates[:, 3:]
+    return np.asarray(np.einsum("nij,nj->ni", by_point, moving) * np.repeat(shares, 2, axis=1))
 
 
 def _image(cameras: StereoCameras, skew: float, points: Floats) -> tuple[Floats, Floats, Floats]:
@@ -224,20 +300,23 @@ def _pinhole(intrinsics: Floats, points: Floats) -> tuple[Floats, Floats]:
     return np.stack([fx * x + cx, fy * y + cy], axis=1), d
 
 
-def _combine(all_normals: Floats, all_scores: Floats) -> tuple[Floats, Floats, Floats] | None:
-    """Robust step (5,), its covariance (5, 5) and the model's gap (5,)."""
-    normals, scores = all_normals[:, :_SHARED, :_SHARED], all_scores[:, :_SHARED]
+def _combine(
+    all_normals: Floats, all_scores: Floats, prior: Floats, state: Floats
+) -> tuple[Floats, Floats, Floats] | None:
+    """Robust step (n,), its covariance (n, n) and the model's gap (n,). prior (n,): inverse variances of zero; state (n,)."""
+    shared = len(prior)
+    normals, scores = all_normals[:, :shared, :shared], all_scores[:, :shared]
     weight, inverses = np.ones(len(normals)), np.linalg.pinv(normals, hermitian=True)
     for _ in range(10):
-        normal = np.einsum("s,sij->ij", weight, normals)
+        normal = np.einsum("s,sij->ij", weight, normals) + np.diag(prior)
         if np.linalg.cond(normal / np.sqrt(np.outer(np.diag(normal), np.diag(normal)) + 1e-300)) > 1e8:
             return None
         inverse = np.linalg.inv(normal)
-        step = inverse @ np.einsum("s,si->i", weight, scores)
+        step = inverse @ (np.einsum("s,si->i", weight, scores) - prior * state)
         rest = scores - normals @ step
         # Covariance of a span's score: its information times the excess scatter between spans.
-        score2 = np.einsum("si,sij,sj->s", rest, inverses, rest) / _SHARED
-        spread = max(float(np.median(score2)) / _MEDIAN_CHI2, 1e-12)
+        score2 = np.einsum("si,sij,sj->s", rest, inverses, rest) / shared
+        spread = max(float(np.median(score2)) / _MEDIAN_CHI2[shared], 1e-12)
         weight = np.minimum(1.0, _HUBER_SIGMAS / np.sqrt(score2 / spread + 1e-300))
     weighted = weight[:, None] * rest
     count = len(normals)
@@ -246,10 +325,13 @@ def _combine(all_normals: Floats, all_scores: Floats) -> tuple[Floats, Floats, F
         along = weighted[lag:].T @ weighted[:-lag]
         middle += (1 - lag / (_LAGS + 1)) * (along + along.T)
     # With few spans this is uncertain: take at least the covariance of independent spans.
-    values, vectors = np.linalg.eigh(inverse @ middle @ inverse * count / max(count - _SHARED, 1))
-    alone = inverse @ (weighted.T @ weighted) @ inverse * count / max(count - _SHARED, 1)
+    values, vectors = np.linalg.eigh(inverse @ middle @ inverse * count / max(count - shared, 1))
+    alone = inverse @ (weighted.T @ weighted) @ inverse * count / max(count - shared, 1)
     least = np.einsum("ij,ik,kj->j", vectors, alone, vectors)
-    cov = (vectors * np.maximum(values, least)) @ vectors.T
-    tried = np.linalg.pinv(np.einsum("s,sij->ij", weight, all_normals), hermitian=True)
-    gap = tried @ np.einsum("s,si->i", weight, all_scores)
-    return step, (cov + cov.T) / 2, gap[:_SHARED] - step
+    cov = (vectors * np.maximum(values, least)) @ vectors.T + inverse @ np.diag(prior) @ inverse
+    tried = np.einsum("s,sij->ij", weight, all_normals)
+    tried[:shared, :shared] += np.diag(prior)
+    score = np.einsum("s,si->i", weight, all_scores)
+    score[:shared] -= prior * state
+    gap = np.linalg.pinv(tried, hermitian=True) @ score
+    return step, (cov + cov.T) / 2, gap[:shared] - step

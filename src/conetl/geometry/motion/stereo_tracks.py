@@ -8,8 +8,8 @@ from __future__ import annotations
 from base64 import b64decode, b64encode
 from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
-from itertools import pairwise
-from typing import Annotated
+from itertools import chain, pairwise
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import intrinsics
+from conetl.geometry.motion.rolling_shutter import points_at_stamp, rate_of, readouts_s
 from conetl.geometry.motion.stereo_motion import (
     MotionStatus,
     RelativeMotion,
@@ -132,23 +133,92 @@ def motions_of(
 ) -> Iterator[RelativeMotion]:
     """Motion of every interval of `tracks`, in their order; tracks[k] runs from frame_pairs[k] to frame_pairs[k + 1].
 
-    The motion of the interval before is tried first.
+    The motion of the interval before is tried first. With a rolling shutter each one is estimated again when that of the next
+    interval is known, with points at the time stamps.
     """
+    lasts_s = (np.diff([pair.captured_at_ns for pair in frame_pairs]) * 1e-9).tolist()
+    intervals = _intervals(tracks, frame_pairs, rig, lasts_s, params)
+    if readouts_s(rig).any():
+        intervals = _at_stamps(intervals, rig, lasts_s, params)
+    for interval in intervals:
+        yield relative_motion(interval.tracks, interval.motion)
+
+
+class _Interval(NamedTuple):
+    """Between a frame pair and the next."""
+
+    tracks: StereoTracks
+    expected: Floats
+    """(4, 4) motion by the poses; the last one of those that were tried."""
+    motion: StereoMotion | None
+    """None without points."""
+
+
+def _intervals(
+    tracks: Iterable[StereoTracks], frame_pairs: Sequence[FramePair], rig: Rig, lasts_s: Sequence[float],
+    params: TrajectoryParams,
+) -> Iterator[_Interval]:  # fmt: skip
+    """All intervals in order; points are moved to the time stamps by the expected motions. lasts_s: time of each."""
     cameras = cameras_of(rig)
     before: Floats | None = None
-    for points, to_try in zip(tracks, motions_to_try(frame_pairs, rig), strict=True):
-        motion = None
+    for points, to_try, own_s in zip(tracks, motions_to_try(frame_pairs, rig), lasts_s, strict=True):
+        motion, expected = None, to_try[0]
         if points.missing is None:
             first_px, second_px, sigma_px = points.points()
             for expected in to_try:
+                rate = rate_of(expected, own_s)
+                first, second = (points_at_stamp(rig, cameras, px, rate)[:, :3] for px in (first_px, second_px))
                 motion = estimate_motion(
-                    cameras, first_px[:, :3], second_px[:, :3], sigma_px, expected, params, seed=points.first_frame_index,
-                    guess=before,
-                )  # fmt: skip
+                    cameras, first, second, sigma_px, expected, params, seed=points.first_frame_index, guess=before
+                )
                 if motion.status is MotionStatus.OK:
                     break
             before = motion.next_SE3_first if motion is not None and motion.status is MotionStatus.OK else None
-        yield relative_motion(points, motion)
+        yield _Interval(points, expected, motion)
+
+
+def _at_stamps(
+    intervals: Iterable[_Interval], rig: Rig, lasts_s: Sequence[float], params: TrajectoryParams
+) -> Iterator[_Interval]:
+    """The intervals with motions of points that were moved to the time stamps by the measured motions, not by those of the log.
+
+    The rate at a frame pair is that between its two intervals: with the rate of one interval at both of its ends, motions would
+    be those of a later time, by the mean of the rows' times.
+    """
+    cameras = cameras_of(rig)
+    rate_before: tuple[Floats, float] | None = None
+    for (interval, following), own_s, next_s in zip(
+        pairwise(chain(intervals, [None])), lasts_s, [*lasts_s[1:], 0.0], strict=True
+    ):
+        assert interval is not None  # only the last one is
+        own = _rate(interval, own_s)
+        after = None if following is None else _rate(following, next_s)
+        if own is not None and interval.motion is not None:
+            first_px, second_px, sigma_px = interval.tracks.points()
+            first = points_at_stamp(rig, cameras, first_px, _between(rate_before, own))[:, :3]
+            second = points_at_stamp(rig, cameras, second_px, _between(after, own))[:, :3]
+            motion = estimate_motion(
+                cameras, first, second, sigma_px, interval.expected, params, seed=interval.tracks.first_frame_index,
+                start=interval.motion.next_SE3_first,
+            )  # fmt: skip
+            yield interval._replace(motion=motion)
+        else:
+            yield interval
+        rate_before = own
+
+
+def _rate(interval: _Interval, lasts_s: float) -> tuple[Floats, float] | None:
+    """(6,) rate in an interval and its length (s); None where its motion is not known, or across a pause."""
+    if interval.motion is None or interval.motion.status is not MotionStatus.OK or lasts_s > PAUSE_S:
+        return None
+    return rate_of(interval.motion.next_SE3_first, lasts_s), lasts_s
+
+
+def _between(beside: tuple[Floats, float] | None, own: tuple[Floats, float]) -> Floats:
+    """(6,) rate at the frame pair between two intervals of known rates and lengths; that of the own one where it is alone."""
+    if beside is None:
+        return own[0]
+    return np.asarray((beside[0] * own[1] + own[0] * beside[1]) / max(own[1] + beside[1], 1e-9))
 
 
 def relative_motion(tracks: StereoTracks, motion: StereoMotion | None) -> RelativeMotion:

@@ -19,7 +19,7 @@ from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
-from conetl.readers.drives.formats import DriveFormat, image_files, names_in
+from conetl.readers.drives.formats import DriveFormat, image_files, names_in, with_stated_shutters
 from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
 from conetl.readers.stated_sigmas import implausible_sigma
 from conetl.readers.surveyed_points import read_surveyed_points
@@ -65,6 +65,7 @@ def read_drive(
         source = Source(path, root, settings, content, map_srid or settings.map_srid, images_folder)
         control_file = _control_file(source)
         drive, rejections = found.read(source)
+        drive = drive.model_copy(update={"rig": with_stated_shutters(drive.rig, settings.shutter)})
         if control_file is not None and settings.control_points is not None:
             stated = settings.control_points.model_dump(exclude={"file"})
             points = tuple(read_surveyed_points(control_file, drive.map_srid, **stated))

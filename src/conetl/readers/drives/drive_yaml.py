@@ -10,10 +10,10 @@ from pydantic import AfterValidator, BaseModel, Field, field_validator, model_va
 
 from conetl.files.documents import library_errors, nested_model, read_yaml_mapping, shown, validated
 from conetl.files.names import printable
-from conetl.model.base import GeodeticPosition, Positive, Record
+from conetl.model.base import GeodeticPosition, NonNegative, Positive, Record
 from conetl.model.drive import CommonError
 from conetl.model.errors import InputError
-from conetl.model.rig import MAX_LEVER_ARM_M
+from conetl.model.rig import MAX_LEVER_ARM_M, MAX_READOUT_MS, StampRow
 from conetl.perception.video import Layout
 from conetl.readers.trajectories.settings import TrajectoryFile, known_zone, setting
 
@@ -126,6 +126,29 @@ class Mount(Record):
     yaw_deg: float = setting("Degrees by which it looks to the left.", -1.5, default=0.0, ge=-180, le=180)
 
 
+class CameraShutter(Record):
+    """Rolling shutter of one camera, as in rig.yaml; what is not stated stays as it is there."""
+
+    readout_ms: float | None = setting(
+        "Milliseconds from the exposure of the first row to that of the last one; most video cameras and phones take 5 to 30, "
+        "global shutters 0.",
+        10,
+        ge=-MAX_READOUT_MS,
+        le=MAX_READOUT_MS,
+    )
+    readout_sigma_ms: NonNegative | None = None
+    stamp_row: StampRow | None = setting(
+        "The row that the times of the images belong to: first, middle or last.", "first"
+    )
+
+
+class ShutterSettings(CameraShutter):
+    """Of both cameras."""
+
+    right: CameraShutter = CameraShutter()
+    """Where the right camera differs."""
+
+
 class Clock(Record):
     """The clock of the images against that of the trajectory, where they are not the same."""
 
@@ -180,6 +203,7 @@ class DriveYaml(Record):
         {"forward_m": 1.2, "left_m": 0.3, "up_m": -0.2, "pitch_deg": 3},
     )
     trajectory: TrajectoryFile = Field(default=TrajectoryFile(), description="The GNSS/INS log.")
+    shutter: ShutterSettings = Field(default=ShutterSettings(), description="Rolling shutter of the cameras.")
     clock: Clock | None = Field(default=None, description="Of the images relative to the trajectory.")
     """None: images and trajectory have one clock."""
     common_errors: tuple[CommonError, ...] = setting(

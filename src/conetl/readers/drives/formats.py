@@ -13,13 +13,14 @@ from conetl.files.documents import input_errors
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import sensor_R_body
+from conetl.geometry.motion.rolling_shutter import shutter_of, with_shutters
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig, Shutter
 from conetl.perception.images import IMAGE_SUFFIXES
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, small_file
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, ShutterSettings, small_file
 from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.rigs.common import Pair, rectified_rig
@@ -148,6 +149,22 @@ def overrides(settings: DriveYaml) -> dict[str, object]:
     """Fields of the rig that drive.yaml overrides."""
     changes: dict[str, object] = {"rig_id": settings.rig_id} if settings.rig_id else {}
     return changes | ({"sigma_px": settings.sigmas.image_px} if "image_px" in settings.sigmas.model_fields_set else {})
+
+
+def with_stated_shutters(rig: Rig, settings: ShutterSettings) -> Rig:
+    """The rig with the shutters of its cameras as drive.yaml states them. Raises InputError for a sigma without a readout."""
+    both = settings.model_dump(exclude_none=True, exclude={"right"})
+    own = {"left": both, "right": both | settings.right.model_dump(exclude_none=True)}
+    if not any(own.values()):
+        return rig
+    found: dict[str, Shutter | None] = {}
+    for side in SIDES:
+        known = shutter_of(rig, side)
+        values = ({} if known is None else known.model_dump()) | own[side]
+        if values and "readout_ms" not in values:
+            raise InputError(f"{DRIVE_YAML}: 'shutter' needs readout_ms, of which the other keys are details")
+        found[side] = Shutter.model_validate(values) if values else None
+    return with_shutters(rig, found["left"], found["right"])
 
 
 def own_rig(path: Path, pair: Pair | None) -> tuple[Rig, Floats] | None:

@@ -33,6 +33,7 @@ _OPTIONAL: dict[str, tuple[str, ...]] = {
     "sigmas": ("horizontal_m", "pitch_deg"),
     "mount": ("yaw_deg", "roll_deg"),
     "clock": ("offset_s",),
+    "shutter": ("readout_ms", "stamp_row"),
 }
 _OPTIONAL_VALUES = ("drive_id", "timestamps_timezone", "common_errors", "control_points")
 _WIDTH = 110

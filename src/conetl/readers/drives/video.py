@@ -28,7 +28,15 @@ from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, index_video, region_of, video_facts
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, inside, names_images
-from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, names_in, no_rig, rig_on_body
+from conetl.readers.drives.formats import (
+    HeaderFacts,
+    add_settings,
+    image_files,
+    names_in,
+    no_rig,
+    rig_on_body,
+    with_stated_shutters,
+)
 from conetl.readers.drives.pairs import ContentHash, Source, drive_of_couples, time_of
 from conetl.readers.drives.poses import placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
@@ -73,6 +81,7 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     """The drive. rig: instead of rig.yaml's. Raises InputError."""
     root, settings, content = source[1:4]
     rig, sensor_R_body = _rig(root, settings, content, rig)
+    rig = with_stated_shutters(rig, settings.shutter)
     cameras = _cameras(root, settings.images, rig, content)
     trajectory = _trajectory_file(root, settings)
     _add_files(trajectory, root, content)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from conetl.files.documents import read_bytes
+from conetl.geometry.motion.rolling_shutter import middle_row_s
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
@@ -130,6 +131,8 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
             f"the recording time of {left.name} cannot be estimated from the images: too few turns and changes of speed, or "
             f"{track.name} is of another time",
         ) from error
+    if clock is not None and clock.offset_s == "estimate":  # motions are those of the middle row
+        found = found._replace(offset_s=found.offset_s - middle_row_s(rig))
     offset_ns = round(found.offset_s * 1e9)
     moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
     return Timing(moved, None if start_ns is None else start_ns + offset_ns, shift_s, found)

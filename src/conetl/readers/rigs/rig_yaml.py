@@ -20,7 +20,7 @@ from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
 from conetl.model.base import Matrix3, NonNegative, Positive, Record, Vec3
 from conetl.model.errors import InputError
-from conetl.model.rig import CalibrationCovariance, Camera, Lens, Rig
+from conetl.model.rig import CalibrationCovariance, Camera, Lens, Rig, Shutter
 from conetl.readers.rigs.common import Pair, choose_pair, rig_of, write_yaml
 
 RIG_YAML = "rig.yaml"
@@ -56,6 +56,8 @@ class _CameraFile(Record):
     principal_mm: tuple[float, float] | None = None
     """Principal point from the top-left corner of the sensor, to the right and down, instead of x0_mm, y0_mm."""
     lens: Lens = Lens()
+    shutter: Shutter | None = None
+    """Rolling shutter; without it all rows are exposed together."""
 
     @model_validator(mode="after")
     def _one_form(self) -> _CameraFile:
@@ -92,8 +94,9 @@ class _CameraFile(Record):
                 cx = (self.width_px - 1) / 2 + (self.x0_mm or 0.0) * scale[0]
                 cy = (self.height_px - 1) / 2 - (self.y0_mm or 0.0) * scale[1]
         return Camera(
-            width_px=self.width_px, height_px=self.height_px, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=self.lens
-        )
+            width_px=self.width_px, height_px=self.height_px, fx_px=fx, fy_px=fy, cx_px=cx, cy_px=cy, lens=self.lens,
+            shutter=self.shutter,
+        )  # fmt: skip
 
 
 class _RigidFile(Record):

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from conetl.geometry.camera import rays
+from conetl.geometry.camera import intrinsics, rays
 from conetl.geometry.linear_reference import project, smoothed, spaced, stations
+from conetl.geometry.motion.rolling_shutter import at_stamp, camera_rates, readouts_s, row_shares
+from conetl.geometry.motion.stereo_motion import StereoCameras
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.drive import Drive
@@ -68,6 +70,37 @@ def camera_points(columns: PointColumns, disparity_px: Floats, rig: Rig) -> Floa
     return rays(rig.left, np.stack([columns.u_px, columns.v_px], axis=1)) * depth[:, None]
 
 
+def _at_stamp(frames: Sequence[MarkingPoints], drive: Drive) -> list[PointColumns]:
+    """The points of each frame pair, with image points and disparities as of a global shutter at the time stamp."""
+    columns, rig = [one.columns() for one in frames], drive.rig
+    if not readouts_s(rig).any():
+        return columns
+    rank = {pair.frame_index: k for k, pair in enumerate(drive.frame_pairs)}
+    rates = camera_rates(drive.frame_pairs, rig)
+    # Disparities are against a right camera turned like the left one.
+    apart = np.eye(4)
+    apart[0, 3] = -rig.baseline_m
+    cameras = StereoCameras(intrinsics(rig.left), intrinsics(rig.left), apart)
+    moved = []
+    for one, own in zip(frames, columns, strict=True):
+        shares = row_shares(rig, "left", np.stack([own.u_px, own.v_px], axis=1))
+        times_s = shares[:, None] * readouts_s(rig)  # the rows of both images are equal
+        by_stereo, by_road = (
+            at_stamp(
+                cameras, np.stack([own.u_px, own.v_px, own.u_px - disparity, own.v_px], axis=1), times_s,
+                rates[rank[one.frame_index]],
+            )
+            for disparity in (own.disparity_px, own.road_px)
+        )  # fmt: skip
+        moved.append(
+            own._replace(
+                u_px=by_stereo[:, 0], v_px=by_stereo[:, 1], disparity_px=by_stereo[:, 0] - by_stereo[:, 2],
+                road_px=by_road[:, 0] - by_road[:, 2],
+            )
+        )  # fmt: skip
+    return moved
+
+
 def _extended(line: Floats, length_m: float) -> Floats:
     """The line (P, 2) and as much more in the bend of its last `_BEND_M`: cameras see farther than the drive goes."""
     steps = np.diff(line, axis=0)
@@ -96,7 +129,7 @@ def locate_points(found: Sequence[MarkingPoints], drive: Drive, max_range_m: flo
     driven = dict(zip(poses, stations(path), strict=True))
     share = along[len(driven_line) - 1] / max(*driven.values(), 1e-9)
     guess = [share * driven[one.frame_index] for one in frames]
-    columns = [one.columns() for one in frames]
+    columns = _at_stamp(frames, drive)
     xyz, places, own_station = [], [], []
     for pose, own, near in zip(left, columns, guess, strict=True):
         first, last = np.searchsorted(along, [near - _BEHIND_M, near + max_range_m + _AHEAD_M])
