@@ -38,11 +38,11 @@ GROUPS = ((0, 1), (2,), (3, 4), (5,))
 _SPACED, _RUNS, _RUN = 48, 3, 24
 #: Prior sigmas of the logarithms of white and fast over slow share, of the times of the fast and the slow part, of the jitter of
 #: the stamps, and of the factor on the stated variance.
-_PRIOR_SIGMA = np.array([15.0, 15.0, 0.7, 2.0, 1.0, 0.7])
+_PRIOR_SIGMA = np.array([15.0, 3.0, 0.7, 2.0, 1.0, 0.7])
 _FAST_SHARE, _FAST_S, _FAST_RANGE_S, _SLOW_RANGE_S = 0.01, 0.7, (0.15, 3.0), (5.0, 600.0)
 _LEAST_JITTER_S, _MOST_FACTOR = 1e-6, 20.0
-#: Chi-square of one degree of freedom at 1e-4 above which the stated variance is too small.
-_SIGNIFICANT = 15.1
+#: Chi-square of one degree of freedom at 0.01 above which the variance grows.
+_SIGNIFICANT = 6.6
 #: Unknowns that are fitted to the same records.
 _FITTED = 4
 #: Share of its sampling error that a share of nearly 1 leaves to the slow part.
@@ -255,7 +255,9 @@ def compared_frames(records: StatedErrors, most: int = _SPACED + _RUNS * _RUN) -
         return every
     starts = np.linspace(0, count - _RUN, _RUNS).round().astype(int)
     runs = (starts[:, None] + np.arange(_RUN)).ravel()
-    return np.asarray(every[np.unique(np.concatenate([runs, np.array(evenly_spaced(range(count), most - _RUNS * _RUN))]))])
+    return np.asarray(
+        every[np.unique(np.concatenate([runs, np.array(evenly_spaced(range(count), most - _RUNS * _RUN))]))]
+    )
 
 
 def difference_terms(

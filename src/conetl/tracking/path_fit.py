@@ -42,6 +42,8 @@ class PathFit(NamedTuple):
     """(3,): stated sigmas of scale and of both directions."""
     prior: Floats
     """(7,) sigmas beforehand."""
+    log_is_wrong: bool
+    """Whether the log errs by more than it states: then the calibration need not be what differs."""
     difference: PathDifference
     changes: Floats
     """(K, 3, 7), see `path_changes`."""
@@ -54,7 +56,8 @@ class PathFit(NamedTuple):
     @property
     def doubtful(self) -> Bools:
         """(3,): whether neither calibration nor log, as they are stated, explain the scale, and the directions."""
-        least = np.maximum(_DOUBTFUL_SIGMAS * self.stated, _SIGNIFICANT_SIGMAS * self.sigma[:3])
+        stated = 0.0 if self.log_is_wrong else _DOUBTFUL_SIGMAS * self.stated
+        least = np.maximum(stated, _SIGNIFICANT_SIGMAS * self.sigma[:3])
         return np.asarray(np.abs(self.found[:3]) > least)
 
     def drifts(self) -> Floats:
@@ -77,13 +80,21 @@ def fit_path(
     stated = np.zeros(3)
     stated[SCALE] = params.scale_sigma
     stated[ASIDE], stated[UP] = (np.median(records.stated[:, axes].max(axis=1)) for axes in ((5,), (3, 4)))
+    log_is_wrong = max(errors.horizontal.factor, errors.up.factor) > 1.0
     drift = np.linspace(-1.0, 1.0, len(changes))[:, None, None] * np.diag(
         _RAMP * np.median(records.stated[:, :3], axis=0)
     )
     with_drift = np.concatenate([changes, drift], axis=2)
     _, cov_of_any = fitted_changes(difference, records, errors, with_drift, np.append(prior, np.ones(3)))
     return PathFit(
-        found, np.sqrt(np.diag(cov)), np.sqrt(np.diag(cov_of_any)[: len(prior)]), stated, prior, difference, changes
+        found,
+        np.sqrt(np.diag(cov)),
+        np.sqrt(np.diag(cov_of_any)[: len(prior)]),
+        stated,
+        prior,
+        log_is_wrong,
+        difference,
+        changes,
     )
 
 
