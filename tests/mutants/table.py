@@ -100,6 +100,8 @@ _TRIGGER = "right images belong to left images"
 _AGAINST_MAP = "m from those of the map"
 #: Both clocks and the order of the records are wrong in the same way: poses that are not those of their images.
 _CLOCK = "clock|time stamps"
+#: A log that errs by more than it states.
+_SIGMAS = "stated sigmas|times as large|positions scatter"
 
 
 def _jumps() -> list[WrongRecording]:
@@ -161,11 +163,11 @@ def _logs() -> list[WrongRecording]:
         *(WrongRecording(f"GNSS drifts {m:g} m", drift(m), cause=c, fast=m == 1.0) for m, c in drifts.items()),
         *(WrongRecording(f"heights drift {m:g} m", climbing(m), cause="up or down", fast=m == 0.4) for m in (0.4, 1.0)),
         *(
-            WrongRecording(f"GNSS noise {m:g} m", noise(m), cause="scatter|times as large|jumps by", fast=m == 0.3)
+            WrongRecording(f"GNSS noise {m:g} m", noise(m), cause=f"{_SIGMAS}|jumps by", fast=m == 0.3)
             for m in (0.1, 0.3, 1.0)
         ),
         *(
-            WrongRecording(f"GNSS of {m:g} m states 0.02", noise(m, 5.0), cause="stated sigmas|drifts|times as large")
+            WrongRecording(f"GNSS of {m:g} m states 0.02", noise(m, 5.0), cause=f"{_SIGMAS}|drifts")
             for m in (0.2, 0.5)
         ),
         *(
@@ -196,7 +198,8 @@ def _logs() -> list[WrongRecording]:
             )
         ),
         *(
-            WrongRecording(f"{name} of other sign", files=images.log(lambda p: [-p[0]], k, k + 1), cause="contradict GNSS/INS|roll and pitch")
+            WrongRecording(f"{name} of other sign", files=images.log(lambda p: [-p[0]], k, k + 1),
+                           cause="contradict GNSS/INS|roll and pitch")
             for k, name in {3: "roll", 4: "pitch"}.items()
         ),
         WrongRecording("heading from north", files=images.log(lambda p: [np.pi / 2 - p[0]], 5, 6), cause="direction of its cam"),
@@ -250,7 +253,8 @@ def _rigs() -> list[WrongRecording]:
         ),
         *(
             WrongRecording(
-                f"right camera {ms:+d} ms", right_ahead(13.3 * ms / 1e3), cause="ms too (late|early)|does not grow" if abs(ms) == 5 else None, fast=ms == 5,
+                f"right camera {ms:+d} ms", right_ahead(13.3 * ms / 1e3), fast=ms == 5,
+                cause="ms too (late|early)|does not grow" if abs(ms) == 5 else None,
             )
             for ms in (-5, -2, 2, 5)
         ),
@@ -437,9 +441,11 @@ def _street() -> list[WrongRecording]:
             on=street,
         ),
         WrongRecording("poses 5 records late", late(5), on=street),
-        WrongRecording("GNSS of 0.5 m states 0.03", in_turn(noise(0.5, 5.0), stating(0.03)), cause="stated sigmas|No poses fit", on=street),
-        WrongRecording("noise 0.3 m states 0.03", in_turn(noise(0.3), stating(0.03)), cause="scatter|times as large|jumps by", on=street),
-        WrongRecording("states 0.03 m", stating(0.03), cause="stated sigmas|times as large", on=street),
+        WrongRecording(
+            "GNSS of 0.5 m states 0.03", in_turn(noise(0.5, 5.0), stating(0.03)), cause=f"{_SIGMAS}|No poses", on=street
+        ),
+        WrongRecording("noise 0.3 m states 0.03", in_turn(noise(0.3), stating(0.03)), cause=f"{_SIGMAS}|jumps by", on=street),
+        WrongRecording("states 0.03 m", stating(0.03), cause=_SIGMAS, on=street),
         WrongRecording("poses in reverse", reversed_poses, cause="reverse order", on=street),
         WrongRecording("GNSS frozen", frozen_place(), cause="is it frozen", on=street),
         WrongRecording("yaw 2 degrees", turned(0.0, 0.0, 2.0), cause="alignment", on=street),

@@ -84,7 +84,8 @@ CHECKS = (
                  "the spectrum of the errors (constant, slow, fast, white)",
         observable="measured motions", least="path.sigma_factor",
         limit="or a pose is moved by more than the root of `max_shift_chi2` of its sigmas",
-        treated="significantly above 1 (chi-square at 1e-4): the sigmas of all positions are widened by it",
+        treated="significantly above 1: the sigmas of all positions are widened by it, and reported from "
+                "{path.worth_saying:g} on",
         effect="more than the sigmas that the log states; widened ones cover it",
         messages={"": "The errors of {of} in the log are {value:.1f} times as large as its stated sigmas.",
                   "widened": "The sigmas of all positions were enlarged by that factor. State the true sigmas (sigmas in "

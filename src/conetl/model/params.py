@@ -449,6 +449,8 @@ class PathCheckParams(Params):
 
     sigma_factor: Positive = 3.0
     """Up to this factor, stated sigmas that are too small are enlarged; beyond it the log is not what it states."""
+    worth_saying: Positive = 1.25
+    """From this factor on, enlarged sigmas are reported."""
     aside_deg: Positive = 0.25
     """Least angle between the directions of motion. Sample drives and KITTI: up to 0.27 degrees."""
     scale_percent: Positive = 1.0

@@ -38,11 +38,11 @@ GROUPS = ((0, 1), (2,), (3, 4), (5,))
 _SPACED, _RUNS, _RUN = 48, 3, 24
 #: Prior sigmas of the logarithms of white and fast over slow share, of the times of the fast and the slow part, of the jitter of
 #: the stamps, and of the factor on the stated variance.
-_PRIOR_SIGMA = np.array([15.0, 3.0, 0.7, 2.0, 1.0, 0.7])
+_PRIOR_SIGMA = np.array([8.0, 8.0, 0.7, 2.0, 1.0, 0.7])
 _FAST_SHARE, _FAST_S, _FAST_RANGE_S, _SLOW_RANGE_S = 0.01, 0.7, (0.15, 3.0), (5.0, 600.0)
 _LEAST_JITTER_S, _MOST_FACTOR = 1e-6, 20.0
-#: Chi-square of one degree of freedom at 0.01 above which the variance grows.
-_SIGNIFICANT = 6.6
+#: Chi-square of one degree of freedom at 0.05 above which the variance grows.
+_SIGNIFICANT = 3.84
 #: Unknowns that are fitted to the same records.
 _FITTED = 4
 #: Share of its sampling error that a share of nearly 1 leaves to the slow part.

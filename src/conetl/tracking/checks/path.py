@@ -88,6 +88,6 @@ def _stated_sigmas(trajectory: RefinedTrajectory, limits: PathCheckParams) -> Fi
         return Finding(check=SIGMAS)
     factor, group = max((shares.factor**0.5, k) for k, shares in enumerate(trajectory.errors))
     return Finding(
-        check=SIGMAS, value=factor, treated="widened" if factor > 1.0 else "", facts={"of": _NAMES[group]},
+        check=SIGMAS, value=factor, treated="widened" if factor > limits.worth_saying else "", facts={"of": _NAMES[group]},
         says=("", "widened" if factor <= limits.sigma_factor else "beyond"),
     )  # fmt: skip
