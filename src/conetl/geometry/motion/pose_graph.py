@@ -26,7 +26,7 @@ from conetl.model.arrays import Floats, Ints
 
 #: Unknowns of a frame: six of the pose come first, then six of the log's slow error.
 POSE, STATE = 6, 12
-_MAX_ITERATIONS = 15
+_MAX_ITERATIONS = 40
 _CONVERGED = 1e-4
 
 

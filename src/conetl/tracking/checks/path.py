@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
+from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
 from conetl.model.health import Finding
 from conetl.model.params import PathCheckParams, TrajectoryParams
@@ -17,6 +19,8 @@ from conetl.tracking.trajectory import RefinedTrajectory, RefinementOutcome, sta
 DISTANCES, SIGMAS = "distances by images and by GNSS/INS", "stated sigmas of the poses"
 #: What is known beforehand of the heights' factor: one sigma. Another unit is one foot in metres, to this share.
 _HEIGHTS_PRIOR, _FOOT_M, _SAME_FACTOR = 3.0, 0.3048, 0.3
+#: Slopes are those of about so many intervals (sigma of a Gaussian), where the vehicle drives at least so many metres in each.
+_SMOOTHED, _DRIVEN_M = 4.0, 0.1
 _NAMES = ("easting and northing", "height", "roll and pitch", "heading")
 assert len(_NAMES) == len(GROUPS)
 
@@ -54,7 +58,9 @@ def _heights(fit: PathFit, records: StatedErrors, errors: LogErrors) -> Finding:
     """By what factor the log climbs more than the images."""
     difference = fit.difference
     climbs = np.zeros((*fit.changes.shape[:2], 1))
-    climbs[:, 2, 0] = difference.path_m[:, 2]
+    steps = np.diff(difference.measured_var, axis=0, prepend=0.0)
+    measured = steps[:, 2] < UNKNOWN / 2  # across gaps, the path is that of the log
+    climbs[:, 2, 0] = np.cumsum(np.diff(difference.path_m[:, 2], prepend=0.0) * measured)
     changes = np.concatenate([fit.changes, climbs], axis=2)
     found, cov = fitted_changes(difference, records, errors, changes, np.append(fit.prior, _HEIGHTS_PRIOR))
     # Errors of the measured path look like climbs that GNSS/INS does not have: the factor is too small by their share.
@@ -62,10 +68,10 @@ def _heights(fit: PathFit, records: StatedErrors, errors: LogErrors) -> Finding:
     even = np.column_stack([np.ones(len(frames)), difference.driven_m[frames]])
     rest = np.eye(len(frames)) - even @ np.linalg.pinv(even)
     shown = float(np.square(rest @ climbs[frames, 2, 0]).sum())
-    # Across gaps, the measured path is that of the log.
-    steps = np.diff(difference.measured_var, axis=0, prepend=0.0)
-    known = difference._replace(measured_var=np.cumsum(np.where(steps < UNKNOWN / 2, steps, 0.0), axis=0))
+    known = difference._replace(measured_var=np.cumsum(steps * measured[:, None], axis=0))
     wrong = float(np.trace(rest @ measured_cov(known, records.stated, frames, 2) @ rest)) / max(shown, 1e-12)
+    # So do those of the attitudes, with which the images are turned.
+    wrong += float(fit.stated[UP]) ** 2 / max(_slope_variance(climbs[:, 2, 0], difference.driven_m), 1e-12)
     factor, sigma = 1 + float(found[-1]), float(np.hypot(cov[-1, -1] ** 0.5, wrong))
     likely = {1 / _FOOT_M: "feet", _FOOT_M: "feet twice"}
     named = (cause for times, cause in likely.items() if abs(factor / times - 1) < _SAME_FACTOR)
@@ -75,6 +81,14 @@ def _heights(fit: PathFit, records: StatedErrors, errors: LogErrors) -> Finding:
         sigma=sigma,
         says=("", "sign" if factor < 0 else next(named, "unit")),
     )
+
+
+def _slope_variance(climbs_m: Floats, driven_m: Floats) -> float:
+    """Variance of the slope of the road within some intervals, where the vehicle drives."""
+    lengths_m = np.abs(np.diff(driven_m))
+    slopes = gaussian_filter1d(np.diff(climbs_m), _SMOOTHED) / np.maximum(gaussian_filter1d(lengths_m, _SMOOTHED), 1e-9)
+    driven = lengths_m > _DRIVEN_M
+    return float(slopes[driven].var()) if driven.any() else 0.0
 
 
 def _stated_sigmas(trajectory: RefinedTrajectory, limits: PathCheckParams) -> Finding:
