@@ -326,10 +326,10 @@ def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(
 def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
     """Of the drive itself, and of another one that goes on hold because of it."""
     lower = cut_drive(SAMPLES[1], tmp_path / "lower", frames=range(4, 20))
-    shift_poses(lower, height_m=-0.6)
+    shift_poses(lower, height_m=-1.6)
     desk.ingest(lower)
     [remark] = desk.ingest(small_drive).remarks
-    assert remark.startswith("On hold now: drive lower (changeset 1). Its cones are 0.60 m lower")
+    assert remark.startswith("On hold now: drive lower (changeset 1). Its cones are 1.6 m lower")
 
     jumping = cut_drive(SAMPLES[2], tmp_path / "jumping", frames=range(4, 20))
     shift_poses(jumping, lat_deg=4e-5, first=8)

@@ -118,7 +118,7 @@ def test_figures_plots_and_page(drive: Path, home: Path, tmp_path: Path) -> None
     assert sorted(found["missed"]) == sorted(c["cone_id"] for c in found["cones"] if c["xyz_m"] is None)
     assert found["errors"]["single positions"]["count"] >= 3 * len(seen)
     assert sum(band["errors"]["count"] for band in found["by_range"]) == found["errors"]["single positions"]["count"]
-    assert found["nees"]["tracks"]["relative"]["dof"] == 3 * len(seen) - 6
+    assert sum(found["nees"]["tracks"][part]["dof"] for part in ("relative", "common")) == 3 * len(seen)
     for name in ("errors_over_range.png", "plan.png", "nees.png"):
         data = (tmp_path / "out" / name).read_bytes()
         assert data.startswith(b"\x89PNG") and len(data) > 10_000

@@ -14,7 +14,7 @@ from conetl.evaluation.drive_evaluation import evaluate_drive, nees_of
 from conetl.evaluation.truth import read_truth_cones
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.chain_solver import cross_covariance
-from conetl.model.health import hold_reason
+from conetl.model.health import Verdict, hold_reason
 from conetl.model.params import IngestParams
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.settings import Settings
@@ -106,7 +106,7 @@ def test_a_sample_drive_by_positions_alone_states_true_sigmas(
     cones, _ = read_truth_cones(SAMPLES[number - 1] / "truth.csv")
     evaluation = evaluate_drive(cones, found, within_m=20.0)
     nees = nees_of([evaluation])["tracks"]
-    assert nees is not None and nees.common.holds() and nees.relative.value < nees.relative.band()[1]
+    assert nees is not None and nees.common.holds(0.99) and nees.relative.value < nees.relative.band()[1]
 
 
 @pytest.mark.parametrize(("seed", "path_seed"), [(1, 2), (5, 6), (11, 12)])
@@ -225,7 +225,7 @@ def test_a_vehicle_that_reverses_is_held(sigma_m: float) -> None:
         assert (hold_reason(checks) is not None) == held
         assert "driving direction" in {check.name for check in checks}
         [stated] = [check for check in checks if check.name == "stated sigmas of the poses"]
-        assert held or stated.detail == "No pose was moved by more than 6 of its stated sigmas."
+        assert held or stated.verdict is not Verdict.HOLD
 
 
 def test_a_straight_drive_another_one_or_too_little_do_not_show_the_offset() -> None:

@@ -326,7 +326,9 @@ def mean_jacobians(shared_jacobian: Sequence[SharedErrorJacobian | None]) -> dic
 def _sums(shared_jacobian: Sequence[SharedErrorJacobian | None], errors: int) -> dict[UUID, Floats]:
     """Sum (3, K) of the Jacobians of each calibration; errors: least K."""
     sums: dict[UUID, Floats] = {}
-    for (ids, _), rows in _rows_by_shape(map(_shape, shared_jacobian)).items():
+    shapes = list(map(_shape, shared_jacobian))
+    errors = max([errors, *(count for _, count in shapes)])  # a corrected calibration has more errors
+    for (ids, _), rows in _rows_by_shape(shapes).items():
         if ids:
             summed_m = unpack_jacobians(ids, [shared_jacobian[k] for k in rows], errors).sum(axis=0)
             for calibration, moved_m in zip(ids, summed_m, strict=True):

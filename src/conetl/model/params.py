@@ -323,8 +323,8 @@ class TrajectoryParams(Params):
     """Use the drive's own cones as landmarks in the adjustment."""
     cone_landmarks_from_m: Positive = 0.1
     """Cones are landmarks if GNSS/INS states at least this median horizontal sigma; with an RTK fix they do harm."""
-    max_shift_chi2: Positive = 36.0
-    """Largest squared shift of a pose in its stated sigmas: 3 sigma of a GNSS/INS that states half its sigmas."""
+    max_shift_chi2: Positive = 64.0
+    """Largest squared shift of a pose in its sigmas, which may have grown: beyond it no spectrum of errors describes the log."""
 
 
 class PairParams(Params):
