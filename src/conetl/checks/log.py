@@ -97,11 +97,11 @@ CHECKS = (
     ),
     Check(
         name="jumps of the poses",
-        measured="motion of the log that no measured motion confirms, compared with the intervals around it; after "
-                 "more than 5 s without images with the measured motion",
+        measured="motion of the log between two frame pairs beyond that in the images; where these do not show it, beyond "
+                 "that of the intervals around it",
         observable="always", least="jumps.least_m",
-        limit="and {jumps.sigmas:g} sigmas of the log, and more than a vehicle can do (3.5 m/s² in addition to a "
-              "constant acceleration, 1 m/s² in height)",
+        limit="and {jumps.sigmas:g} stated sigmas of both records; without images also more than a vehicle can do (3.5 "
+              "m/s² in addition to a constant acceleration, 1 m/s² in height)",
         unit="m", effect="the size of the jump, in a part of the drive",
         messages={"": "GNSS/INS jumps by {value:.1f} m between frame pairs {first} and {second}, but the images do "
                       "not. conetl cannot tell which side is correct."},
@@ -155,7 +155,7 @@ CHECKS = (
         name="distances by images and by GNSS/INS", measured="scale of the measured path relative to the log",
         observable="a path of some metres", sigmas="path.sigmas", least="path.scale_percent",
         treated="above 2 sigmas of a good calibration (`scale_sigma`) and 3 of its own: the sigmas of all positions are "
-                "widened by it", unit="%",
+                "widened by such a drift", unit="%",
         effect="distances from the camera are wrong by that percentage, or positions drift by it",
         messages={
             "": "Distances in the images differ by {value:+.1f} +- {sigma:.1f} % from GNSS/INS: " + _LONGER,
@@ -167,10 +167,12 @@ CHECKS = (
         name="alignment of cameras and GNSS/INS",
         measured="angle between the paths in the images and in the log",
         observable="a path of some metres", least="path.aside_deg", sigmas="path.sigmas",
-        unit="degrees", effect="the distance of a cone times the angle, or a drift of the positions",
+        treated="above 2 sigmas of the stated attitudes and 3 of its own: the sigmas of all positions are widened by such a "
+                "drift", unit="degrees", effect="the distance of a cone times the angle, or a drift of the positions",
         messages={"": "The directions of motion in the images and in GNSS/INS differ by {value:.1f} degrees {way}, "
-                      "with a stated sigma of {sigma:.2f}: either GNSS/INS drifts by {drift_cm:.1f} cm per metre "
-                      "driven, or the alignment of cameras and GNSS/INS is wrong."},
+                      "with a sigma of {sigma:.2f}: either GNSS/INS drifts by {drift_cm:.1f} cm per metre driven, or the "
+                      "alignment of cameras and GNSS/INS is wrong.",
+                  "covered": "The sigmas of all positions include such a drift."},
         passed="The direction of the cameras agrees with their alignment with GNSS/INS.",
         remedy="Reprocess its log, recalibrate the alignment, or state its sigmas (sigmas in drive.yaml).",
         unobserved="The vehicle does not drive far enough for this check.",

@@ -47,6 +47,7 @@ def check_path(
         ),
         Finding(
             check="alignment of cameras and GNSS/INS", value=angle_deg, sigma=angle_sigma_deg, treated=treated[k],
+            says=("", "covered"),
             facts={"way": way, "drift_cm": 100 * float(abs(fit.found[k]))},
         ),
         Finding(check="lever arm of the cameras", value=float(arm_m), sigma=float(arm_sigma_m), facts={"way": arm_way}),
