@@ -20,7 +20,7 @@ from conetl.geometry.packing import cov_matrix
 from conetl.model.errors import DriveFolderError, MapMismatchError
 from conetl.model.health import Verdict, hold_reason
 from conetl.model.rejections import RejectionReason
-from conetl.perception.stereo_check import check_lost_parts, check_stereo
+from conetl.perception.checks.stereo_check import check_lost_parts, check_stereo
 from conetl.pipeline.analysis import AnalysedDrive, analyse
 from conetl.pipeline.commit import commit
 from conetl.pipeline.ingest import ingest

@@ -114,7 +114,7 @@ def test_errors_of_a_class_are_stated_apart_and_stay_however_many_drives() -> No
     assert np.trace(common) > 1e-6 and np.linalg.eigvalsh(apart).min() > 0, "the rest is that of the poses"
     cov, jacobian = drum.cov_m2, drum.shared_jacobian
     for _ in range(20):
-        _, [cov_m2], [jacobian] = fuse([cov], [jacobian], [drum.cov_m2], [drum.shared_jacobian])
+        _, [cov_m2], [jacobian], _ = fuse([cov], [jacobian], [drum.cov_m2], [drum.shared_jacobian])
         cov = cov3(cov_m2)
     np.testing.assert_allclose(cov_matrix(cov), common + (cov_matrix(drum.cov_m2) - common) / 21, rtol=1e-3, atol=1e-9)
 

@@ -19,10 +19,10 @@ from conetl.model.drive import Drive, Position
 from conetl.model.health import Verdict
 from conetl.model.params import IngestParams
 from conetl.model.rig import Camera, Lens, Rig
+from conetl.perception.checks.stereo_check import check_stereo
 from conetl.perception.detections import to_detections
 from conetl.perception.detector import detect_image, load_detector
 from conetl.perception.rectified_image import read_rig_image
-from conetl.perception.stereo_check import check_stereo
 from conetl.readers.drives import read_drive
 from conetl.readers.rigs import read_kitti_rig
 from conetl.tracking.matching.matches import match_pair

@@ -16,7 +16,7 @@ from conetl.geometry.motion.rolling_shutter import shutter_of
 from conetl.model.drive import Drive
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, InputError
 from conetl.model.rig import SIDES, Rig
-from conetl.perception.stereo_check import TRIGGER, check_stereo
+from conetl.perception.checks.stereo_check import TRIGGER, check_stereo
 from conetl.perception.video import frame_of, video_facts
 from conetl.readers.drives import find_format, kitti, plain, zed_recording
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml, stated

@@ -16,7 +16,7 @@ from conetl.files.names import minutes
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION
 from conetl.model.health import Verdict
 from conetl.model.params import IngestParams
-from conetl.perception.stereo_check import check_stereo
+from conetl.perception.checks.stereo_check import check_stereo
 from conetl.pipeline.settings import read_settings
 from conetl.readers.drives import find_format, read_drive
 from conetl.readers.drives.formats import DriveFormat

@@ -20,7 +20,7 @@ from conetl.model.arrays import Bools, Floats, Image
 from conetl.model.drive import FramePair
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig, Side
-from conetl.perception.torn_images import row_changes
+from conetl.perception.checks.torn_images import row_changes
 from conetl.perception.working_size import ImageReader, WorkingImages, WorkingSize, read_working_images, working_size
 
 Points = NDArray[np.float32]

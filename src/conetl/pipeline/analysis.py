@@ -20,9 +20,9 @@ from conetl.model.health import Finding, HealthCheck
 from conetl.model.params import IngestParams
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
+from conetl.perception.checks.stereo_check import check_stereo
 from conetl.perception.detections import add_image_detail, drop_unread_pairs
 from conetl.perception.model_card import read_model_card
-from conetl.perception.stereo_check import check_stereo
 from conetl.perception.video import frame_of
 from conetl.pipeline import odometry
 from conetl.pipeline.chunks import Chunk, chunks_of, load_matches, parts_of

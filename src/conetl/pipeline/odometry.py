@@ -28,9 +28,9 @@ from conetl.model.params import CheckParams, ImageCheckParams, IngestParams, Tra
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig, Side
 from conetl.perception import visual_odometry
+from conetl.perception.checks.stereo_check import check_lost_parts
+from conetl.perception.checks.torn_images import check_torn, find_torn
 from conetl.perception.rectified_image import fetch_pairs, read_pair_image
-from conetl.perception.stereo_check import check_lost_parts
-from conetl.perception.torn_images import check_torn, find_torn
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.worker_setup import set_up_worker
 from conetl.perception.working_size import ImageReader

@@ -25,7 +25,7 @@ from conetl.model.rig import Rig
 from conetl.tracking.association import CameraMotion, chain_positions
 from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
 from conetl.tracking.error_propagation import motion_error
-from conetl.tracking.log_errors import assumed_errors
+from conetl.tracking.log.log_errors import assumed_errors
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.rolling_shutter import row_time_sigma_s
 from conetl.tracking.trajectory import (

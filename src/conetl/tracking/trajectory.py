@@ -33,7 +33,7 @@ from conetl.model.health import Finding
 from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.clock import ClockOffset
-from conetl.tracking.log_errors import (
+from conetl.tracking.log.log_errors import (
     LogErrors,
     StatedErrors,
     assumed_errors,
@@ -41,8 +41,8 @@ from conetl.tracking.log_errors import (
     rough_errors,
     sigma_levels,
 )
-from conetl.tracking.path_difference import rising
-from conetl.tracking.path_fit import PathFit, fit_path
+from conetl.tracking.log.path_difference import rising
+from conetl.tracking.log.path_fit import PathFit, fit_path
 
 #: Least sigmas (m, rad) and time step (s): zero would have no finite weight.
 _LEAST_SIGMA_M, _LEAST_SIGMA_RAD, LEAST_STEP_S, _LEAST_SHARE = 1e-4, 1e-6, 1e-3, 1e-6

@@ -10,7 +10,7 @@ from conetl.checks.verdict import judge_all
 from conetl.model.drive import Drive
 from conetl.model.health import Verdict
 from conetl.model.rig import Lens
-from conetl.perception.stereo_check import check_stereo
+from conetl.perception.checks.stereo_check import check_stereo
 from conetl.readers.drives import read_drive
 from tests.integration.small_drives import SAMPLES, spoil_huffman_table
 from tests.mutants.images import PairMutant, both, changed, copy_drive, only_right, smeared

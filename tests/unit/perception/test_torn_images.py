@@ -14,8 +14,8 @@ from conetl.model.drive import FramePair
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import SIDES, Side
+from conetl.perception.checks.torn_images import TornImage, check_seams, check_torn, find_torn, row_changes, thinned
 from conetl.perception.rectified_image import read_pair_image
-from conetl.perception.torn_images import TornImage, check_seams, check_torn, find_torn, row_changes, thinned
 from conetl.readers.drives import read_drive
 from tests.folders import SAMPLES
 

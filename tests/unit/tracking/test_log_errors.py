@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.model.params import TrajectoryParams
-from conetl.tracking.log_errors import ErrorShares, LogErrors, StatedErrors, estimate_log_errors, sigma_levels
-from conetl.tracking.path_fit import PathFit, fit_path
+from conetl.tracking.log.log_errors import ErrorShares, LogErrors, StatedErrors, estimate_log_errors, sigma_levels
+from conetl.tracking.log.path_fit import PathFit, fit_path
 
 Floats = NDArray[np.float64]
 PARAMS = TrajectoryParams()

@@ -11,9 +11,9 @@ from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
 from conetl.model.health import Finding
 from conetl.model.params import PathCheckParams, TrajectoryParams
-from conetl.tracking.log_errors import GROUPS, LogErrors, StatedErrors, assumed_errors, compared_frames
-from conetl.tracking.path_difference import ASIDE, LEVER, SCALE, UNKNOWN, UP, measured_cov
-from conetl.tracking.path_fit import PathFit, fitted_changes
+from conetl.tracking.log.log_errors import GROUPS, LogErrors, StatedErrors, assumed_errors, compared_frames
+from conetl.tracking.log.path_difference import ASIDE, LEVER, SCALE, UNKNOWN, UP, measured_cov
+from conetl.tracking.log.path_fit import PathFit, fitted_changes
 from conetl.tracking.trajectory import RefinedTrajectory, RefinementOutcome, stated_errors
 
 DISTANCES, SIGMAS = "distances by images and by GNSS/INS", "stated sigmas of the poses"

@@ -16,8 +16,8 @@ from scipy.linalg import cho_factor, cho_solve
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.model.arrays import Bools, Floats
 from conetl.model.params import TrajectoryParams
-from conetl.tracking.log_errors import GROUPS, LogErrors, StatedErrors, compared_frames, difference_terms, log_cov
-from conetl.tracking.path_difference import ASIDE, SCALE, UP, PathDifference, path_changes, path_difference
+from conetl.tracking.log.log_errors import GROUPS, LogErrors, StatedErrors, compared_frames, difference_terms, log_cov
+from conetl.tracking.log.path_difference import ASIDE, SCALE, UP, PathDifference, path_changes, path_difference
 
 #: What is known beforehand of scale, direction (rad) and lever arm (m): one sigma; and of the clock (s) after its correction.
 _PRIOR, _CLOCK_S = (0.1, 0.2, 0.2, 3.0, 3.0, 3.0), 0.005

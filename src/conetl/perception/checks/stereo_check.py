@@ -31,13 +31,13 @@ from conetl.model.errors import DriveFolderError
 from conetl.model.health import Finding
 from conetl.model.params import StereoCheckParams
 from conetl.model.rig import SIDES, Side
+from conetl.perception.checks.lens_check import check_distortion
+from conetl.perception.checks.torn_images import MOST_OTHERS, check_seams, thinned
 from conetl.perception.image_detail import SQUARE_PX, detail_by_octaves, local_detail
 from conetl.perception.images import ImageFileError
-from conetl.perception.lens_check import check_distortion
 from conetl.perception.pair_points import SHRINK as _SHRINK
 from conetl.perception.pair_points import Corners, find_corners, match_corners
 from conetl.perception.rectified_image import read_pair_image, rectify_image
-from conetl.perception.torn_images import MOST_OTHERS, check_seams, thinned
 
 TRIGGER = "trigger of both cameras"
 _DEFAULT = StereoCheckParams()

@@ -23,7 +23,7 @@ from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
 from conetl.model.arrays import Floats, Ints
 from conetl.model.params import TrajectoryParams
-from conetl.tracking.path_difference import (
+from conetl.tracking.log.path_difference import (
     LEAST_APART_S,
     UNKNOWN,
     PathDifference,
