@@ -6,7 +6,8 @@ from typing import Any
 
 from conetl.checks import images, log, map
 from conetl.checks.check import Check
-from conetl.model.params import CheckParams, IngestParams
+from conetl.model.check_params import CheckParams
+from conetl.model.params import IngestParams
 
 GROUPS: dict[str, tuple[Check, ...]] = {"images": images.CHECKS, "log": log.CHECKS, "map": map.CHECKS}
 TABLE: dict[str, Check] = {check.name: check for group in GROUPS.values() for check in group}

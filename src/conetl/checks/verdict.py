@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping
 from conetl.checks.check import Check
 from conetl.checks.log import COMMON_MESSAGES
 from conetl.checks.table import TABLE
+from conetl.model.check_params import CheckParams
 from conetl.model.health import AGREEMENT, Finding, HealthCheck, Verdict
-from conetl.model.params import CheckParams
 
 _DEFAULT = CheckParams()
 

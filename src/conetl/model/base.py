@@ -36,6 +36,12 @@ class Record(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
+class Params(Record):
+    """Base of the parameters of a step; the text below a field describes it in Prefect's forms."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+
 class GeodeticPosition(Record):
     """A position of WGS 84."""
 

@@ -22,9 +22,10 @@ from conetl.geometry.motion.stereo_tracks import (
     shifts_between,
 )
 from conetl.model.arrays import Image
+from conetl.model.check_params import CheckParams, ImageCheckParams
 from conetl.model.drive import Drive, FramePair
 from conetl.model.health import Finding
-from conetl.model.params import CheckParams, ImageCheckParams, IngestParams, TrajectoryParams, params_sha256
+from conetl.model.params import IngestParams, TrajectoryParams, params_sha256
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Rig, Side
 from conetl.perception import visual_odometry

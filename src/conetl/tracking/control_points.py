@@ -17,9 +17,10 @@ from conetl.geometry.consistency import leave_one_out_nees, point_nees
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrices, vec3
 from conetl.model.arrays import Bools, Floats
+from conetl.model.check_params import ControlCheckParams
 from conetl.model.drive import FramePair, Position, StereoMatch, SurveyedPoint
 from conetl.model.health import Finding
-from conetl.model.params import ControlCheckParams, IngestParams
+from conetl.model.params import IngestParams
 from conetl.model.rig import Rig
 from conetl.tracking.drive_refinement import cone_groups, refine_with_cones
 from conetl.tracking.error_propagation import moved_by_poses, moved_cov, outline_errors, pose_cov

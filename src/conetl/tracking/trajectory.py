@@ -158,7 +158,7 @@ def refine_trajectory(
     if solved is None:
         found = as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
         return replace(found, path=path_of(log.rotations))
-    rotations, places, _, normal = solved
+    rotations, places, normal = solved
     shift = places - log.positions
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
     path = path_of(rotations)
@@ -214,11 +214,10 @@ def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Fl
     sigma = _without(sigma, between)
     shared = np.exp(-apart_s / np.maximum(gap_s, LEAST_STEP_S)) if between.any() else np.eye(count)
     cov = np.zeros((count, POSE, count, POSE))
+    errors = assumed_errors(params)
+    white, lasts_s = errors.by_axis("white"), errors.by_axis("slow_s")
     for column in range(POSE):
-        white, lasts_s = params.gnss_white_share, params.gnss_correlation_s
-        if column >= 3:
-            white, lasts_s = params.attitude_white_share, params.attitude_correlation_s
-        correlation = (1 - white**2) * np.exp(-apart_s / lasts_s) + white**2 * shared
+        correlation = (1 - white[column]) * np.exp(-apart_s / lasts_s[column]) + white[column] * shared
         cov[:, column, :, column] = correlation * np.outer(sigma[:, column], sigma[:, column])
         cov[:, column, :, column] += shared * np.outer(between[:, column], between[:, column])
     return cov.reshape(count * POSE, count * POSE)

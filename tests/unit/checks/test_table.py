@@ -11,8 +11,8 @@ import pytest
 from conetl.checks.check import Check
 from conetl.checks.log import COMMON_MESSAGES
 from conetl.checks.table import GROUPS, TABLE, as_markdown
+from conetl.model.check_params import CheckParams
 from conetl.model.health import AGREEMENT
-from conetl.model.params import CheckParams
 from tests.folders import ROOT
 
 _SOURCES = {

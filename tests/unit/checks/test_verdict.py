@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from conetl.checks.verdict import judge
+from conetl.model.check_params import CheckParams
 from conetl.model.health import Finding, HealthCheck, Verdict
-from conetl.model.params import CheckParams
 
 K1 = "distortion of the lenses"  # hold above 0.02 and 6 sigmas
 ROWS = "rows of the right images"  # hold above 4 px

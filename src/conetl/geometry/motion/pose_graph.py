@@ -37,6 +37,7 @@ class LoggedPoses:
     rotations: Floats
     positions: Floats
     sigma_p: Floats
+    """(K, 3): sigma of the whole error of a position."""
     white: Floats
     """(K, 6): sigma of the error that counts as independent in every frame, position and attitude; errors that last for some
     frames are scaled up so that their mean is as uncertain as it is."""
@@ -104,9 +105,8 @@ def adjust(
     robust_sigmas: float,
     common_sigmas: Sequence[float],
     priors: Sequence[LandmarkPrior] = (),
-) -> tuple[Floats, Floats, float, ChainNormal] | None:
-    """Rotations (K, 3, 3), positions (K, 3), scale error of the measured motions, and the last normal equations, whose first
-    shared unknown is that scale. None if the iteration does not converge.
+) -> tuple[Floats, Floats, ChainNormal] | None:
+    """Rotations (K, 3, 3), positions (K, 3) and the last normal equations; None if the iteration does not converge.
 
     common_sigmas: prior sigmas of the errors common to all motions: of their scale and, if it is estimated, of their turn about
     the optical axis (rad per metre).
@@ -136,7 +136,7 @@ def adjust(
             state.bias + step[:, POSE:], state.shared + step_shared, common,
         )  # fmt: skip
         if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
-            return state.rotations, state.positions, float(state.shared[0]), normal
+            return state.rotations, state.positions, normal
     return None
 
 

@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.rig import right_camera_turned
 from conetl.model.arrays import Floats, Image
+from conetl.model.check_params import StereoCheckParams
 from conetl.model.drive import MIN_DETAIL, Drive, FramePair, UnclearSquares
 from conetl.model.errors import DriveFolderError
 from conetl.model.health import Finding
-from conetl.model.params import StereoCheckParams
 from conetl.model.rig import SIDES, Side
 from conetl.perception.checks.lens_check import check_distortion
 from conetl.perception.checks.torn_images import MOST_OTHERS, check_seams, thinned

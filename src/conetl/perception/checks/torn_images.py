@@ -24,9 +24,9 @@ from scipy.ndimage import median_filter
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.motion.stereo_tracks import motions_between
 from conetl.model.arrays import Floats, Image
+from conetl.model.check_params import ImageCheckParams
 from conetl.model.drive import Drive, FramePair
 from conetl.model.health import Finding
-from conetl.model.params import ImageCheckParams
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import SIDES, Side
 from conetl.perception.images import ImageFileError

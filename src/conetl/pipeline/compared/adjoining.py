@@ -20,9 +20,9 @@ from conetl.geometry.motion.steps import max_deviation_m
 from conetl.geometry.rig import map_SE3_left
 from conetl.mapping.agreement import BEFORE_NS, LEAST_CONFIRMED
 from conetl.model.arrays import Floats
+from conetl.model.check_params import JumpCheckParams
 from conetl.model.drive import Drive, FramePair
 from conetl.model.health import ADJOINING, Finding
-from conetl.model.params import JumpCheckParams
 from conetl.model.rig import Rig
 
 #: Drives that begin at most this long after another ended may be parts of one recording; longer gaps cannot be bridged.

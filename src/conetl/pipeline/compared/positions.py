@@ -17,9 +17,10 @@ from conetl.db.map.map_store import find_map, read_features_as_of
 from conetl.geometry.geodesy import to_geodetic, to_map
 from conetl.geometry.linear_reference import evenly_spaced
 from conetl.mapping.displacement import check_far_positions
+from conetl.model.check_params import RegionCheckParams
 from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import Finding
-from conetl.model.params import IngestParams, ReconcileParams, RegionCheckParams
+from conetl.model.params import IngestParams, ReconcileParams
 from conetl.readers.base_layers.georeferencing import FAR_M
 
 #: Tracks that are compared with what stands farther away, and how many times in a drive.

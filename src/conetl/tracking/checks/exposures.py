@@ -25,9 +25,10 @@ from conetl.geometry.motion.stereo_tracks import expected_motions, motions_of, s
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import left_SE3_right
 from conetl.model.arrays import Floats, Image, Ints
+from conetl.model.check_params import ExposureCheckParams
 from conetl.model.drive import FramePair, Track
 from conetl.model.health import Finding
-from conetl.model.params import ExposureCheckParams, TrajectoryParams
+from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig, Side
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader

@@ -16,9 +16,9 @@ from conetl.geometry.motion.steps import unexplained_step_m
 from conetl.geometry.motion.stereo_tracks import PAUSE_S, expected_motions
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.arrays import Bools
+from conetl.model.check_params import JumpCheckParams
 from conetl.model.drive import FramePair
 from conetl.model.health import Finding
-from conetl.model.params import JumpCheckParams
 from conetl.model.rig import Rig
 
 JUMPS = "jumps of the poses"

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Bools, Floats
+from conetl.model.check_params import MountCheckParams
 from conetl.model.health import Finding
-from conetl.model.params import MountCheckParams
 from conetl.tracking.clock import robust_fit
 
 #: What is known beforehand (one sigma) of roll, pitch, yaw (rad), of right, down, forward (m), and of the scale of the motions.

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from conetl.model.arrays import Floats
+from conetl.model.check_params import PathCheckParams
 from conetl.model.drive import FramePair
 from conetl.model.health import Finding
-from conetl.model.params import PathCheckParams, TrajectoryParams
+from conetl.model.params import TrajectoryParams
 from conetl.tracking.log.log_errors import GROUPS, LogErrors, StatedErrors, assumed_errors, compared_frames
 from conetl.tracking.log.path_difference import ASIDE, LEVER, SCALE, UNKNOWN, UP, measured_cov
 from conetl.tracking.log.path_fit import PathFit, fitted_changes

@@ -9,9 +9,10 @@ import numpy as np
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.model.arrays import Bools, Floats, Ints
+from conetl.model.check_params import CheckParams
 from conetl.model.drive import MIN_DETAIL, FramePair
 from conetl.model.health import CALIBRATION, Finding
-from conetl.model.params import CheckParams, TrajectoryParams
+from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.checks.jumps import JUMPS, check_jumps, check_turn_jumps
 from conetl.tracking.checks.mount import STRETCH, check_mount

@@ -69,8 +69,6 @@ class ErrorShares(NamedTuple):
     """Sigma of the time stamps' jitter, in addition to the stated variance."""
     factor: float = 1.0
     """By which the stated variance is too small."""
-    misfit: float = 0.0
-    """Twice the logarithm of the likelihood ratio of a larger and the stated variance: chi-square of one degree of freedom."""
     constant: float = 1.0
     """Likelihood, relative to the best, that the rest does not change within the drive at all."""
 
@@ -212,14 +210,13 @@ def _estimated(parts: Sequence[DifferenceTerms], assumed: ErrorShares, jitter_s:
 
     values = fitted(middle[: 5 if jitter_s else 4])
     full = np.concatenate([values, middle[len(values) :]])
-    still, least, misfit2 = full.copy(), unlikely(full), 0.0
+    still, least = full.copy(), unlikely(full)
     still[3] = high[3]
     constant = float(np.exp(min(least - unlikely(still), 0.0)))
     if sum(_misfit(part, full)[1][5] for part in parts) < 0:  # a larger variance fits better
         low[5], high[5] = 0.0, _MOST_FACTOR
         larger = fitted(full)
-        misfit2 = max(2 * (least - unlikely(larger)), 0.0)
-        if misfit2 > _SIGNIFICANT:
+        if 2 * (least - unlikely(larger)) > _SIGNIFICANT:
             full = larger
     count = sum(len(part.off) for part in parts)
     white, fast, slow = _shares(full)
@@ -230,7 +227,7 @@ def _estimated(parts: Sequence[DifferenceTerms], assumed: ErrorShares, jitter_s:
     slow = max(1.0 - white - fast, _LEFT * (2 / count) ** 0.5 * max(white, fast))
     return ErrorShares(
         white / (white + fast + slow), fast / (white + fast + slow), float(np.exp(full[2])), float(np.exp(full[3])),
-        float(np.exp(full[4])) if jitter_s else 0.0, float(np.exp(full[5])), misfit2, constant,
+        float(np.exp(full[4])) if jitter_s else 0.0, float(np.exp(full[5])), constant,
     )  # fmt: skip
 
 
