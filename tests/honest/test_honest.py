@@ -6,7 +6,6 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
-from _pytest.mark import ParameterSet
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
@@ -18,19 +17,10 @@ from tests.honest.outcomes import Outcome, pooled
 from tests.honest.recordings import outcome_of as with_images
 from tests.honest.recordings import part_of, sample
 
-#: Shapes that are held, and with sigmas that are too small: a steady drift is taken for the alignment of the cameras, and for
-#: their scale.
-NOT_YET = ("wave longer than the drive",)
 WITH_IMAGES = ("constant", "white", "saw-tooth of 1 s", "rounded to 1e-7 degrees", "attitudes white")
 _DRIVES = 3
 HALF = partial(part_of, partial(sample, 1, SAMPLES[0]), 0, 24)
 _VELOCITY_M_S = np.array([11.0, 7.0, 0.3])
-
-
-def not_yet(shape: LogShape) -> ParameterSet:
-    """A shape as a parameter of a test."""
-    marks = [pytest.mark.xfail(strict=True, reason="drifts are taken for alignment")] if shape.name in NOT_YET else []
-    return pytest.param(shape, id=shape.name, marks=marks)
 
 
 @cache
@@ -39,12 +29,12 @@ def some(shape: LogShape) -> list[Outcome]:
     return [outcome_of(seed, shape, shape.strengths_m[seed % len(shape.strengths_m)]) for seed in range(_DRIVES)]
 
 
-@pytest.mark.parametrize("shape", map(not_yet, SHAPES))
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.name)
 def test_drives_with_errors_as_stated_are_not_held(shape: LogShape) -> None:
     assert [one.held for one in some(shape) if one.held is not None] == []
 
 
-@pytest.mark.parametrize("shape", map(not_yet, SHAPES))
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.name)
 def test_cones_are_as_accurate_as_stated(shape: LogShape) -> None:
     """Not less, and not more."""
     nees = pooled("absolute", some(shape))

@@ -25,7 +25,6 @@ from conetl.model.rig import Rig
 from conetl.tracking.association import CameraMotion, chain_positions
 from conetl.tracking.clock import ClockOffset, at_images, estimate_clock
 from conetl.tracking.error_propagation import motion_error
-from conetl.tracking.log.log_errors import assumed_errors
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.rolling_shutter import row_time_sigma_s
 from conetl.tracking.trajectory import (
@@ -85,7 +84,7 @@ def refine_with_cones(
     refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
     if refined.covariance is None:
         return refined
-    return _with_common_errors(refined, params.trajectory, control, row_time_sigma_s(matches, rig))
+    return _with_common_errors(refined, params.trajectory, row_time_sigma_s(matches, rig))
 
 
 def _landmarks(
@@ -129,35 +128,24 @@ def _clock(
 
 
 def _with_common_errors(
-    refined: RefinedTrajectory, params: TrajectoryParams, control: Sequence[ControlCone], row_time_s: float = 0.0
+    refined: RefinedTrajectory, params: TrajectoryParams, row_time_s: float = 0.0
 ) -> RefinedTrajectory:
-    """The trajectory with the errors of clock and lever arm, of rows of unknown time (`row_time_sigma_s`), and of what GNSS/INS
-    errs by in all records alike, which move all poses together: however many records there are, it is not averaged out. The best
-    record (or control point) limits it. Where images and log show different paths, the log may have drifted by the difference.
+    """The trajectory with the errors that move all poses together: of clock, lever arm and rows of unknown time
+    (`row_time_sigma_s`). Where images and log show different paths, the log may have drifted by the difference.
     """
     assert refined.covariance is not None
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in refined.frame_pairs])
     times_s = np.array([pair.captured_at_ns for pair in refined.frame_pairs], dtype=np.float64) * 1e-9
     turn = Rotation.from_matrix(np.swapaxes(poses[:-1, :3, :3], 1, 2) @ poses[1:, :3, :3]).as_rotvec()
     steps = np.hstack([np.diff(poses[:, :3, 3], axis=0), turn]) / np.maximum(np.diff(times_s), LEAST_STEP_S)[:, None]
-    stated = [np.array(pair.pose.sigma_enu_m) for pair in refined.logged]
-    best = np.min([*stated, *(np.sqrt(np.diag(cone.cov_m2)) for cone in control)], axis=0)
-    known = np.diagonal(refined.covariance.cov, axis1=1, axis2=2)[:, :3].min(axis=0)
-    errors = refined.errors or assumed_errors(params)
-    lasting, constant, factor = (errors.by_axis(field)[:3] for field in ("slow", "constant", "factor"))
-    systematic = np.sqrt(constant * np.maximum(lasting * factor * best**2 - known, 0.0))
     drifts = refined.path.drifts() if refined.path is not None else np.zeros((len(poses), 3, 0))
-    reach = np.zeros((len(poses), STATE, 7 + drifts.shape[2]))
+    reach = np.zeros((len(poses), STATE, 4 + drifts.shape[2]))
     reach[:, :POSE, 0] = (np.vstack([steps[:1], steps]) + np.vstack([steps, steps[-1:]])) / 2
-    reach[:, :3, 1:4], reach[:, :3, 4:7] = poses[:, :3, :3], np.eye(3)
-    reach[:, :3, 7:] = drifts
+    reach[:, :3, 1:4], reach[:, :3, 4:] = poses[:, :3, :3], drifts
     clock_s = params.clock_sigma_s if refined.clock is None else refined.clock.remaining_s(params.clock_sigma_s)
     clock_s = float(np.hypot(clock_s, row_time_s))
-    cov = chain_solver.with_common_errors(
-        refined.covariance,
-        reach,
-        np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *systematic, *[1.0] * drifts.shape[2]]),
-    )
+    sigmas = np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *[1.0] * drifts.shape[2]])
+    cov = chain_solver.with_common_errors(refined.covariance, reach, sigmas)
     sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
     pairs = tuple(
         pair.with_pose(sigma_enu_m=vec3(own[:3]), sigma_rpy_rad=vec3(own[3:]))

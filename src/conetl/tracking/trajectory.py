@@ -55,8 +55,12 @@ _NEIGHBOURS = 4
 _LONE_SIGMAS = 4.5
 #: Share of the motions that has to be plausible for the others to be wrong.
 _MOST = 0.5
-#: A step of the log is so many times as rough as the images there.
-_STEPS_BY = 2.0
+#: A step of the log is so many times as rough as the images there, beyond so many sigmas of most differences, and rare.
+_STEPS_BY, _STEP_SIGMAS, _MOST_STEPS = 2.0, 8.0, 0.05
+#: Of normal errors, from the median of their absolute values.
+_SIGMA_OF_MEDIAN = 1.4826
+#: Steps of the smooth error, in its length scales over the root of 3, that leave as much of it as `STEP_CHANGE`.
+_SMOOTH_STEP = 1.68
 #: The error of interpolation comes and goes between two records: from one of n frame pairs to the next this share over n of it.
 _CHANGING = 4.0
 
@@ -139,14 +143,19 @@ def refine_trajectory(
     sparse = is_interpolated(frame_pairs)
     common_sigmas = [params.scale_sigma, _TURN_RAD_PER_M] if sparse else [params.scale_sigma]
     errors = errors or log_errors_of(frame_pairs, rig, measured, params)
-    log = read_log(frame_pairs, rig, params, errors)
+    log = read_log(frame_pairs, rig, params, errors, measured)
     good = plausible_motions(log, measured, params.scale_sigma)
 
     def path_of(rotations: Floats) -> PathFit:
         # Where most motions contradict the log, they show what is wrong with it.
         shown = good if good.mean() > _MOST else np.ones_like(good)
         return fit_path(
-            log, rotations, only(measured, shown), stated_errors(frame_pairs), errors or assumed_errors(params), params
+            log,
+            rotations,
+            only(measured, shown),
+            stated_errors(frame_pairs, log.renewed),
+            errors or assumed_errors(params),
+            params,
         )
 
     if not good.any():
@@ -193,10 +202,11 @@ def log_errors_of(
     Two rounds: which motions are plausible depends on the errors.
     """
     errors: LogErrors | None = rough_errors(read_log(frame_pairs, rig, params), measured, params)
-    log = read_log(frame_pairs, rig, params, errors)
+    log = read_log(frame_pairs, rig, params, errors, measured)
     kept = only(measured, plausible_motions(log, measured, params.scale_sigma))
     solved = adjust(log, kept, (), params.robust_sigmas, [params.scale_sigma]) if len(kept.start) else None
-    return None if solved is None else estimate_log_errors(log, solved[0], kept, stated_errors(frame_pairs), params)
+    records = stated_errors(frame_pairs, log.renewed)
+    return None if solved is None else estimate_log_errors(log, solved[0], kept, records, params)
 
 
 def only(motions: MeasuredMotions, chosen: Bools) -> MeasuredMotions:
@@ -224,14 +234,22 @@ def log_errors(frame_pairs: Sequence[FramePair], params: TrajectoryParams) -> Fl
 
 
 def read_log(
-    frame_pairs: Sequence[FramePair], rig: Rig, params: TrajectoryParams, errors: LogErrors | None = None
+    frame_pairs: Sequence[FramePair],
+    rig: Rig,
+    params: TrajectoryParams,
+    errors: LogErrors | None = None,
+    measured: MeasuredMotions | None = None,
 ) -> LoggedPoses:
-    """The log with the model of its errors: estimated ones, or as assumed."""
+    """The log with the model of its errors: estimated ones, or as assumed. measured: motions that show its steps."""
+    steps = None if measured is None else log_steps(read_log(frame_pairs, rig, params), measured)
     errors = errors or assumed_errors(params)
-    white, fast, slow, fast_s, slow_s, jitter_s, factor = (
-        errors.by_axis(field) for field in ("white", "fast", "slow", "fast_s", "slow_s", "jitter_s", "factor")
+    white, fast, slow, smooth, fast_s, slow_s, smooth_s, jitter_s, factor = (
+        errors.by_axis(field)
+        for field in ("white", "fast", "slow", "smooth", "fast_s", "slow_s", "smooth_s", "jitter_s", "factor")
     )
-    times_s, stated, between, apart_s = stated_errors(frame_pairs)
+    times_s, stated, between, apart_s, renewed = records = stated_errors(
+        frame_pairs, None if steps is None else np.append(0, np.cumsum(steps))
+    )
     step_s = np.maximum(np.diff(times_s), LEAST_STEP_S)
     usual_s = float(np.median(step_s))
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in frame_pairs])
@@ -240,31 +258,36 @@ def read_log(
     if jitter_s.any() and len(times_s) > 1:
         jitter[:, :3] = (jitter_s[:3] * np.gradient(poses[:, :3, 3], rising(times_s), axis=0)) ** 2
     alone = np.maximum(white, _LEAST_SHARE) * variance + jitter
-    lasting, changing = fast * variance, fast * variance * (1 - np.exp(-usual_s / fast_s))
-    own, noise = alone + lasting + between**2, alone + changing
-    independent = alone + lasting * np.maximum(2 * fast_s / usual_s, 1.0)
+    lasts, changing = fast * variance, fast * variance * (1 - np.exp(-usual_s / fast_s))
+    own, noise = alone + lasts + between**2, alone + changing
+    independent = alone + lasts * np.maximum(2 * fast_s / usual_s, 1.0)
     if between.any():
         # All frame pairs between two records together count as one record; from one to the next their errors change
         # by a part only.
         sharing = np.maximum(apart_s / usual_s, 1.0)[:, None]
         noise = noise + (between * np.minimum(_CHANGING / sharing, 1.0)) ** 2
-        independent = sharing * (alone + between**2) + lasting * np.maximum(2 * fast_s / usual_s, 1.0)
-    levels, changes = sigma_levels(stated)
+        independent = sharing * (alone + between**2) + lasts * np.maximum(2 * fast_s / usual_s, 1.0)
+    levels, changes = sigma_levels(stated, renewed)
+    # Where a stated sigma exceeds the smallest one, what exceeds it is slow.
+    lasting = (slow + smooth) * levels**2 - smooth * records.least**2
     keep = np.exp(-step_s[:, None] / slow_s - np.diff(changes, axis=0))
     return LoggedPoses(
         poses[:, :3, :3], poses[:, :3, 3], np.sqrt(variance + jitter)[:, :3], np.sqrt(independent),
-        np.sqrt(np.maximum(slow, _LEAST_SHARE) * factor) * levels, keep, np.array(rig.body_SE3_left),
-        np.sqrt(noise), np.sqrt(own),
+        np.sqrt(factor * np.maximum(lasting, _LEAST_SHARE * levels**2)), keep, np.array(rig.body_SE3_left),
+        np.sqrt(noise), np.sqrt(own), (np.sqrt(factor * smooth) * records.least)[:3],
+        3**0.5 * step_s[:, None] / smooth_s[:3] + _SMOOTH_STEP * np.diff(renewed)[:, None], renewed,
     )  # fmt: skip
 
 
-def stated_errors(frame_pairs: Sequence[FramePair]) -> StatedErrors:
+def stated_errors(frame_pairs: Sequence[FramePair], renewed: Floats | None = None) -> StatedErrors:
     """What the log states of its errors."""
     stated = np.array([(*pair.pose.sigma_enu_m, *pair.pose.sigma_rpy_rad) for pair in frame_pairs])
     stated = np.maximum(stated, np.repeat([_LEAST_SIGMA_M, _LEAST_SIGMA_RAD], 3))
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
     between, apart_s = _interpolation(frame_pairs)
-    return StatedErrors(times_s, _without(stated, between), between, apart_s)
+    return StatedErrors(
+        times_s, _without(stated, between), between, apart_s, np.zeros(len(times_s)) if renewed is None else renewed
+    )
 
 
 def is_interpolated(frame_pairs: Sequence[FramePair]) -> bool:
@@ -316,6 +339,34 @@ def measured_motions(
     )
 
 
+def log_steps(log: LoggedPoses, motions: MeasuredMotions) -> Bools:
+    """(K - 1,): in which intervals GNSS/INS steps, as where a receiver finds other satellites.
+
+    There it is rougher than elsewhere, by far, and than the images, if they could be compared. If that is so in many intervals,
+    it is noise.
+    """
+    left = se3.compose(se3.se3(log.rotations, log.positions), log.body_SE3_left)
+    by_log = se3.compose(se3.invert(left[1:]), left[:-1])[:, :3, 3]
+    every, seen = np.arange(len(by_log)), motions.start
+    residual, _, _ = motion_residuals(log, log.rotations, log.positions, motions, 0.0)
+
+    def roughness(rows: Ints, moved: Floats) -> Floats:
+        medians, counts = _medians_beside(rows, moved, rows)
+        found = np.zeros(len(every))
+        found[rows] = np.where(counts >= _NEIGHBOURS, np.abs(moved - medians).max(axis=1, initial=0.0), 0.0)
+        return found
+
+    of_log, of_images = roughness(every, by_log), roughness(seen, motions.next_SE3_first[:, :3, 3])
+    differs, sigma = of_log.copy(), np.zeros(len(every))
+    differs[seen] = roughness(seen, residual[:, 3:])[seen]
+    sigma[seen] = np.sqrt(np.diagonal(motions.cov[:, 3:, 3:], axis1=1, axis2=2).max(axis=1))
+    usual = np.full(len(every), np.median(of_log))
+    usual[seen] = np.median(differs[seen])
+    steps = differs > _STEP_SIGMAS * np.hypot(sigma, _SIGMA_OF_MEDIAN * usual)
+    steps &= of_log > _STEPS_BY * of_images
+    return steps if steps.mean() <= _MOST_STEPS else np.zeros(len(every), dtype=bool)
+
+
 def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: float) -> Bools:
     """(M,): which measured intervals are plausible.
 
@@ -330,14 +381,16 @@ def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: f
 
     # What both poses have in common counts too: an attitude error turns the distance between them to the side.
     kept = log.correlation[k] * log.drift[k + 1] / log.drift[k]
-    fresh = log.drift[k + 1] ** 2 * (1 - log.correlation[k] ** 2) + log.noise[k + 1] ** 2
+    fresh = log.drift[k + 1] ** 2 * (1 - log.correlation[k] ** 2) + log.noise[k + 1] ** 2 + log.change[k]
     scaled = motions.next_SE3_first[:, :3, 3] * scale_sigma
     spread = motions.cov + moved(from_first, log.noise[k] ** 2) + moved(from_second, fresh)
     spread += moved(from_first + from_second * kept[:, None, :], log.drift[k] ** 2)
     spread[:, 3:, 3:] += scaled[:, :, None] * scaled[:, None, :]
     chi2 = np.einsum("mi,mi->m", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0])
     inside = chi2 <= _GATE_CHI2
-    change = log.drift[k] ** 2 * 2 * (1 - log.correlation[k]) + log.noise[k] ** 2 + log.noise[k + 1] ** 2
+    change = (
+        log.drift[k] ** 2 * 2 * (1 - log.correlation[k]) + log.noise[k] ** 2 + log.noise[k + 1] ** 2 + log.change[k]
+    )
     sigma = np.sqrt(np.diagonal(motions.cov + moved(from_first, change), axis1=1, axis2=2))
     observed = motions.next_SE3_first[:, :3, 3]
     by_log = observed - residual[:, 3:]

@@ -64,8 +64,21 @@ def made(
     logged = path + factor * sigma * errors(rng, times_s)
     stated = np.hstack([sigma, np.full((FRAMES, 3), 0.0009)])
     unused = np.ones((FRAMES, 6))
-    log = LoggedPoses(rotations, logged, sigma, unused, unused, unused[1:], body_SE3_left, unused, unused)
-    records = StatedErrors(times_s, stated, np.zeros((FRAMES, 6)), np.zeros(FRAMES))
+    log = LoggedPoses(
+        rotations,
+        logged,
+        sigma,
+        unused,
+        unused,
+        unused[1:],
+        body_SE3_left,
+        unused,
+        unused,
+        unused[0, :3],
+        unused[1:, :3],
+        np.zeros(FRAMES),
+    )
+    records = StatedErrors(times_s, stated, np.zeros((FRAMES, 6)), np.zeros(FRAMES), np.zeros(FRAMES))
     return log, MeasuredMotions(np.arange(FRAMES - 1), motions, cov), records
 
 
@@ -78,11 +91,11 @@ def found(*args: object, **options: object) -> LogErrors:
 @pytest.mark.parametrize(
     ("errors", "expected"),
     [
-        (constant, {"slow": (0.9, 1.0)}),
-        (lambda rng, t: walk(rng, t, 20.0), {"slow": (0.9, 1.0)}),
+        (constant, {"smooth": (0.9, 1.0)}),
+        (lambda rng, t: walk(rng, t, 20.0), {"white": (0.0, 0.01), "fast": (0.0, 0.1)}),
         (white, {"white": (0.8, 1.0)}),
         (saw_tooth, {"fast": (0.8, 1.0)}),
-        (lambda rng, t: 0.5**0.5 * (white(rng, t) + constant(rng, t)), {"white": (0.3, 0.7), "slow": (0.3, 0.7)}),
+        (lambda rng, t: 0.5**0.5 * (white(rng, t) + constant(rng, t)), {"white": (0.3, 0.7)}),
     ],
 )
 def test_shares_are_found_whatever_the_spectrum(
@@ -96,8 +109,8 @@ def test_shares_are_found_whatever_the_spectrum(
 
 def test_a_constant_error_is_told_from_one_that_changes() -> None:
     changes, lasts = (found(1, errors, 0.3).horizontal for errors in (lambda rng, t: walk(rng, t, 20.0), constant))
-    assert changes.constant < 0.01 and lasts.constant > 0.3
-    assert changes.slow_s < 100 < lasts.slow_s
+    assert changes.slow > 0.9 and changes.slow_s < 100
+    assert lasts.smooth > 0.9 and lasts.smooth_s > 50
 
 
 @pytest.mark.parametrize("errors", [white, lambda rng, t: walk(rng, t, 1.0)])
@@ -109,17 +122,20 @@ def test_sigmas_that_are_too_small_grow_until_they_fit(errors: Errors) -> None:
 def test_levels_follow_solutions_not_noise() -> None:
     """Of a fix and a float solution only the smaller part is common; sigmas that vary by a few per cent are one level."""
     noisy = 0.02 * (1 + 0.03 * np.random.default_rng(0).uniform(-1, 1, 50))
-    levels, changes = sigma_levels(noisy[:, None])
+    levels, changes = sigma_levels(noisy[:, None], np.zeros(50))
     assert (levels == levels[0]).all() and not changes.any()
-    _, changes = sigma_levels(np.array([0.02, 0.02, 0.5, 0.5, 0.02])[:, None])
+    _, changes = sigma_levels(np.array([0.02, 0.02, 0.5, 0.5, 0.02])[:, None], np.zeros(5))
     assert np.exp(-changes[:, 0]) == pytest.approx([1, 1, 0.04, 0.04, 0.0016])
+    grows = np.geomspace(0.02, 1.0, 50)  # without GNSS
+    levels, _ = sigma_levels(grows[:, None], np.zeros(50))
+    assert levels[:, 0] == pytest.approx(grows, rel=0.1) and (np.diff(levels[:-2, 0]) > 0).all()
 
 
 def test_what_a_log_cannot_explain_is_estimated_and_its_sigma_holds() -> None:
     squares = np.zeros(7)
     for seed in range(20):
         log, motions, records = made(seed, lambda rng, t: walk(rng, t, 20.0), 0.02)
-        errors = LogErrors(*[ErrorShares(0.01, 0.0, 0.7, 20.0)] * 4)
+        errors = LogErrors(*[ErrorShares(0.01, 0.0, 0.99, 0.0, 0.7, 20.0, 20.0)] * 4)
         fit = fit_path(log, log.rotations, motions, records, errors, PARAMS)
         squares += (fit.found / fit.sigma) ** 2
         assert not fit.doubtful.any()
@@ -145,5 +161,5 @@ def with_wrong_motions(scale: float, aside_rad: float) -> PathFit:
     turn[0, 2], turn[2, 0] = np.sin(aside_rad), -np.sin(aside_rad)
     wrong = motions.next_SE3_first.copy()
     wrong[:, :3, 3] = (1 + scale) * wrong[:, :3, 3] @ turn[:3, :3].T
-    errors = LogErrors(*[ErrorShares(0.01, 0.0, 0.7, 20.0)] * 4)
+    errors = LogErrors(*[ErrorShares(0.01, 0.0, 0.99, 0.0, 0.7, 20.0, 20.0)] * 4)
     return fit_path(log, log.rotations, motions._replace(next_SE3_first=wrong), records, errors, PARAMS)

@@ -1,6 +1,7 @@
 """Poses of a body from logged poses with slowly varying errors and measured motions, in one adjustment.
 
-The unknowns of each frame are its pose and the drift of the log (a first-order Gauss-Markov process). Measured motions of the
+The unknowns of each frame are its pose, the slow error of the log (first-order Gauss-Markov) and its smooth error (Matern process
+of order 3/2: value and rate). Measured motions of the
 left camera tie each frame to the next; observations of static points tie all frames that show them. A scale common to all
 measured motions models the error of the rig's calibration, a turn about the optical axis per metre that of followed points.
 Gauss-Newton with Huber's weights; normal equations of `chain_solver.py`.
@@ -24,10 +25,12 @@ from conetl.geometry.motion.chain_solver import ChainNormal
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Floats, Ints
 
-#: Unknowns of a frame: six of the pose come first, then six of the log's slow error.
-POSE, STATE = 6, 12
+#: Unknowns of a frame: six of the pose come first, then six of the log's slow error, and its smooth error with its rate.
+POSE, STATE = 6, 18
 _MAX_ITERATIONS = 40
 _CONVERGED = 1e-4
+#: Least variance by which the smooth error is new in the next frame.
+_LEAST_FRESH = 1e-10
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,18 @@ class LoggedPoses:
     where poses are interpolated."""
     own: Floats
     """(K, 6): sigma of all of a frame's error but the drift."""
+    smooth: Floats
+    """(3,): sigma of the smooth error of a position (Matern process of order 3/2)."""
+    smooth_step: Floats
+    """(K - 1, 3): time to the next frame in its length scales, times the root of 3."""
+    renewed: Floats
+    """(K,): how often the errors have changed by a step since the first record."""
+
+    @property
+    def change(self) -> Floats:
+        """(K - 1, 6): variance by which the smooth error changes to the next frame."""
+        kept = (1 + self.smooth_step) * np.exp(-self.smooth_step)
+        return np.hstack([2 * self.smooth**2 * (1 - kept), np.zeros_like(kept)])
 
 
 class MeasuredMotions(NamedTuple):
@@ -88,6 +103,8 @@ class _State(NamedTuple):
     positions: Floats
     bias: Floats
     """(K, 6): drift of the log."""
+    smooth: Floats
+    """(K, 6): smooth error of a position in sigmas, and its rate in sigmas per length scale over the root of 3."""
     shared: Floats
     """Errors common to the measured motions (`adjust`), then the feet of the cones."""
     common: int
@@ -115,7 +132,8 @@ def adjust(
     cones = 1 + max((s.cone for s in sightings), default=-1)
     common = len(common_sigmas)
     shared = np.zeros(common + 3 * cones)
-    state = _State(log.rotations, log.positions, np.zeros((len(log.positions), POSE)), shared, common)
+    still = np.zeros((len(log.positions), POSE))
+    state = _State(log.rotations, log.positions, still, still, shared, common)
     for cone in range(cones):
         feet = [se3.apply(left[s.frame], s.xyz) for s in sightings if s.cone == cone]
         shared[state.foot(cone)] = np.median(feet, axis=0) if feet else 0.0
@@ -133,7 +151,7 @@ def adjust(
             return None
         state = _State(
             state.rotations @ Rotation.from_rotvec(step[:, 3:6]).as_matrix(), state.positions + step[:, :3],
-            state.bias + step[:, POSE:], state.shared + step_shared, common,
+            state.bias + step[:, POSE : 2 * POSE], state.smooth + step[:, 2 * POSE :], state.shared + step_shared, common,
         )  # fmt: skip
         if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
             return state.rotations, state.positions, normal
@@ -142,38 +160,84 @@ def adjust(
 
 def _normal_equations(log: LoggedPoses, state: _State, common_sigmas: Floats) -> ChainNormal:
     """Normal equations of the log and of what is known of the motions' common errors."""
-    rotations, positions, bias, shared, _ = state
+    rotations, positions, bias, smooth, shared, _ = state
     count = len(positions)
     diagonal, upper = np.zeros((count, STATE, STATE)), np.zeros((count - 1, STATE, STATE))
     border, corner = np.zeros((count, STATE, len(shared))), np.zeros((len(shared), len(shared)))
     right, right_shared = np.zeros((count, STATE)), np.zeros(len(shared))
-    pose, slow = np.arange(POSE), np.arange(POSE, STATE)
-    # The logged pose is the true one plus the slow error plus the white one.
+    slow = np.arange(POSE, 2 * POSE)
+    # The logged pose is the true one plus the smooth, the slow and the white error.
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
-    gap = np.hstack([positions - log.positions, turn]) - bias
+    gap = np.hstack([positions - log.positions - log.smooth * smooth[:, :3], turn]) - bias
     weight = 1 / log.white**2
-    diagonal[:, pose, pose] += weight
+    by_pose = np.tile(np.eye(POSE), (count, 1, 1))
+    by_pose[:, 3:, 3:] = _turn_jacobian(turn)
+    weighted = np.swapaxes(by_pose, 1, 2) * weight[:, None, :]
+    diagonal[:, :POSE, :POSE] += weighted @ by_pose
     diagonal[:, slow, slow] += weight
-    diagonal[:, pose, slow] -= weight
-    diagonal[:, slow, pose] -= weight
-    right[:, :POSE] -= weight * gap
-    right[:, POSE:] += weight * gap
+    diagonal[:, :POSE, POSE : 2 * POSE] -= weighted
+    diagonal[:, POSE : 2 * POSE, :POSE] -= np.swapaxes(weighted, 1, 2)
+    right[:, :POSE] -= (weighted @ gap[:, :, None])[:, :, 0]
+    right[:, slow] += weight * gap
     # The slow error: stationary at the first frame, then from frame to frame.
     diagonal[0, slow, slow] += 1 / log.drift[0] ** 2
-    right[0, POSE:] -= bias[0] / log.drift[0] ** 2
+    right[0, slow] -= bias[0] / log.drift[0] ** 2
     ratio = log.correlation * log.drift[1:] / log.drift[:-1]  # the stated sigma may change from frame to frame
     fresh = 1 / (log.drift[1:] ** 2 * (1 - log.correlation**2))
     jump = bias[1:] - ratio * bias[:-1]
     diagonal[1:, slow, slow] += fresh
     diagonal[:-1, slow, slow] += ratio**2 * fresh
     upper[:, slow, slow] -= ratio * fresh
-    right[1:, POSE:] -= fresh * jump
-    right[:-1, POSE:] += ratio * fresh * jump
+    right[1:, slow] -= fresh * jump
+    right[:-1, slow] += ratio * fresh * jump
     normal = ChainNormal(diagonal, upper, border, corner, right, right_shared)
+    _add_smooth(normal, log, smooth, weight[:, :3], gap[:, :3])
     common = np.arange(len(common_sigmas))
     normal.corner[common, common] += 1 / common_sigmas**2
     normal.right_shared[common] -= shared[common] / common_sigmas**2
     return normal
+
+
+def _turn_jacobian(turn: Floats) -> Floats:
+    """(K, 3, 3): derivatives of rotation vectors (K, 3) by turns about the body's axes.
+
+    The inverse of the right Jacobian (Chirikjian 2012).
+    """
+    angle = np.maximum(np.linalg.norm(turn, axis=1), 1e-4)[:, None, None]
+    cross = cross_matrix(turn)
+    return np.asarray(np.eye(3) + cross / 2 + (1 / angle**2 - 1 / (2 * angle * np.tan(angle / 2))) * cross @ cross)
+
+
+def _add_smooth(normal: ChainNormal, log: LoggedPoses, smooth: Floats, weight: Floats, gap: Floats) -> None:
+    """Add the smooth error: in the log, of weight (K, 3) and residual (K, 3), and from frame to frame."""
+    place = np.arange(3)
+    value, slow = place + 2 * POSE, place + POSE
+    weighted = weight * log.smooth
+    normal.diagonal[:, value, value] += weighted * log.smooth
+    for other, sign in ((place, -1), (slow, 1)):
+        normal.diagonal[:, other, value] += sign * weighted
+        normal.diagonal[:, value, other] += sign * weighted
+    normal.right[:, value] += weighted * gap
+    own = np.arange(2 * POSE, STATE)
+    normal.diagonal[0, own, own] += 1.0
+    normal.right[0, own] -= smooth[0]
+    # Hartikainen & Sarkka 2010, with value and rate in units in which both have a variance of 1.
+    step = log.smooth_step
+    moves = np.exp(-step)[..., None, None] * np.stack([1 + step, step, -step, 1 - step], axis=-1).reshape(
+        *step.shape, 2, 2
+    )
+    information = np.linalg.inv(np.eye(2) * (1 + _LEAST_FRESH) - moves @ np.swapaxes(moves, -1, -2))
+    both = np.stack([smooth[:, :3], smooth[:, 3:]], axis=-1)
+    jump = both[1:] - (moves @ both[:-1, :, :, None])[..., 0]
+    forward = np.swapaxes(moves, -1, -2) @ information
+    for axis in place:
+        at = np.array([axis, axis + 3]) + 2 * POSE
+        rows, columns = at[:, None], at[None, :]
+        normal.diagonal[1:, rows, columns] += information[:, axis]
+        normal.diagonal[:-1, rows, columns] += (forward @ moves)[:, axis]
+        normal.upper[:, rows, columns] -= forward[:, axis]
+        normal.right[1:, at] -= (information[:, axis] @ jump[:, axis, :, None])[..., 0]
+        normal.right[:-1, at] += (forward[:, axis] @ jump[:, axis, :, None])[..., 0]
 
 
 def _add_motions(
@@ -210,7 +274,7 @@ def _add_sightings(
     normal: ChainNormal, log: LoggedPoses, state: _State, sightings: Sequence[LandmarkObservation], robust_sigmas: float
 ) -> None:
     """Add cones as landmarks; their feet follow the motions' common errors among the shared unknowns."""
-    rotations, positions, _, shared, _ = state
+    rotations, positions, shared = state.rotations, state.positions, state.shared
     body_R_left, lever = log.body_SE3_left[:3, :3], log.body_SE3_left[:3, 3]
     for s in sightings:
         at = state.foot(s.cone)

@@ -12,10 +12,10 @@ from conetl.model.check_params import PathCheckParams
 from conetl.model.drive import FramePair
 from conetl.model.health import Finding
 from conetl.model.params import TrajectoryParams
-from conetl.tracking.log.log_errors import GROUPS, LogErrors, StatedErrors, assumed_errors, compared_frames
+from conetl.tracking.log.log_errors import GROUPS, LogErrors, assumed_errors, compared_frames
 from conetl.tracking.log.path_difference import ASIDE, LEVER, SCALE, UNKNOWN, UP, measured_cov
-from conetl.tracking.log.path_fit import PathFit, fitted_changes
-from conetl.tracking.trajectory import RefinedTrajectory, RefinementOutcome, stated_errors
+from conetl.tracking.log.path_fit import PathFit, fitted_changes, sigma_of_likeness
+from conetl.tracking.trajectory import RefinedTrajectory, RefinementOutcome
 
 DISTANCES, SIGMAS = "distances by images and by GNSS/INS", "stated sigmas of the poses"
 #: What is known beforehand of the heights' factor: one sigma. Another unit is one foot in metres, to this share.
@@ -31,7 +31,7 @@ def check_path(
 ) -> list[Finding]:
     """Distances, directions, lever arm and heights of a log against the images, and its stated sigmas."""
     findings, fit = [_stated_sigmas(trajectory, limits)], trajectory.path
-    if fit is None:
+    if fit is None or not fit.is_shown:
         return findings
     sigma = fit.sigma_of_any.copy()
     sigma[:3] = np.hypot(sigma[:3], fit.stated)
@@ -52,19 +52,21 @@ def check_path(
             facts={"way": way, "drift_cm": 100 * float(abs(fit.found[k]))},
         ),
         Finding(check="lever arm of the cameras", value=float(arm_m), sigma=float(arm_sigma_m), facts={"way": arm_way}),
-        _heights(fit, stated_errors(frame_pairs), trajectory.errors or assumed_errors(params)),
+        _heights(fit, trajectory.errors or assumed_errors(params)),
     ]  # fmt: skip
 
 
-def _heights(fit: PathFit, records: StatedErrors, errors: LogErrors) -> Finding:
+def _heights(fit: PathFit, errors: LogErrors) -> Finding:
     """By what factor the log climbs more than the images."""
-    difference = fit.difference
+    difference, records = fit.difference, fit.records
     climbs = np.zeros((*fit.changes.shape[:2], 1))
     steps = np.diff(difference.measured_var, axis=0, prepend=0.0)
     measured = steps[:, 2] < UNKNOWN / 2  # across gaps, the path is that of the log
     climbs[:, 2, 0] = np.cumsum(np.diff(difference.path_m[:, 2], prepend=0.0) * measured)
     changes = np.concatenate([fit.changes, climbs], axis=2)
-    found, cov = fitted_changes(difference, records, errors, changes, np.append(fit.prior, _HEIGHTS_PRIOR))
+    prior = np.append(fit.prior, _HEIGHTS_PRIOR)
+    found, cov = fitted_changes(difference, records, errors, changes, prior)
+    alike = sigma_of_likeness(records, changes, prior)[-1]
     # Errors of the measured path look like climbs that GNSS/INS does not have: the factor is too small by their share.
     frames = compared_frames(records)
     even = np.column_stack([np.ones(len(frames)), difference.driven_m[frames]])
@@ -74,7 +76,7 @@ def _heights(fit: PathFit, records: StatedErrors, errors: LogErrors) -> Finding:
     wrong = float(np.trace(rest @ measured_cov(known, records.stated, frames, 2) @ rest)) / max(shown, 1e-12)
     # So do those of the attitudes, with which the images are turned.
     wrong += float(fit.stated[UP]) ** 2 / max(_slope_variance(climbs[:, 2, 0], difference.driven_m), 1e-12)
-    factor, sigma = 1 + float(found[-1]), float(np.hypot(cov[-1, -1] ** 0.5, wrong))
+    factor, sigma = 1 + float(found[-1]), float(np.linalg.norm([cov[-1, -1] ** 0.5, alike, wrong]))
     likely = {1 / _FOOT_M: "feet", _FOOT_M: "feet twice"}
     named = (cause for times, cause in likely.items() if abs(factor / times - 1) < _SAME_FACTOR)
     return Finding(

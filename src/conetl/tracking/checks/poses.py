@@ -59,8 +59,8 @@ def check_trajectory(
     """The poses against visual odometry, of a short drive for jumps only. frame_pairs: `trajectory.logged`, with `detail`."""
     if not params.refine or len(frame_pairs) < 2:
         return []
-    log = read_log(frame_pairs, rig, params, trajectory.errors)
     measured = measured_motions(frame_pairs, motions, params)
+    log = read_log(frame_pairs, rig, params, trajectory.errors, measured)
     none = np.zeros(0, dtype=bool)
     good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
     if len(frame_pairs) <= _LEAST_INTERVALS:
@@ -122,7 +122,7 @@ def _directions(
         return []
     observed, logged = _shifts_m(measured, residual)
     k = measured.start
-    noise = log.noise[k] ** 2 + log.noise[k + 1] ** 2 + 2 * log.drift[k] ** 2 * (1 - log.correlation[k])
+    noise = log.noise[k] ** 2 + log.noise[k + 1] ** 2 + 2 * log.drift[k] ** 2 * (1 - log.correlation[k]) + log.change[k]
     least_m = np.maximum(_REVERSED_M, _REVERSED_SIGMAS * np.sqrt(noise[:, :2].max(axis=1)))
     long = np.minimum(np.linalg.norm(observed, axis=1), np.linalg.norm(logged, axis=1)) > least_m
     back = long & ((observed * logged).sum(axis=1) < 0)

@@ -1,13 +1,15 @@
 """The model of a log's errors, which the adjustment of the poses and all checks of them share, and its estimate from one drive.
 
-The error of each coordinate and angle is the sum of a slow part (first-order Gauss-Markov, in the limit a constant), a fast one
-(lasting up to seconds: corrections once a second, interpolation, vibration) and white noise; the stamps of the records jitter.
+The error of each coordinate and angle is the sum of a smooth part (Matern process of order 3/2, in the limits a drift at a
+constant rate and a constant; of positions only), a slow one (first-order Gauss-Markov, as of receivers), a fast one (lasting up
+to seconds: corrections once a second, interpolation, vibration) and white noise; the stamps of the records jitter.
 A log states the variance of the sum. How it is shared differs from receiver to receiver, and images show it: visual odometry is
 accurate to millimetres from frame to frame. So the shares are estimated for each drive by restricted maximum likelihood
 (variance components, e.g. Koch 1999, ch. 3.6) with priors, from the difference between the logged and the measured path. If they
 exceed the stated variance significantly, the variance grows until it fits (`ErrorShares.factor`).
 
-What all records have in common cannot be seen in one drive. It is what the other parts leave of the stated variance.
+What all records have in common cannot be seen in one drive. It is what the other parts leave of the stated variance. Nor do
+images show most drifts: a scale or a turn within the calibration's errors makes the same path. Then the priors decide.
 """
 
 from __future__ import annotations
@@ -36,45 +38,52 @@ from conetl.tracking.log.path_difference import (
 GROUPS = ((0, 1), (2,), (3, 4), (5,))
 #: Frames that are compared: so many evenly spaced ones, and runs of successive ones.
 _SPACED, _RUNS, _RUN = 48, 3, 24
-#: Prior sigmas of the logarithms of white and fast over slow share, of the times of the fast and the slow part, of the jitter of
-#: the stamps, and of the factor on the stated variance.
-_PRIOR_SIGMA = np.array([8.0, 8.0, 0.7, 2.0, 1.0, 0.7])
-_FAST_SHARE, _FAST_S, _FAST_RANGE_S, _SLOW_RANGE_S = 0.01, 0.7, (0.15, 3.0), (5.0, 600.0)
+#: Prior sigmas of the logarithms of white, fast and slow over smooth share, of the times of the fast, the slow and the smooth
+#: part, of the jitter of the stamps, and of the factor on the stated variance.
+_PRIOR_SIGMA = np.array([8.0, 8.0, 8.0, 0.7, 2.0, 1.5, 1.0, 0.7])
+_FAST_SHARE, _SLOW_SHARE, _FAST_S = 0.01, 1.0, 0.7
+#: Of the times, s; of the logarithm of slow over smooth share where the search begins.
+_RANGES_S, _STARTS = ((0.15, 3.0), (5.0, 600.0), (2.0, 6000.0)), (-4.0, 4.0)
 _LEAST_JITTER_S, _MOST_FACTOR = 1e-6, 20.0
 #: Chi-square of one degree of freedom at 0.05 above which the variance grows.
 _SIGNIFICANT = 3.84
 #: Unknowns that are fitted to the same records.
-_FITTED = 4
+_FITTED = 5
 #: Share of its sampling error that a share of nearly 1 leaves to the slow part.
 _LEFT = 0.1
+#: Variance of the mean of a fast error relative to that of its changes.
+_FAST_MEAN = 1.0
 #: Of normal errors, from the median of their absolute values; what the white part leaves at least.
 _SIGMA_OF_MEDIAN, _LEAST_SLOW = 1.4826, 1e-3
 #: Stated sigmas that differ by less than this factor have the same cause.
 _SAME_SIGMA = 1.1
 _LEAST_VAR = 1e-6
+#: What an error has in common with the one before a step is its exponential.
+STEP_CHANGE = 0.7
 #: Sigma of the alignment of cameras and body in addition to the stated attitudes, which is checked separately.
 _ALIGNMENT_RAD = 0.004
 
 
 class ErrorShares(NamedTuple):
-    """Shares of the variance of one group of axes; they add up to 1."""
+    """Shares of the variance of one group of axes.
+
+    They add up to 1, or to more: a fast error has a mean, too, which images do not show.
+    """
 
     white: float
     fast: float
+    slow: float
+    smooth: float
     fast_s: float
     """Correlation time of the fast part."""
     slow_s: float
-    """Correlation time of the rest."""
+    """Correlation time of the slow part."""
+    smooth_s: float
+    """Length scale of the smooth part."""
     jitter_s: float = 0.0
     """Sigma of the time stamps' jitter, in addition to the stated variance."""
     factor: float = 1.0
     """By which the stated variance is too small."""
-    constant: float = 1.0
-    """Likelihood, relative to the best, that the rest does not change within the drive at all."""
-
-    @property
-    def slow(self) -> float:
-        return 1.0 - self.white - self.fast
 
 
 class StatedErrors(NamedTuple):
@@ -88,6 +97,13 @@ class StatedErrors(NamedTuple):
     """(K, 6): sigmas that interpolation between records adds."""
     apart_s: Floats
     """(K,): time between the records that are interpolated, else 0."""
+    renewed: Floats
+    """(K,): how often the errors have changed by a step since the first record."""
+
+    @property
+    def least(self) -> Floats:
+        """(6,): sigma of a smooth error, which positions have: at most the smallest stated one is common to all records."""
+        return np.append(self.stated[:, :3].min(axis=0), np.zeros(3))
 
 
 class LogErrors(NamedTuple):
@@ -105,8 +121,10 @@ class LogErrors(NamedTuple):
 
 def assumed_errors(params: TrajectoryParams) -> LogErrors:
     """The shares of a log that cannot be compared with images."""
-    position = ErrorShares(params.gnss_white_share**2, 0.0, _FAST_S, params.gnss_correlation_s)
-    attitude = ErrorShares(params.attitude_white_share**2, 0.0, _FAST_S, params.attitude_correlation_s)
+    white, lasts_s = params.gnss_white_share**2, params.gnss_correlation_s
+    position = ErrorShares(white, 0.0, 1.0 - white, 0.0, _FAST_S, lasts_s, lasts_s)
+    white, lasts_s = params.attitude_white_share**2, params.attitude_correlation_s
+    attitude = ErrorShares(white, 0.0, 1.0 - white, 0.0, _FAST_S, lasts_s, lasts_s)
     return LogErrors(position, position, attitude, attitude)
 
 
@@ -127,21 +145,32 @@ def rough_errors(log: LoggedPoses, motions: MeasuredMotions, params: TrajectoryP
     total = np.median(np.hypot(log.own, log.drift), axis=0)
     shares = np.minimum((scatter / total) ** 2, 1.0 - _LEAST_SLOW)
     rough = [float(shares[list(axes)].max()) for axes in GROUPS]
-    found = [one._replace(white=max(one.white, share)) for one, share in zip(assumed, rough, strict=True)]
+    rough = [max(one.white, share) for one, share in zip(assumed, rough, strict=True)]
+    found = [one._replace(white=share, slow=1.0 - share) for one, share in zip(assumed, rough, strict=True)]
     return LogErrors(found[0]._replace(jitter_s=params.clock_sigma_s), *found[1:])
 
 
-def sigma_levels(stated: Floats) -> tuple[Floats, Floats]:
+def sigma_levels(stated: Floats, renewed: Floats) -> tuple[Floats, Floats]:
     """(K, n) levels of stated sigmas (K, n), and the sums of the changes of their logarithms from the first record on.
 
+    renewed (K,): number of steps up to a record; each counts as `STEP_CHANGE`.
+
     A receiver that finds another solution, or an INS without one, has other errors: of two sigmas at most the smaller one is
-    common to both. Changes by less than a tenth are noise of the sigmas.
+    common to both. Changes by less than a tenth are noise of the sigmas, unless they add up: then a sigma grows, as without GNSS.
     """
-    levels = stated.copy()
-    for k in range(1, len(levels)):
-        same = np.abs(np.log(stated[k] / levels[k - 1])) < np.log(_SAME_SIGMA)
-        levels[k, same] = levels[k - 1, same]
-    return levels, np.cumsum(np.abs(np.diff(np.log(levels), axis=0, prepend=np.log(levels[:1]))), axis=0)
+    levels, single = stated.copy(), np.log(_SAME_SIGMA)
+    for column in range(stated.shape[1]):
+        sigma, start = stated[:, column], 0
+        for k in range(1, len(sigma)):
+            levels[k, column] = sigma[start]
+            if abs(np.log(sigma[k] / sigma[start])) >= single:
+                grows = abs(np.log(sigma[k] / sigma[k - 1])) < single
+                levels[start : k + 1, column] = (
+                    np.geomspace(sigma[start], sigma[k], k + 1 - start) if grows else sigma[start]
+                )
+                levels[k, column], start = sigma[k], k
+    changes = np.cumsum(np.abs(np.diff(np.log(levels), axis=0, prepend=np.log(levels[:1]))), axis=0)
+    return levels, changes + STEP_CHANGE * renewed[:, None]
 
 
 def estimate_log_errors(
@@ -176,19 +205,23 @@ class DifferenceTerms(NamedTuple):
     apart_s: Floats
     """(N, N)"""
     changed: Floats
-    """(N, N): share of the slow part that is common in spite of changes of the stated sigmas."""
+    """(N, N) products of the stated sigmas that are common in spite of their changes."""
+    renewed: Floats
+    """(N, N): number of steps between two frames."""
+    least: float
+    """Variance that all records have in common."""
     jitter: Floats
     """(N,) squared rates."""
 
 
 def _estimated(parts: Sequence[DifferenceTerms], assumed: ErrorShares, jitter_s: float) -> ErrorShares:
     """The shares of one group of axes. assumed: without evidence; jitter_s: likewise, 0 where it is left to the white part."""
-    middle = np.array([
-        np.log(assumed.white / assumed.slow), np.log(_FAST_SHARE), np.log(_FAST_S), np.log(assumed.slow_s),
-        np.log(max(jitter_s, _LEAST_JITTER_S)), 0.0,
+    middle = np.log([
+        assumed.white / assumed.slow, _FAST_SHARE, _SLOW_SHARE, _FAST_S, assumed.slow_s, assumed.smooth_s,
+        max(jitter_s, _LEAST_JITTER_S), 1.0,
     ])  # fmt: skip
     low, high = middle - 5 * _PRIOR_SIGMA, middle + 5 * _PRIOR_SIGMA
-    low[2:4], high[2:4] = np.log([[_FAST_RANGE_S[0], _SLOW_RANGE_S[0]], [_FAST_RANGE_S[1], _SLOW_RANGE_S[1]]])
+    low[3:6], high[3:6] = np.log(_RANGES_S).T
 
     def misfit(free: Floats, size: int) -> tuple[float, Floats]:
         given = np.concatenate([free, middle[size:]])
@@ -199,41 +232,47 @@ def _estimated(parts: Sequence[DifferenceTerms], assumed: ErrorShares, jitter_s:
             value, slope = value + own, slope + own_slope
         return value, slope[:size]
 
-    def fitted(start: Floats) -> Floats:
-        size = len(start)
+    def fitted(*starts: Floats) -> Floats:
+        size = len(starts[0])
         bounds = list(zip(low[:size], high[:size], strict=True))
-        found = minimize(misfit, start, (size,), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30})
-        return np.asarray(found.x)
+        found = [
+            minimize(misfit, start, (size,), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30})
+            for start in starts
+        ]
+        return np.asarray(min(found, key=lambda one: float(one.fun)).x)
 
     def unlikely(given: Floats) -> float:
         return sum(_misfit(part, given)[0] for part in parts)
 
-    values = fitted(middle[: 5 if jitter_s else 4])
+    start = middle[: 7 if jitter_s else 6]
+    # The likelihood has one maximum for smooth and one for slow errors.
+    values = fitted(*(np.concatenate([start[:2], [of], start[3:]]) for of in _STARTS if parts[0].least or of > 0))
     full = np.concatenate([values, middle[len(values) :]])
-    still, least = full.copy(), unlikely(full)
-    still[3] = high[3]
-    constant = float(np.exp(min(least - unlikely(still), 0.0)))
-    if sum(_misfit(part, full)[1][5] for part in parts) < 0:  # a larger variance fits better
-        low[5], high[5] = 0.0, _MOST_FACTOR
+    least = unlikely(full)
+    if sum(_misfit(part, full)[1][-1] for part in parts) < 0:  # a larger variance fits better
+        low[-1], high[-1] = 0.0, _MOST_FACTOR
         larger = fitted(full)
         if 2 * (least - unlikely(larger)) > _SIGNIFICANT:
             full = larger
     count = sum(len(part.off) for part in parts)
-    white, fast, slow = _shares(full)
+    shares = _shares(full)
     # Heading, slope, scale and clock were fitted to the same records: Student's variance of what is left.
     freedom = max(count - _FITTED, 1)
-    white, fast = (share * (freedom + 4) / freedom for share in (white, fast))
+    white, fast = shares[:2] * (freedom + 4) / freedom
     # A share is known to its sampling error only.
-    slow = max(1.0 - white - fast, _LEFT * (2 / count) ** 0.5 * max(white, fast))
+    lasting = max(1.0 - white - fast, _LEFT * (2 / count) ** 0.5 * max(white, fast))
+    total = white + fast + lasting
+    lasting = max(lasting, _FAST_MEAN * fast) / total
+    slow = lasting * shares[2] / shares[2:].sum()
+    fast_s, slow_s, smooth_s, own_jitter_s, factor = np.exp(full[3:]).tolist()
     return ErrorShares(
-        white / (white + fast + slow), fast / (white + fast + slow), float(np.exp(full[2])), float(np.exp(full[3])),
-        float(np.exp(full[4])) if jitter_s else 0.0, float(np.exp(full[5])), constant,
+        white / total, fast / total, slow, lasting - slow, fast_s, slow_s, smooth_s, own_jitter_s if jitter_s else 0.0, factor,
     )  # fmt: skip
 
 
 def _shares(values: Floats) -> Floats:
-    """(3,): white, fast and slow share."""
-    raw = np.array([np.exp(values[0]), np.exp(values[1]), 1.0])
+    """(4,): white, fast, slow and smooth share."""
+    raw = np.array([*np.exp(values[:3]), 1.0])
     return np.asarray(raw / raw.sum())
 
 
@@ -268,35 +307,44 @@ def difference_terms(
     if columns is not None:
         base += columns[frames, axis] @ columns[frames, axis].T
     base[np.diag_indices_from(base)] += records.between[frames, axis] ** 2 + _LEAST_VAR * stated.min()
-    levels, changes = (part[frames, 0] for part in sigma_levels(records.stated[:, axis : axis + 1]))
-    changed = np.outer(levels, levels) / stated * np.exp(-np.abs(changes[:, None] - changes))
+    levels, changes = (part[frames, 0] for part in sigma_levels(records.stated[:, axis : axis + 1], records.renewed))
+    changed = np.outer(levels, levels) * np.exp(-np.abs(changes[:, None] - changes))
     rate = difference.velocity[frames, axis] if jitters else np.zeros(len(frames))
-    return DifferenceTerms(off - off.mean(), base, stated, apart_s, changed, rate**2)
+    steps = np.abs(records.renewed[frames, None] - records.renewed[frames])
+    return DifferenceTerms(off - off.mean(), base, stated, apart_s, changed, steps, records.least[axis] ** 2, rate**2)
 
 
 def log_cov(part: DifferenceTerms, shares: ErrorShares) -> Floats:
     """(N, N)"""
-    own = shares.fast * np.exp(-part.apart_s / shares.fast_s)
-    own += shares.slow * part.changed * np.exp(-part.apart_s / shares.slow_s)
-    own[np.diag_indices_from(own)] += shares.white
-    cov = part.base + shares.factor * part.stated * own
+    each = np.array([shares.white, shares.fast, shares.slow, shares.smooth])
+    own = np.tensordot(each, _parts(part, shares.fast_s, shares.slow_s, shares.smooth_s), 1)
+    cov = part.base + shares.factor * own
     cov[np.diag_indices_from(cov)] += shares.jitter_s**2 * part.jitter
     return np.asarray(cov)
 
 
-def _misfit(part: DifferenceTerms, values: Floats) -> tuple[float, Floats]:
-    """Minus the logarithm of the likelihood, and its derivatives (6,).
+def _parts(part: DifferenceTerms, fast_s: float, slow_s: float, smooth_s: float) -> Floats:
+    """(4, N, N): covariances of a white, a fast, a slow and a smooth error of the stated sigmas.
 
-    values: logarithms of white and fast over slow share, of the correlation times (s), of the jitter (s), of the factor.
+    Where a stated sigma exceeds the smallest one, what exceeds it is not smooth, but slow.
     """
-    white, fast, slow = _shares(values)
-    fast_s, slow_s, factor = np.exp(values[[2, 3, 5]])
-    jitter = np.exp(2 * values[4])
-    of_white = np.diag(np.diagonal(part.stated))
-    of_fast = part.stated * np.exp(-part.apart_s / fast_s)
-    of_slow = part.stated * part.changed * np.exp(-part.apart_s / slow_s)
-    own = factor * (white * of_white + fast * of_fast + slow * of_slow)
-    cov = part.base + own
+    slowly, apart = np.exp(-part.apart_s / slow_s), 3**0.5 / smooth_s * part.apart_s
+    common = part.least * np.exp(-STEP_CHANGE * part.renewed)
+    smooth = common * (1 + apart) * np.exp(-apart) + np.maximum(part.changed - part.least, 0.0) * slowly
+    fast = part.stated * np.exp(-part.apart_s / fast_s)
+    return np.stack([np.diag(np.diagonal(part.stated)), fast, part.changed * slowly, smooth])
+
+
+def _misfit(part: DifferenceTerms, values: Floats) -> tuple[float, Floats]:
+    """Minus the logarithm of the likelihood, and its derivatives (8,).
+
+    values: logarithms of white, fast and slow over smooth share, of the three times (s), of the jitter (s), of the factor.
+    """
+    shares = _shares(values)
+    fast_s, slow_s, smooth_s, _, factor = np.exp(values[3:])
+    jitter = np.exp(2 * values[6])
+    parts = _parts(part, fast_s, slow_s, smooth_s)
+    cov = part.base + factor * np.tensordot(shares, parts, 1)
     cov[np.diag_indices_from(cov)] += jitter * part.jitter
     try:
         factored = cho_factor(cov, lower=True)
@@ -305,12 +353,17 @@ def _misfit(part: DifferenceTerms, values: Floats) -> tuple[float, Floats]:
     solved = cho_solve(factored, part.off)
     inverse = cho_solve(factored, np.eye(len(cov)))
     by_cov = (inverse - np.outer(solved, solved)) / 2
-    by_white, by_fast, by_slow = (factor * float((by_cov * of).sum()) for of in (of_white, of_fast, of_slow))
-    mean = white * by_white + fast * by_fast + slow * by_slow
+    by_parts = factor * np.tensordot(parts, by_cov, 2)
+    mean = float(shares @ by_parts)
+    apart = 3**0.5 / smooth_s * part.apart_s
+    of_smooth = part.least * np.exp(-STEP_CHANGE * part.renewed - apart)
+    beyond = parts[3] - of_smooth * (1 + apart)
+    later = by_cov * part.apart_s
     slope = np.array([
-        white * (by_white - mean), fast * (by_fast - mean),
-        factor * fast * float((by_cov * of_fast * part.apart_s).sum()) / fast_s,
-        factor * slow * float((by_cov * of_slow * part.apart_s).sum()) / slow_s,
+        *(shares * (by_parts - mean))[:3],
+        factor * shares[1] * float((later * parts[1]).sum()) / fast_s,
+        factor * float((later * (shares[2] * parts[2] + shares[3] * beyond)).sum()) / slow_s,
+        factor * shares[3] * float((by_cov * of_smooth * apart**2).sum()),
         2 * jitter * float(np.diagonal(by_cov) @ part.jitter), mean,
     ])  # fmt: skip
     value = float(np.log(np.diagonal(factored[0])).sum()) + float(part.off @ solved) / 2

@@ -17,14 +17,16 @@ from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.model.arrays import Bools, Floats
 from conetl.model.params import TrajectoryParams
 from conetl.tracking.log.log_errors import GROUPS, LogErrors, StatedErrors, compared_frames, difference_terms, log_cov
-from conetl.tracking.log.path_difference import ASIDE, SCALE, UP, PathDifference, path_changes, path_difference
+from conetl.tracking.log.path_difference import ASIDE, SCALE, UNKNOWN, UP, PathDifference, path_changes, path_difference
 
 #: What is known beforehand of scale, direction (rad) and lever arm (m): one sigma; and of the clock (s) after its correction.
 _PRIOR, _CLOCK_S = (0.1, 0.2, 0.2, 3.0, 3.0, 3.0), 0.005
 #: So many frames show the turns of a drive; see `compared_frames`.
 _MOST_FRAMES = 400
-#: Ends of a drift at a constant rate whose root mean square is one.
-_RAMP = 3**0.5
+#: Share of the variance of a log's errors that may have the shape of another error.
+_ALIKE = 1 / 3
+#: A path is compared if its variance is so many times that of what the images err by.
+_SHOWN = 10.0
 #: Beyond this many sigmas of what is stated, and of the estimate, positions may have drifted.
 _DOUBTFUL_SIGMAS, _SIGNIFICANT_SIGMAS = 2.0, 3.0
 
@@ -37,11 +39,12 @@ class PathFit(NamedTuple):
     sigma: Floats
     """(7,) if the errors of the log have the spectrum that the drive shows."""
     sigma_of_any: Floats
-    """(7,) if they may as well be a drift at a constant rate, within its stated sigmas."""
+    """(7,) if they may as well have any other, within their stated sigmas."""
     stated: Floats
     """(3,): stated sigmas of scale and of both directions."""
     prior: Floats
     """(7,) sigmas beforehand."""
+    records: StatedErrors
     log_is_wrong: bool
     """Whether the log errs by more than it states: then the calibration need not be what differs."""
     difference: PathDifference
@@ -54,11 +57,18 @@ class PathFit(NamedTuple):
         return float(self.found[SCALE]), float(self.sigma[SCALE])
 
     @property
+    def is_shown(self) -> bool:
+        """Whether the path is more than what the images err by, unlike that of a vehicle that stands."""
+        path_m, steps = self.difference.path_m, np.diff(self.difference.measured_var[:, :3], axis=0)
+        noise = float(steps[steps < UNKNOWN / 2].sum())
+        return float(np.square(path_m - path_m.mean(axis=0)).sum(axis=1).mean()) > _SHOWN * noise
+
+    @property
     def doubtful(self) -> Bools:
         """(3,): whether neither calibration nor log, as they are stated, explain the scale, and the directions."""
         stated = 0.0 if self.log_is_wrong else _DOUBTFUL_SIGMAS * self.stated
         least = np.maximum(stated, _SIGNIFICANT_SIGMAS * self.sigma[:3])
-        return np.asarray(np.abs(self.found[:3]) > least)
+        return np.asarray(np.abs(self.found[:3]) > least) & self.is_shown
 
     def drifts(self) -> Floats:
         """(K, 3, D) m: by how much positions may have drifted, from the first or to the last of them."""
@@ -81,21 +91,30 @@ def fit_path(
     stated[SCALE] = params.scale_sigma
     stated[ASIDE], stated[UP] = (np.median(records.stated[:, axes].max(axis=1)) for axes in ((5,), (3, 4)))
     log_is_wrong = max(errors.horizontal.factor, errors.up.factor) > 1.0
-    drift = np.linspace(-1.0, 1.0, len(changes))[:, None, None] * np.diag(
-        _RAMP * np.median(records.stated[:, :3], axis=0)
-    )
-    with_drift = np.concatenate([changes, drift], axis=2)
-    _, cov_of_any = fitted_changes(difference, records, errors, with_drift, np.append(prior, np.ones(3)))
     return PathFit(
         found,
         np.sqrt(np.diag(cov)),
-        np.sqrt(np.diag(cov_of_any)[: len(prior)]),
+        np.hypot(np.sqrt(np.diag(cov)), sigma_of_likeness(records, changes, prior)),
         stated,
         prior,
+        records,
         log_is_wrong,
         difference,
         changes,
     )
+
+
+def sigma_of_likeness(records: StatedErrors, changes: Floats, prior: Floats) -> Floats:
+    """(C,): sigmas of changes (K, 3, C) if the errors of the log have just the shape of one of them.
+
+    Of all errors whose mean square is the stated one, those that look most like what the log does not contain: a third of the
+    variance may be so.
+    """
+    frames = compared_frames(records, _MOST_FRAMES)
+    shapes = changes[frames] - changes[frames].mean(axis=0)
+    shapes = (shapes / records.stated[frames, :3, None]).reshape(-1, len(prior))
+    shown = shapes.T @ shapes / (_ALIKE * len(frames))
+    return np.asarray(np.sqrt(np.diag(np.linalg.inv(shown + np.diag(prior**-2.0)))))
 
 
 def fitted_changes(
