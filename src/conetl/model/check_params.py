@@ -169,6 +169,10 @@ class CheckParams(Params):
     region: RegionCheckParams = RegionCheckParams()
     """Extent of the map."""
 
+    covered_m: Positive = 0.3
+    """Largest error of positions that larger sigmas cover without a hold; beyond it, neighbouring cones (1 m) are taken for each
+    other. Wrong recordings of the tests that must be held have 0.5 m and more."""
+
     def value(self, name: str) -> float:
         """The limit of a name such as "jumps.least_m"."""
         group, field = name.split(".")
