@@ -36,6 +36,7 @@ from conetl.geometry.calibration.self_calibration import (
     SpanPoints,
     equivalent_camera,
     estimate_right_camera,
+    readout_by_images,
 )
 from conetl.geometry.motion.rolling_shutter import pair_shares, readout_sigma_s, readouts_s, shutter_of, with_shutters
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
@@ -147,10 +148,12 @@ def self_calibrate(
     off_s = None
     prior_s = params.video_readout_sigma_ms * 1e-3
     if readouts is not None and estimate is not None and readouts.sigma_s < prior_s:
-        off_s = _readout_off(points, estimate, readouts, params)
-        if off_s is not None and abs(off_s[0]) > params.self_calibration_readout_sigmas * off_s[1]:
-            readouts = readouts._replace(sigma_s=prior_s)
-            estimate = estimate_right_camera(cameras_of(rig), points, params, readouts)
+        off_s = readout_by_images(points, estimate, readouts.sigma_s, params)
+        if off_s is not None:
+            off_s = off_s[0], float(np.hypot(off_s[1], readouts.sigma_s))
+            if abs(off_s[0]) > params.self_calibration_readout_sigmas * off_s[1]:
+                readouts = readouts._replace(sigma_s=prior_s)
+                estimate = estimate_right_camera(cameras_of(rig), points, params, readouts)
     if estimate is None:
         return _without_estimate("too few points are stationary, or all of them are far away")
     unit_px = pixels_per_unit(rig)
@@ -197,35 +200,13 @@ def _span_points(rig: Rig, span: Span, tracks: StereoTracks, *, rolling: bool) -
     return SpanPoints(first_px, last_px, sigma_px, span.last_SE3_first, span.lasts_s, shares)
 
 
-def _readout_by_images(
-    spans: Sequence[SpanPoints], estimate: RightCameraError, prior_s: float, params: TrajectoryParams
-) -> tuple[float, float] | None:
-    """By how much the readout is longer, and its sigma (s): without the prior, with the error that all spans have in common."""
-    if estimate.readout_s is None:
-        return None
-    longer_s, own_s = estimate.readout_s
-    information = max(own_s**-2 - (prior_s**-2 if prior_s else 0.0), 1e-9)
-    driven_m = sum(float(np.linalg.norm(span.last_SE3_first[:3, 3])) for span in spans)
-    speed_m_s = driven_m / max(sum(span.lasts_s for span in spans), 1e-9)
-    sigma_s = float(np.hypot(information**-0.5, params.self_calibration_readout_floor_m / max(speed_m_s, 1e-3)))
-    return longer_s * own_s**-2 / information, sigma_s
-
-
-def _readout_off(
-    spans: Sequence[SpanPoints], estimate: RightCameraError, stated: Readouts, params: TrajectoryParams
-) -> tuple[float, float] | None:
-    """By how much the readout is longer than the stated one, and the sigma of the difference (s)."""
-    found = _readout_by_images(spans, estimate, stated.sigma_s, params)
-    return None if found is None else (found[0], float(np.hypot(found[1], stated.sigma_s)))
-
-
 def _readout_of(
     spans: Sequence[SpanPoints], estimate: RightCameraError, readouts: Readouts | None, params: TrajectoryParams
 ) -> tuple[tuple[float, float] | None, str]:
     """As `SelfCalibration.readout_ms`, and a part of a sentence about it."""
     if readouts is None or not readouts.sigma_s:
         return None, ""
-    found = _readout_by_images(spans, estimate, readouts.sigma_s, params)
+    found = readout_by_images(spans, estimate, readouts.sigma_s, params)
     if found is None:
         return None, ""
     gain = readouts.sigma_s**2 / (readouts.sigma_s**2 + found[1] ** 2)

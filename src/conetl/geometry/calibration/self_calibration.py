@@ -158,6 +158,20 @@ def estimate_right_camera(
     return RightCameraError(state[:_SKEW], cov[:_SKEW, :_SKEW], gap[:_SKEW], readout_s)
 
 
+def readout_by_images(
+    spans: Sequence[SpanPoints], estimate: RightCameraError, prior_s: float, params: TrajectoryParams
+) -> tuple[float, float] | None:
+    """By how much the readout is longer, and its sigma (s): without the prior, with the error that all spans have in common."""
+    if estimate.readout_s is None:
+        return None
+    longer_s, own_s = estimate.readout_s
+    information = max(own_s**-2 - (prior_s**-2 if prior_s else 0.0), 1e-9)
+    driven_m = sum(float(np.linalg.norm(span.last_SE3_first[:3, 3])) for span in spans)
+    speed_m_s = driven_m / max(sum(span.lasts_s for span in spans), 1e-9)
+    sigma_s = float(np.hypot(information**-0.5, params.self_calibration_readout_floor_m / max(speed_m_s, 1e-3)))
+    return longer_s * own_s**-2 / information, sigma_s
+
+
 def _at_stamp(cameras: StereoCameras, span: SpanPoints, start: Floats | None, readouts_s: Floats) -> SpanPoints:
     """The span with points as of a global shutter, by its motion. start: the motion, if known better; readouts_s (2,)."""
     if span.shares is None or not readouts_s.any():
