@@ -277,7 +277,8 @@ order by d.changeset_no;
 -- Columns: of_uuid (one of drive_uuids), then as AdjoiningDrive.
 select
     q.drive_uuid as of_uuid, d.drive_uuid, d.drive_id, d.rig, d.captured_from_ns,
-    exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id and h.checks @> %(check)s::jsonb) as on_hold
+    exists (select from conetl.on_hold h where h.changeset_id = d.changeset_id and h.checks @> %(check)s::jsonb) as on_hold,
+    exists (select from conetl.active_decision a where a.changeset_id = d.changeset_id and a.kind = 'accept') as accepted
 from conetl.drive q
 cross join lateral (
     select l.drive_uuid
@@ -295,23 +296,6 @@ cross join lateral (
 cross join lateral (select a.* from conetl.active_drive a where a.drive_uuid = near.drive_uuid offset 0) d
 where q.drive_uuid = any(%(drive_uuids)s)
 order by d.captured_from_ns, d.content_sha256;
-
--- name: trusted_drives
--- The drives that a person accepted, or that confirm least_confirmed objects which were on the map before_ns before them.
--- Parameters: drive_uuids (uuid[]); least_confirmed; before_ns. Columns: drive_uuid.
-select d.drive_uuid
-from conetl.active_drive d
-where d.drive_uuid = any(%(drive_uuids)s) and (
-    exists (select from conetl.active_decision a where a.changeset_id = d.changeset_id and a.kind = 'accept')
-    or (
-        select count(*)
-        from conetl.delta x
-        join conetl.feature_version v on v.cell = x.cell and v.feature_id = x.feature_id and v.version = x.old_version
-        where x.changeset_id = d.changeset_id and x.kind in ('confirmed', 'height_changed') and not x.of_line
-        and upper_inf(x.system_period) and upper_inf(v.system_period)
-        and v.first_seen_ns < d.captured_from_ns - %(before_ns)s
-    ) >= %(least_confirmed)s
-);
 
 -- name: frame_pairs_at_ends
 -- The first and the last frame pairs of some drives. Parameters: drive_uuids (uuid[]); count (at each end).

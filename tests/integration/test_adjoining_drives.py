@@ -196,6 +196,17 @@ def test_what_continues_an_accepted_part_counts(map_of: Any, order: Sequence[str
     assert map_of(*order, withdraw)[0] == set(WRONG)
 
 
+def test_what_was_accepted_and_is_no_longer_holds_what_it_continues(map_of: Any) -> None:
+    """Nothing contradicts the last part itself; the one before it counted because it was accepted."""
+
+    def accept_and_withdraw(settings: Settings) -> None:
+        outcome = accept(settings, "wrong_2")
+        assert held(settings) == {"wrong_0"}
+        in_database(settings, partial(revert, what=str(outcome.decision_id), map_name="default"))
+
+    assert map_of(*WRONG, accept_and_withdraw)[0] == set(WRONG)
+
+
 def test_a_part_is_held_in_the_transaction_of_the_one_that_contradicts_it(
     settings: Settings, parts: dict[str, AnalysedDrive]
 ) -> None:

@@ -175,7 +175,7 @@ def _logs() -> list[WrongRecording]:
             WrongRecording(f"GNSS of {m:g} m states that", in_turn(noise(m, 5.0), stating(m)))
             for m in (0.3, 1.0)
         ),
-        *(WrongRecording(f"poses {n} records late", late(n), cause=_CLOCK, fast=n == 5) for n in (5, 10)),
+        *(WrongRecording(f"poses {n} records late", late(n), cause=_CLOCK, fast=n == 10) for n in (5, 10)),
         *(WrongRecording(f"poses {n} records late", late(n)) for n in (1, 2)),
         *(
             WrongRecording(f"each pose {n} times", repeated(n), cause=f"change only every {n} frame pairs", fast=n == 2)

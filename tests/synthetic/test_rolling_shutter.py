@@ -7,8 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from conetl.checks.verdict import judge
+from conetl.geometry.motion.rolling_shutter import with_shutters
+from conetl.model.health import Verdict
 from conetl.model.rig import Shutter
-from tests.synthetic.rolling_drive import Analysed, Readout, analysed
+from conetl.tracking.checks.poses import check_readout
+from tests.synthetic.rolling_drive import PARAMS, Analysed, Readout, analysed
+from tests.synthetic.world import make_rig
 
 SEEDS, LOW_NOISE = (100, 101), 0.1
 OF_VIDEO = Shutter(readout_ms=0.0, readout_sigma_ms=10.0)
@@ -46,8 +51,24 @@ def test_a_readout_that_is_not_stated_is_estimated(readout_s: float, stamp_share
     assert np.concatenate([drive.chi2 for drive in drives]).mean() / 3 < 1.5
 
 
-def test_a_wrong_statement_is_wrong() -> None:
-    """What is stated without a sigma is believed; 10 ms are 0.15 m along the road."""
-    for true_s, stated_ms in ((0.0, 10.0), (0.01, 0.0)):
-        drive = analysed(SEEDS[0], Readout(true_s, true_s), Shutter(readout_ms=stated_ms, stamp_row="first"))
-        assert 0.08 < median_m([drive]) < 0.25
+@pytest.mark.parametrize(("true_ms", "stated_ms"), [(0.0, 10.0), (10.0, 0.0), (20.0, 0.0)])
+def test_a_wrong_statement_is_reported_and_not_used(true_ms: float, stated_ms: float) -> None:
+    """10 ms are 0.15 m along the road."""
+    stated, true_s = Shutter(readout_ms=stated_ms, stamp_row="first"), true_ms * 1e-3
+    drives = [analysed(seed, Readout(true_s, true_s), stated) for seed in SEEDS]
+    for drive in drives:
+        [finding] = check_readout(drive.calibration, with_shutters(drive.rig, stated, stated), PARAMS.trajectory)
+        check = judge(finding)
+        assert check.verdict is Verdict.CORRECTED and f"not within the {stated_ms:g} ms" in check.detail
+        assert check.value == pytest.approx(true_ms - stated_ms, abs=3 * (check.sigma or 0.0))
+    assert median_m(drives) < 0.08
+    assert np.concatenate([drive.chi2 for drive in drives]).mean() / 3 < 1.5
+
+
+@pytest.mark.parametrize("readout_ms", [0.0, 10.0])
+def test_a_correct_statement_is_used(readout_ms: float) -> None:
+    stated = Shutter(readout_ms=readout_ms, stamp_row="first")
+    for seed in SEEDS:
+        calibration = analysed(seed, Readout(readout_ms * 1e-3, readout_ms * 1e-3), stated).calibration
+        [finding] = check_readout(calibration, with_shutters(make_rig(), stated, stated), PARAMS.trajectory)
+        assert judge(finding).verdict is Verdict.PASS and calibration.readout_ms is None

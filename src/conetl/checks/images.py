@@ -44,12 +44,12 @@ CHECKS = (
         limit="another frame has {stereo.fits_better} times as many", unit="frames",
         effect="distances are wrong by about the way driven between the frames",
         messages={
-            "": "The right images belong to left images {apart} frames {direction}: {best} points match, but only "
-                "{own} as delivered.",
+            "": "The right images belong to left images {apart} frames {direction}: with these {best} points match, with "
+                "those of the same number {own}.",
             "part": "The right images in frame pairs {first} to {last} belong to left images {apart} frames "
-                    "{direction}: {best} points match, but only {own} as delivered.",
+                    "{direction}: with these {best} points match, with those of the same number {own}.",
         },
-        passed="Left and right images were taken at the same time.", remedy="Correct the image numbers or the trigger.",
+        passed="Left and right images were taken at the same time.", remedy="Correct the numbers of the images, or the trigger.",
         unobserved=_NOT_SHOWN,
     ),
     Check(
@@ -79,7 +79,7 @@ CHECKS = (
         observable="at least 50 features on equal rows", least="stereo.max_beyond_share",
         effect="all distances are wrong, in proportion to their square",
         messages={"": "{value:.0%} of the points lie up to {px:.0f} px farther right in the right image, which is "
-                      "impossible even on the horizon: the right images are shifted sideways, or the calibration "
+                      "impossible even on the horizon: either the right images are shifted sideways, or the calibration "
                       "belongs to another rig."},
         passed="No point lies farther right in the right image.",
         remedy="Check whether the images were cropped, or calibrate the rig (conetl calibrate).", unobserved=_NOT_SHOWN,
@@ -124,7 +124,8 @@ CHECKS = (
                              "m/s). Trigger both cameras together.",
                   "mount": "The offset does not grow with the speed: either the camera was moved, the calibration is wrong, or "
                            "both cameras have different brightness curves (gamma, contrast). Calibrate the rig (conetl "
-                           "calibrate)."},
+                           "calibrate).",
+                  "covered": "The sigmas of all positions include such an offset."},
         passed="The position of the right camera agrees with the calibration.",
     ),
     Check(
@@ -135,10 +136,22 @@ CHECKS = (
         limit="above {exposures.max_doubled_share:.0%} of the objects, and {exposures.least_doubled_pairs} pairs",
         effect="each object stands twice",
         messages={"": "{doubled} of {objects} objects form pairs at the distance driven in one interval: each image "
-                      "shows two instants, because the video is interlaced, or because frames were blended when the "
-                      "frame rate was converted."},
+                      "shows two instants, either because the video is interlaced, or because frames were blended "
+                      "when the frame rate was converted."},
         passed="No objects appear twice.", remedy="Deinterlace the video, or export it at its original frame rate.",
         unobserved="No objects appear twice.",
+    ),
+    Check(
+        name="readout of the images",
+        measured="time in which the rows of an image are exposed, from points that move by some rows over 2 m of the path, less "
+                 "the stated one (`shutter`)",
+        observable="a stated shutter; eight spans with points at several distances",
+        treated="above `self_calibration_readout_sigmas` of its own sigmas: estimated as if it were not stated", unit="ms",
+        effect="the distance driven in that time",
+        messages={"": "By what moves in the images, their rows are exposed within {found_ms:.0f} +- {sigma:.0f} ms, not within "
+                      "the {stated_ms:g} ms that `shutter` states. conetl uses what the images show. State readout_ms of the "
+                      "data sheet of the camera (0: global shutter)."},
+        passed="The images agree with the stated readout.",
     ),
     Check(
         name=CALIBRATION,
@@ -149,8 +162,9 @@ CHECKS = (
         effect="the sigmas include what a correction leaves",
         messages={
             "": "{outcome}",
-            "implausible": "{outcome} Recalibrate the rig (conetl calibrate), or check whether the images were cropped "
-                           "or shifted.",
+            "implausible": "The images contradict the calibration of the right camera by more than it is ever corrected. "
+                           "{outcome} Calibrate the rig (conetl calibrate), or check whether the images were cropped or "
+                           "shifted.",
         },
         passed="{outcome}",
     ),

@@ -7,8 +7,8 @@ from conetl.model.health import Verdict
 
 _ENOUGH = "images that show structure"
 _LONGER = (
-    "the calibration's baseline, focal length or lens is wrong (raw or rectified images?), or GNSS/INS drifts. "
-    "Calibrate the rig (conetl calibrate) or reprocess the GNSS/INS log."
+    "either the calibration is wrong (baseline, focal length, lens, or raw images taken for rectified ones), or GNSS/INS drifts. "
+    "Calibrate the rig (conetl calibrate), or reprocess the GNSS/INS log."
 )
 
 #: Messages on likely causes, of all checks of the log.
@@ -45,11 +45,13 @@ CHECKS = (
         limit="or a run of more than {odometry.max_lost_share:.0%} of the intervals without a measurement",
         is_smallest=True, effect="poses of another recording: any",
         messages={
-            "": "Visual odometry could measure only {measured} of {intervals} intervals.",
-            "part": "Visual odometry could measure none of the {lost} intervals from frame pair {first} on.",
+            "": "The images show the motion of the vehicle in only {measured} of {intervals} intervals between frame pairs, "
+                "although they have enough structure.",
+            "part": "The images show the motion of the vehicle in none of the {lost} intervals from frame pair {first} on, "
+                    "although they have enough structure.",
         },
         passed="Visual odometry measured {measured} of {intervals} intervals between frame pairs.",
-        remedy="The images show enough: either the poses do not belong to these images, or left and right images do "
+        remedy="Either the poses do not belong to these images, or left and right images do "
                "not belong together. Check numbers, order and time stamps of images and poses.",
     ),
     Check(
@@ -58,22 +60,21 @@ CHECKS = (
         observable="two measured motions", least="odometry.max_contradicting_share",
         effect="poses of another path: any",
         messages={
-            "": "{rejected} of {motions} measured motions contradict GNSS/INS, by {metres:.2f} m and {degrees:.2f} "
-                "degrees in the median.",
+            "": "{rejected} of {motions} measured motions between frame pairs contradict GNSS/INS beyond the errors of both, by "
+                "{metres:.2f} m and {degrees:.2f} degrees in the median.",
             "other path": "The images show a different path than GNSS/INS: check first when they were taken "
                           "(images.start in drive.yaml, its time zone, time stamps, clocks), then the alignment, the "
                           "stated sigmas and the calibration.",
             "scale": "Distances in the images differ by {scale_percent:+.1f} % from GNSS/INS throughout: " + _LONGER,
-            "unknown": "Check the alignment and clocks of cameras and GNSS/INS, their stated sigmas, and the "
-                       "calibration.",
+            "unknown": "They have no common cause that conetl knows. Check the alignment and clocks of cameras and GNSS/INS, "
+                       "their stated sigmas, and the calibration.",
         },
         passed="{agreeing} of {motions} measured motions agree with GNSS/INS.",
     ),
     Check(
         name="adjustment of the poses", measured="whether one set of poses fits both the images and the log",
         observable="always", limit="none does", effect="any",
-        messages={"": "No poses fit both images and GNSS/INS: the path is {images_m:.0f} m long in the images and "
-                      "{log_m:.0f} m in GNSS/INS."},
+        messages={"": "No path agrees with both the images ({images_m:.0f} m long) and GNSS/INS ({log_m:.0f} m)."},
         passed="The poses fit both images and GNSS/INS.",
         remedy="Check the time stamps of the images (beginning and frame rate; a video can state a wrong rate), the "
                "log and the calibration.",
@@ -90,9 +91,10 @@ CHECKS = (
         messages={"": "The errors of {of} in the log are {value:.1f} times as large as its stated sigmas.",
                   "widened": "The sigmas of all positions were enlarged by that factor. State the true sigmas (sigmas in "
                              "drive.yaml).",
-                  "beyond": "No factor describes so large an error: reprocess the log, or state its true sigmas (sigmas in "
-                            "drive.yaml).",
-                  "moved": "{outcome}"},
+                  "beyond": "That is too much to be covered by larger sigmas: reprocess the log, or state its true sigmas "
+                            "(sigmas in drive.yaml).",
+                  "moved": "{outcome} State the true sigmas (sigmas in drive.yaml), reprocess the log, or calibrate the rig "
+                           "(conetl calibrate)."},
         passed="The errors of the log are within its stated sigmas.",
     ),
     Check(
@@ -104,7 +106,7 @@ CHECKS = (
               "m/s² in addition to a constant acceleration, 1 m/s² in height)",
         unit="m", effect="the size of the jump, in a part of the drive",
         messages={"": "GNSS/INS jumps by {value:.1f} m between frame pairs {first} and {second}, but the images do "
-                      "not. conetl cannot tell which side is correct."},
+                      "not: either the positions before or those after it are wrong."},
         passed="The poses do not jump.",
         remedy="Reprocess the GNSS/INS log. Do not split the recording into two drives, unless you know that their "
                "positions are correct.",
@@ -141,12 +143,16 @@ CHECKS = (
         name="clock of GNSS/INS against the cameras",
         measured="offset of the clocks, from turn rates and speeds of images and log",
         observable="turns or changes of speed",
+        limit="beyond 0.4 s: the motions of all images fit the log at one other time, three times as well as at any other",
         treated="above 4 sigmas and 5 ms: corrected; above 2 sigmas: added to the sigmas", unit="ms",
         effect="speed times the offset that remains; the sigmas include it",
         messages={
-            "": "The time stamps of GNSS/INS lagged by {value:+.0f} +- {sigma:.0f} ms; this was corrected.",
+            "": "The clock of GNSS/INS was {size:.0f} +- {sigma:.0f} ms {order} that of the cameras; this was corrected.",
             "recorder": "Correct the synchronisation of the recorder.",
             "assumed": "The clocks were only known to {clock_ms:.0f} ms.",
+            "late": "GNSS/INS shows the motions of the images {lag_s:.1f} s {order}: either the time stamps of one of them are "
+                    "off by that, or images and poses were numbered differently. Correct clock.offset_s or images.start in "
+                    "drive.yaml, or the numbers.",
         },
         passed="The clocks agree ({value:+.0f} +- {sigma:.0f} ms).",
         unobserved="This drive does not show the offset of the clocks; a sigma of {clock_ms:g} ms is assumed.",
@@ -174,15 +180,15 @@ CHECKS = (
                       "alignment of cameras and GNSS/INS is wrong.",
                   "covered": "The sigmas of all positions include such a drift."},
         passed="The direction of the cameras agrees with their alignment with GNSS/INS.",
-        remedy="Reprocess its log, recalibrate the alignment, or state its sigmas (sigmas in drive.yaml).",
+        remedy="Reprocess the log, calibrate the alignment, or state how well it is known (sigmas in drive.yaml).",
         unobserved="The vehicle does not drive far enough for this check.",
     ),
     Check(
         name="roll of the cameras", measured="axis of the turns in the images relative to that in the log",
         observable="20 measured motions with turns", least="mount.roll_deg", sigmas="mount.sigmas", unit="degrees",
         effect="0.3 m per degree",
-        messages={"": "In turns, the images show the cameras rolled by {value:+.2f} +- {sigma:.2f} degrees (left side "
-                      "up) relative to the calibration and GNSS/INS."},
+        messages={"": "In turns, the images show the cameras rolled by {value:+.2f} +- {sigma:.2f} degrees (positive: "
+                      "left side up) relative to the calibration and GNSS/INS."},
         passed="In turns, the images agree with the mount of the cameras.",
         remedy="Correct body_SE3_left in rig.yaml (mount in drive.yaml; KITTI: calib_imu_to_velo.txt), or the axes of "
                "the GNSS/INS log.",
@@ -191,8 +197,8 @@ CHECKS = (
         name="lever arm of the cameras", measured="path of the cameras in turns relative to that of the log",
         observable="turns", least="mount.lever_arm_m", sigmas="path.sigmas", unit="m",
         effect="the error of the lever arm",
-        messages={"": "In turns, the images show the cameras mounted by {value:+.2f} +- {sigma:.2f} m ({way}) relative "
-                      "to the calibration and GNSS/INS."},
+        messages={"": "In turns, the images show the cameras mounted by {value:+.2f} +- {sigma:.2f} m (positive: "
+                      "{way}) relative to the calibration and GNSS/INS."},
         passed="In turns, the images agree with the mount of the cameras.",
         remedy="Correct body_SE3_left in rig.yaml (mount in drive.yaml; KITTI: calib_imu_to_velo.txt), or the antenna "
                "position of the GNSS/INS log.",

@@ -103,7 +103,7 @@ CHECKS = (
         messages={"": "Of {objects} objects at the positions of objects on the map, {others} have another class, such "
                       "as {now} instead of {was}: either the class names in the sidecar of the detector's model are in "
                       "the wrong order, or all objects were replaced."},
-        passed="The classes agree with the map.",
+        passed="The classes agree with the map.", remedy="Correct the names, or accept the drive.",
     ),
     Check(
         name=f"{AGREEMENT}: moves", measured="cones, or stretches of lane markings, that the drive would move",
@@ -112,6 +112,7 @@ CHECKS = (
         messages={"": "The drive would move {moved} of the {shown} {what} that it shows: either its distances or poses "
                       "are wrong (baseline, alignment), or people moved or repainted them."},
         passed="The drive moves few objects.",
+        remedy="Compare its images with the map: if people moved them, accept the drive.",
     ),
     Check(
         name=f"{AGREEMENT}: removals",
@@ -120,7 +121,7 @@ CHECKS = (
         unit="% that it could not see them", effect="standing cones are removed",
         messages={"": "The drive would remove {removed} of the {in_view} cones in its view, and shows {seen}: either "
                       "they were cleared, or the cameras could not see them."},
-        passed="The drive removes few cones.", remedy="Check the images.",
+        passed="The drive removes few cones.", remedy="Check the images: if the cones are gone, accept the drive.",
     ),
     Check(
         name=f"{AGREEMENT}: replaced", measured="stretches of lane markings that the drive would remove",

@@ -16,20 +16,20 @@ _DEFAULT = CheckParams()
 def judge(finding: Finding, params: CheckParams = _DEFAULT) -> HealthCheck:
     """The verdict on a finding, with its message: by its row of the table, whose limits are those of the parameters.
 
-    What was not measured, or is within its limit, passes. What the analysis has corrected, or covered by larger sigmas, counts.
-    Beyond the limit follows what the row states, unless the sigmas cover its effect on positions.
+    What was not measured, or is within its limit, passes. What the analysis has corrected, or covered by larger sigmas, counts;
+    also beyond the limit, if its effect on positions is known and small enough for that. Else follows what the row states.
     """
     row, limit = TABLE[finding.check], _limit(finding, params)
     was_measured = finding.found is not None or finding.value is not None
     verdict = Verdict.PASS
-    if was_measured and _is_beyond(finding, row, limit):
-        is_covered = finding.effect_m is not None and finding.effect_m <= finding.covered_m
-        verdict = Verdict.WIDENED if is_covered else _follows(finding, row)
+    if was_measured and _is_beyond(finding, row, limit) and not _is_treated(finding, params):
+        verdict = _follows(finding, row)
     elif finding.treated:
         verdict = Verdict(finding.treated)
     messages = [row.passed if was_measured else row.unobserved]
     if verdict is not Verdict.PASS:
-        messages = [*(row.messages.get(name) or COMMON_MESSAGES[name] for name in finding.says), row.remedy]
+        says = [name for name in finding.says if name != "covered" or verdict is Verdict.WIDENED]
+        messages = [*(row.messages.get(name) or COMMON_MESSAGES[name] for name in says), row.remedy]
     value, sigma, limit = (_rounded(figure) for figure in (finding.value, finding.sigma, limit))
     return HealthCheck(
         name=row.name, verdict=verdict, value=value, sigma=sigma, limit=limit, unit=row.unit,
@@ -58,6 +58,11 @@ def _is_beyond(finding: Finding, row: Check, limit: float | None) -> bool:
     if row.is_smallest:
         return finding.value < (limit or 0.0)
     return abs(finding.value - row.expected) > (limit or 0.0)
+
+
+def _is_treated(finding: Finding, params: CheckParams) -> bool:
+    """Whether the effect on positions is corrected, or in the sigmas, and so small that cones are still told apart."""
+    return bool(finding.treated) and finding.effect_m is not None and finding.effect_m <= params.covered_m
 
 
 def _follows(finding: Finding, row: Check) -> Verdict:

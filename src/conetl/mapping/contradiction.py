@@ -108,13 +108,13 @@ def _chi2(offset_m: Floats, cov_m2: Floats, axes: slice) -> float:
 
 
 def _finding(offset_m: Floats, cov_m2: Floats, limits: AgreementParams) -> Finding:
-    level_m, up_m, size_m = float(np.hypot(*offset_m[:2])), float(offset_m[2]), float(np.linalg.norm(offset_m))
+    level_m, up_m = float(np.hypot(*offset_m[:2])), float(offset_m[2])
     apart = [f"{level_m:.2f} m from"] * (level_m > 0)
     apart += [f"{abs(up_m):.2f} m {'higher' if up_m > 0 else 'lower'} than"] * (up_m != 0)
     axes = slice(2) if level_m else slice(2, 3)
     sigma_m = (level_m or abs(up_m)) / _chi2(offset_m, cov_m2, axes) ** 0.5  # in its direction
     return Finding(
         check=POSITION if level_m else HEIGHTS, value=level_m or up_m, sigma=sigma_m,
-        limit=max(limits.widened_least_m, limits.sigmas * sigma_m), found=True, effect_m=size_m, covered_m=size_m,
+        limit=max(limits.widened_least_m, limits.sigmas * sigma_m), found=False, treated="widened",
         says=("widened",), facts={"apart": " and ".join(apart)},
     )  # fmt: skip

@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import compress
 from operator import attrgetter
+from typing import NamedTuple
 from uuid import UUID
 
 import numpy as np
@@ -47,6 +48,15 @@ from conetl.model.params import ReconcileParams
 MIN_VALID_NS = 1000
 
 
+class Doubt(NamedTuple):
+    """Why a drive may lie in the wrong place."""
+
+    finding: Finding
+    """Why it goes on hold, unless the map confirms it or one of the drives that it continues."""
+    continues: frozenset[UUID]
+    """Changesets of the drives that it continues, before and after it."""
+
+
 @dataclass(frozen=True)
 class DriveEvidence:
     """Everything that one drive, or one imported map, contributes to the map."""
@@ -69,8 +79,8 @@ class DriveEvidence:
     """What the drive had in view of lane markings."""
     imported: Sequence[ImportedFeature] = ()
     """Features of an imported map, instead of tracks; it removes nothing."""
-    doubt: Finding | None = None
-    """Why the drive's position is in doubt: it goes on hold unless the map confirms it. None if it is not in doubt."""
+    doubt: Doubt | None = None
+    """None if nothing contradicts the drive's position."""
 
 
 @dataclass(frozen=True)
@@ -110,10 +120,13 @@ def replay_drives(
     """The map made by the drives; their order does not matter.
 
     given: versions and misses of other drives, which are not compared again, with the keys of these drives. Their valid periods
-    and suppression are recomputed.
+    and suppression are recomputed. Of drives in doubt that continue each other, the map that the first of them finds decides
+    which it confirms: all are judged there, once.
     """
-    history = MapHistory()
+    history, drives = MapHistory(), list(drives)
     current: dict[UUID, FeatureVersion] = {}
+    in_doubt = {drive.changeset_id: drive for drive in drives if drive.doubt is not None}
+    confirmed: dict[UUID, bool] = {}
     events: list[tuple[DriveOrder, str, FeatureVersion | Miss | DriveEvidence]] = [
         *((key, str(state.feature_id), state) for key, state in given),
         *((drive.key, "", drive) for drive in drives),
@@ -121,7 +134,12 @@ def replay_drives(
     for _, _, event in sorted(events, key=lambda event: event[:2]):
         versions: list[FeatureVersion] = []
         if isinstance(event, DriveEvidence):
-            update = apply_drive(current, event, decisions, known=history.chains.keys())
+            if event.doubt is not None:
+                together = {event.changeset_id, *event.doubt.continues} & in_doubt.keys()
+                confirmed |= {one: _confirms(in_doubt[one], current, decisions) for one in together - confirmed.keys()}
+            known_right = event.doubt is not None and any(confirmed.get(one) for one in event.doubt.continues)
+            drive = replace(event, doubt=None) if known_right else event
+            update = apply_drive(current, drive, decisions, known=history.chains.keys())
             history.updates[event.changeset_id] = update
             versions = update.versions
         elif isinstance(event, Miss):
@@ -179,7 +197,8 @@ def apply_drive(
             line_deltas = reconcile_markings(drive.markings, lines, drive.check_view, context, offset=offset)
         if drive.changeset_id not in decisions.accepted:
             tracks = drive.tracks if contradiction is None else list(map(contradiction.on_map, drive.tracks))
-            found = None if contradiction is None and is_confirmed(deltas, drive.key[0]) else drive.doubt
+            is_sure = contradiction is None and is_confirmed(deltas, drive.key[0])
+            found = None if drive.doubt is None or is_sure else drive.doubt.finding
             found = found or check_agreement(tracks, points, deltas, drive.params)
             if contradiction is None:
                 found = found or check_marking_agreement(drive.markings, lines, line_deltas, drive.params)
@@ -189,6 +208,12 @@ def apply_drive(
             deltas = sorted([*deltas, *line_deltas], key=attrgetter("changed_at_ns", "feature_id.int"))
     widened = None if context.contradiction is None else drive.judge(context.contradiction.finding)
     return MapUpdate(deltas, next_rows(deltas, current, drive.changeset_id, decisions), widened=widened)
+
+
+def _confirms(drive: DriveEvidence, current: Mapping[UUID, FeatureVersion], decisions: Decisions) -> bool:
+    """Whether the map confirms a drive, and nothing on it contradicts the drive."""
+    update = apply_drive(current, replace(drive, doubt=None), decisions)
+    return update.widened is None and is_confirmed(update.deltas, drive.key[0])
 
 
 def next_rows(

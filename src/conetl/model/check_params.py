@@ -105,7 +105,7 @@ class MountCheckParams(Params):
     """Least roll of the cameras ..."""
     lever_arm_m: Positive = 0.3
     """... least error of their lever arm ..."""
-    sigmas: Positive = 5.5
+    sigmas: Positive = 5.0
     """... and least number of sigmas of both."""
     stretch_percent: Positive = 5.0
     """Pitch in the images beyond that of the log ..."""
@@ -168,6 +168,10 @@ class CheckParams(Params):
     """Control points."""
     region: RegionCheckParams = RegionCheckParams()
     """Extent of the map."""
+
+    covered_m: Positive = 0.3
+    """Largest error of positions that larger sigmas cover without a hold; beyond it, neighbouring cones (1 m) are taken for each
+    other. Wrong recordings of the tests that must be held have 0.5 m and more."""
 
     def value(self, name: str) -> float:
         """The limit of a name such as "jumps.least_m"."""

@@ -57,9 +57,7 @@ class Finding(Record):
     treated: Literal["", "corrected", "widened"] = ""
     """What the analysis did about it."""
     effect_m: NonNegative | None = None
-    """By how much positions are wrong because of it, where that is known ..."""
-    covered_m: NonNegative = 0.0
-    """... and how much of it their sigmas cover."""
+    """By how much positions are wrong because of it, at most; None where the data do not give it in metres."""
     says: tuple[str, ...] = ("",)
     """Names of the messages of the table that apply, in their order."""
     facts: Mapping[str, bool | int | float | str] = {}
@@ -89,7 +87,9 @@ class HealthCheck(Record):
         """The measured value with its sigma (both to two digits of the sigma), unit and limit; empty if nothing was measured."""
         if self.value is None:
             return ""
-        digits = f"z.{max(1 - floor(log10(self.sigma)), 0)}f" if self.sigma else ".3g"
+        digits = ".3g" if abs(self.value) < 1000 else ".0f"
+        if self.sigma:
+            digits = f"z.{max(1 - floor(log10(self.sigma)), 0)}f"
         sigma = f" +- {self.sigma:{digits}}" if self.sigma else ""
         limit = "" if self.limit is None else f" (limit {self.limit:.3g})"
         return f"{self.value:{digits}}{sigma}{self.unit and f' {self.unit}'}{limit}"

@@ -262,6 +262,8 @@ class TrajectoryParams(Params):
     self_calibration_readout_floor_m: Positive = 0.05
     """Sigma of a readout from the images beyond their scatter, as the distance driven in that time: points that come near are
     followed a little too far, as with a longer readout. By 0.03 m on the mean of five rendered drives, at most 0.065 m."""
+    self_calibration_readout_sigmas: Positive = 2.0
+    """A stated readout that differs from that of the images by more sigmas is estimated as if it were not stated."""
     video_readout_sigma_ms: NonNegative = 10.0
     """Prior sigma of the readout of cameras with a rolling shutter, around 0, for video whose `readout_ms` is not stated: video
     cameras and phones take 5 to 30 ms. 0: their shutters count as global, as those of images in folders and bags."""

@@ -32,7 +32,7 @@ from conetl.pipeline.markings import mark
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.tracking.association import MotionError
 from conetl.tracking.checks.exposures import check_doubled, check_exposures
-from conetl.tracking.checks.poses import check_calibration
+from conetl.tracking.checks.poses import check_calibration, check_readout
 from conetl.tracking.error_propagation import PoseCov, motion_error, pose_cov
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.rolling_shutter import matches_at_stamp, with_video_prior
@@ -146,6 +146,7 @@ def analyse(
     records = DriveRecords(drive, detections, matches, positions, tracks, rejections, markings)
     findings += [torn] if extras.odometry else []
     findings += odometry.check_poses(drive, motions, trajectory, params.trajectory, params.check)
+    findings += check_readout(calibration, given, params.trajectory)
     findings += _check_records(records, calibration, params)
     return AnalysedDrive(records, trajectory, calibration, params, tuple(judge_all(findings, params.check)))
 

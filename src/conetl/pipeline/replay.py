@@ -6,7 +6,6 @@ All of it runs inside the caller's transaction: `drive_transaction`, or `map_tra
 from __future__ import annotations
 
 import gc
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -25,7 +24,6 @@ from conetl.db.map.drive_store import read_evidence
 from conetl.db.map.map_store import require_map
 from conetl.db.map.results import NOTHING, CommittedChangeset, DriveRef, Replay, RunInfo
 from conetl.db.retention import require_comparable
-from conetl.mapping.agreement import is_confirmed
 from conetl.mapping.history import (
     DriveEvidence,
     MapHistory,
@@ -42,10 +40,6 @@ from conetl.model.health import HealthCheck, HoldChange
 from conetl.model.map_records import Changeset, Decisions, FeatureVersion
 from conetl.model.params import IngestParams
 from conetl.pipeline.compared.adjoining import WITHIN_NS, NewDrive, find_doubts
-
-_log = logging.getLogger(__name__)
-#: Holding some drives may change which others the map confirms, but rarely: trusted drives confirm older objects.
-_MOST_ROUNDS = 5
 
 
 @contextmanager
@@ -113,8 +107,9 @@ def merge_drive(
     def is_in_doubt(found: store.Neighbourhood) -> bool:
         """Whether adjoining drives contradict some of those that are compared; drives far away may have to be, too, then."""
         compared = [*found.aside, *(ref.drive_uuid for ref in found.later)]
-        doubts = find_doubts(conn, compared, _new_drive(found, drive)).values()
-        return any(doubt.contested or not doubt.is_settled for doubt in doubts)
+        return any(
+            doubt or on_hold for doubt, on_hold in find_doubts(conn, compared, _new_drive(found, drive)).values()
+        )
 
     near = store.lock_neighbourhood(
         conn, map_name, drive, changeset.idempotency_key, add, path_wkt=None if hold else path_wkt(drive), influence_m=reach_m,
@@ -217,59 +212,30 @@ def replay_of(
 
     aside: the drives whose changes are set aside; again: those of them that are compared again, as stored; own: drives that are
     compared for the first time; new_drive: the recorded one of them. Changes by all other drives to the features around `aside`
-    and `around` stay, except for their suppression. Drives that go on hold because adjoining ones contradict them, or are
-    released, are compared again, too.
+    and `around` stay, except for their suppression. Drives whose position adjoining ones contradict, and all that continue these,
+    are compared again, too: each may go on hold, or be released.
     """
     again_ids = {ref.drive_uuid for ref in again}
     fixed = [one for one in aside if one not in again_ids]
-    trusted: dict[UUID, bool] = {}
-    for _ in range(_MOST_ROUNDS):
-        doubts = find_doubts(conn, aside, new_drive, trusted)
-        while more := [one for one, doubt in doubts.items() if not doubt.is_settled and one not in aside]:
-            again = [ref for ref in store.affected_drives(conn, [*aside, *more]) if ref.drive_uuid not in fixed]
-            aside = [*fixed, *(ref.drive_uuid for ref in again)]
-            doubts = find_doubts(conn, aside, new_drive, trusted)
-        require_comparable(conn, [ref.drive_uuid for ref in again])
-        compared = [*own, *read_evidence(conn, again)]
-        changesets = {ref.drive_uuid: ref.changeset_id for ref in again}
-        if new_drive is not None:
-            changesets[new_drive.drive_uuid] = own[0].changeset_id
-        found = {changesets[one]: doubt.finding for one, doubt in doubts.items() if one in changesets}
-        merged, replay = _replay(
-            conn, aside, around, again,
-            [replace(one, doubt=found.get(one.changeset_id)) for one in compared], decisions,
-        )  # fmt: skip
-        # Whether the map confirms a drive is known only now; what continues it follows.
-        confirmed = {
-            one.changeset_id: is_confirmed(merged.updates[one.changeset_id].deltas, one.key[0]) for one in compared
-        }
-        known = {
-            one: changesets[one] in decisions.accepted or confirmed[changesets[one]]
-            for one, doubt in doubts.items()
-            if doubt.contested and one in changesets
-        }
-        if all(doubts[one].trusted == is_trusted for one, is_trusted in known.items()):
-            break
-        trusted |= known
-    else:
-        _log.warning(
-            "After %d rounds it is not settled which drives the map confirms: see `conetl drive held`.", _MOST_ROUNDS
-        )
-    return merged, replay
-
-
-def _replay(
-    conn: Connection,
-    aside: Sequence[UUID],
-    around: Sequence[UUID],
-    again: Sequence[DriveRef],
-    evidence: Sequence[DriveEvidence],
-    decisions: Decisions,
-) -> tuple[MapHistory, Replay]:
+    found = find_doubts(conn, aside, new_drive)
+    while more := [one for one, (doubt, on_hold) in found.items() if (doubt or on_hold) and one not in aside]:
+        again = [ref for ref in store.affected_drives(conn, [*aside, *more]) if ref.drive_uuid not in fixed]
+        aside = [*fixed, *(ref.drive_uuid for ref in again)]
+        found = find_doubts(conn, aside, new_drive)
+    require_comparable(conn, [ref.drive_uuid for ref in again])
+    changesets = {ref.drive_uuid: ref.changeset_id for ref in again}
+    if new_drive is not None:
+        changesets[new_drive.drive_uuid] = own[0].changeset_id
+    doubts = {
+        changesets[one]: doubt._replace(continues=frozenset(changesets[other] for other in doubt.continues))
+        for one, (doubt, _) in found.items()
+        if doubt is not None
+    }
     out = set(aside)
     versions, others = store.read_versions(conn, [*aside, *around], without=out)
     deltas = store.read_deltas(conn, aside)
     misses = store.read_misses(conn, [*aside, *around], without=out)
+    evidence = (replace(one, doubt=doubts.get(one.changeset_id)) for one in [*own, *read_evidence(conn, again)])
     merged = replay_drives(evidence, decisions, given=[*others, *misses])
     replay = Replay(
         versions_before=versions,

@@ -36,15 +36,9 @@ from conetl.geometry.calibration.self_calibration import (
     SpanPoints,
     equivalent_camera,
     estimate_right_camera,
+    readout_by_images,
 )
-from conetl.geometry.motion.rolling_shutter import (
-    is_rolling,
-    pair_shares,
-    readout_sigma_s,
-    readouts_s,
-    shutter_of,
-    with_shutters,
-)
+from conetl.geometry.motion.rolling_shutter import pair_shares, readout_sigma_s, readouts_s, shutter_of, with_shutters
 from conetl.geometry.motion.stereo_tracks import StereoTracks, cameras_of
 from conetl.geometry.packing import as_rows, vec3
 from conetl.geometry.rig import body_SE3_camera, left_SE3_right, right_camera_turned
@@ -102,7 +96,9 @@ class SelfCalibration(Record):
     """Offset of the right camera forward of its calibrated position, and its sigma (`right_camera_ahead`); empty if unknown."""
     span_count: int = Field(default=0, ge=0)
     readout_ms: tuple[float, float] | None = None
-    """By how much the readout of both cameras is longer than assumed, and the sigma of the result; None: not estimated."""
+    """By how much the readout of both cameras is longer than assumed, and the sigma of the result; None: kept as stated."""
+    readout_off_ms: tuple[float, float] | None = None
+    """By how much that of the images alone is longer than a stated one, and the sigma of the difference; None: not determined."""
 
 
 SWITCHED_OFF = SelfCalibration(outcome=SelfCalibrationOutcome.SWITCHED_OFF, detail="self-calibration is switched off")
@@ -138,7 +134,8 @@ def self_calibrate(
 
     tracks: of each span. Of the logged poses only the start of each span's motion is used.
     """
-    readouts = Readouts(readouts_s(rig), readout_sigma_s(rig)) if is_rolling(rig) else None
+    is_stated = any(shutter_of(rig, side) is not None for side in ("left", "right"))
+    readouts = Readouts(readouts_s(rig), readout_sigma_s(rig)) if is_stated else None
     points = [
         _span_points(rig, span, found, rolling=readouts is not None)
         for span, found in zip(spans, tracks, strict=True)
@@ -148,6 +145,15 @@ def self_calibrate(
         needed = params.self_calibration_min_spans
         return _without_estimate(f"{len(points)} spans of the drive could be compared, at least {needed} are needed")
     estimate = estimate_right_camera(cameras_of(rig), points, params, readouts)
+    off_s = None
+    prior_s = params.video_readout_sigma_ms * 1e-3
+    if readouts is not None and estimate is not None and readouts.sigma_s < prior_s:
+        off_s = readout_by_images(points, estimate, readouts.sigma_s, params)
+        if off_s is not None:
+            off_s = off_s[0], float(np.hypot(off_s[1], readouts.sigma_s))
+            if abs(off_s[0]) > params.self_calibration_readout_sigmas * off_s[1]:
+                readouts = readouts._replace(sigma_s=prior_s)
+                estimate = estimate_right_camera(cameras_of(rig), points, params, readouts)
     if estimate is None:
         return _without_estimate("too few points are stationary, or all of them are far away")
     unit_px = pixels_per_unit(rig)
@@ -166,7 +172,7 @@ def self_calibrate(
     off = f"off by {-shift_px[1]:+.2f} +- {sigma_px[1]:.2f} px"
     sides = f", at the sides by {-shift_px[3]:+.2f} +- {sigma_px[3]:.2f} px more" if found[3] else ""
     figures = f"disparities {off}{sides}, rows by {shift_px[0]:+.2f} +- {sigma_px[0]:.2f} px"
-    readout_ms, readout_text = _readout_of(rig, points, estimate, params)
+    readout_ms, readout_text = _readout_of(points, estimate, readouts, params)
     outcome = SelfCalibrationOutcome.APPLIED
     rotation, _ = equivalent_camera(found, rig.right.fx_px)
     bend_text = f", its columns are bent by {found[3] * unit_px[3]:+.2f} px at the sides" if found[3] else ""
@@ -184,7 +190,7 @@ def self_calibrate(
     return SelfCalibration(
         outcome=outcome, detail=detail + readout_text, rotation_rad=vec3(found[:3]), bend=float(found[3]),
         cov=tuple(posterior[np.triu_indices(4)].tolist()), model_gap=tuple(estimate.model_gap.tolist()), span_count=len(points),
-        readout_ms=readout_ms,
+        readout_ms=readout_ms, readout_off_ms=None if off_s is None else (1e3 * off_s[0], 1e3 * off_s[1]),
     )  # fmt: skip
 
 
@@ -195,21 +201,17 @@ def _span_points(rig: Rig, span: Span, tracks: StereoTracks, *, rolling: bool) -
 
 
 def _readout_of(
-    rig: Rig, spans: Sequence[SpanPoints], estimate: RightCameraError, params: TrajectoryParams
+    spans: Sequence[SpanPoints], estimate: RightCameraError, readouts: Readouts | None, params: TrajectoryParams
 ) -> tuple[tuple[float, float] | None, str]:
     """As `SelfCalibration.readout_ms`, and a part of a sentence about it."""
-    if estimate.readout_s is None:
+    if readouts is None or not readouts.sigma_s:
         return None, ""
-    longer_s, own_s = estimate.readout_s
-    prior2 = readout_sigma_s(rig) ** 2
-    # What the images alone say, with the error that all spans have in common.
-    information = max(own_s**-2 - 1 / prior2, 1e-9)
-    driven_m = sum(float(np.linalg.norm(span.last_SE3_first[:3, 3])) for span in spans)
-    speed_m_s = driven_m / max(sum(span.lasts_s for span in spans), 1e-9)
-    variance = 1 / information + (params.self_calibration_readout_floor_m / speed_m_s) ** 2
-    gain = prior2 / (prior2 + variance)
-    longer_ms, sigma_ms = 1e3 * gain * longer_s * own_s**-2 / information, 1e3 * (gain * variance) ** 0.5
-    found_ms = float(readouts_s(rig)[0]) * 1e3 + longer_ms
+    found = readout_by_images(spans, estimate, readouts.sigma_s, params)
+    if found is None:
+        return None, ""
+    gain = readouts.sigma_s**2 / (readouts.sigma_s**2 + found[1] ** 2)
+    longer_ms, sigma_ms = 1e3 * gain * found[0], 1e3 * gain**0.5 * found[1]
+    found_ms = float(readouts.stated_s[0]) * 1e3 + longer_ms
     text = f"; by the images, the rows of an image are exposed within {found_ms:.0f} +- {sigma_ms:.0f} ms (rolling shutter)"
     return (longer_ms, sigma_ms), text
 

@@ -22,8 +22,9 @@ CLIMB = "heights of GNSS/INS"  # hold where it is not 1, by 0.3 and 6 sigmas
         (K1, {"value": -0.021, "sigma": 0.001}, Verdict.HOLD),
         (K1, {"value": 0.021, "sigma": 0.004}, Verdict.PASS),
         (K1, {"value": 0.025, "sigma": 0.004}, Verdict.HOLD),
-        (K1, {"value": 0.3, "sigma": 0.001, "effect_m": 0.1, "covered_m": 0.09}, Verdict.HOLD),
-        (K1, {"value": 0.3, "sigma": 0.001, "effect_m": 0.1, "covered_m": 0.11}, Verdict.WIDENED),
+        (K1, {"value": 0.3, "sigma": 0.001, "effect_m": 0.1}, Verdict.HOLD),
+        (K1, {"value": 0.3, "sigma": 0.001, "effect_m": 0.1, "treated": "widened"}, Verdict.WIDENED),
+        (K1, {"value": 0.3, "sigma": 0.001, "effect_m": 0.31, "treated": "widened"}, Verdict.HOLD),
         (K1, {"value": 0.03, "sigma": 0.001, "limit": 0.04}, Verdict.PASS),
         (ROWS, {"value": 2.0, "sigma": 0.1, "treated": "corrected", "says": ("turned",)}, Verdict.CORRECTED),
         (ROWS, {"value": 5.0, "sigma": 0.1, "treated": "corrected", "says": ("turned",)}, Verdict.HOLD),
@@ -53,6 +54,20 @@ def test_a_message_says_what_was_found_and_what_to_do_or_why_nothing_was() -> No
     assert held.detail.endswith("Calibrate the rig (conetl calibrate).")
     assert judge(Finding(check=K1)).detail == "The images do not show enough for this check."
     assert judge(Finding(check=K1, value=0.0)).detail == "The distortion of both lenses agrees with the calibration."
+
+
+def test_only_what_larger_sigmas_cover_says_that_they_do() -> None:
+    finding = Finding(
+        check="distances by images and by GNSS/INS",
+        value=1.5,
+        sigma=0.1,
+        treated="widened",
+        says=("", "covered"),
+        effect_m=0.2,
+    )
+    covered, held = judge(finding), judge(finding.model_copy(update={"effect_m": 0.5}))
+    assert (covered.verdict, held.verdict) == (Verdict.WIDENED, Verdict.HOLD)
+    assert covered.detail == f"{held.detail} The sigmas of all positions include such a drift."
 
 
 def test_what_earlier_releases_stored_is_read() -> None:

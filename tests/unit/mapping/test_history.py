@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from conetl.geometry.packing import vec3
-from conetl.mapping.history import DriveEvidence, MapHistory, replay_drives
+from conetl.mapping.history import Doubt, DriveEvidence, MapHistory, replay_drives
 from conetl.mapping.visibility import NotObserved
+from conetl.model.health import ADJOINING, Finding
 from conetl.model.map_records import Decisions, DeltaKind, DriveOrder, FeatureVersion, Location, Miss
 from tests.records import DAY_NS, standing_at, track
 from tests.synthetic.painted_road import random_painted_drives
@@ -323,3 +324,27 @@ def test_a_cone_set_up_during_overlapping_drives_is_not_removed() -> None:
     chains = replay_drives([late, early]).chains
     assert chains
     assert all(chain[-1].present for chain in chains.values())
+
+
+def test_drives_in_doubt_do_not_confirm_each_other() -> None:
+    """Parts of one recording, two hours apart: the first would count if the second did, which finds the cones of the first."""
+
+    def part(name: str, hour: int, off_m: float = 0.0) -> DriveEvidence:
+        at_ns, seen = START_NS + hour * HOUR_NS, []
+        for k in range(4):
+            there = standing_at((ORIGIN_M + np.array([10.0 * k + off_m, 3.0 + k, 0.0])).tolist())
+            members = tuple((frame, k) for frame in range(3))
+            seen.append(track(**there, seen_ns=at_ns).model_copy(update={"members": members}))
+        return evidence_of(name, at_ns, seen, ORIGIN_M[None, :2], check_visibility=lambda *_: None)
+
+    first, second = part("first", 24), part("second", 26)
+    finding = Finding(check=ADJOINING, found=True, says=("continues",), facts={"drive_id": "other"})
+    in_doubt = [
+        replace(one, doubt=Doubt(finding, frozenset({other.changeset_id})))
+        for one, other in ((first, second), (second, first))
+    ]
+    both = {first.changeset_id, second.changeset_id}
+    for drives in permutations(in_doubt):
+        assert set(holds(replay_drives(drives))) == both
+        assert set(holds(replay_drives([*drives, part("elsewhere", 0, 60.0)]))) == both
+        assert not holds(replay_drives([*drives, part("day before", 0)]))

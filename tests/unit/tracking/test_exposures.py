@@ -13,8 +13,9 @@ from conetl.checks.verdict import judge
 from conetl.geometry.motion.stereo_motion import StereoCameras
 from conetl.model.drive import FramePair, Track
 from conetl.model.health import Verdict
-from conetl.tracking.checks.exposures import check_doubled, right_camera_ahead
+from conetl.tracking.checks.exposures import check_doubled, check_exposures, right_camera_ahead
 from tests import records
+from tests.synthetic.world import make_path, make_rig
 
 BASELINE_M, SPANS, POINTS = 0.4, 20, 150
 INTRINSICS = np.array([700.0, 700.0, 480.0, 200.0])
@@ -80,6 +81,16 @@ def test_a_late_trigger_differs_from_a_moved_camera_where_the_speed_changes(
     share, _, growing, sigma = right_camera_ahead(cameras(), spans, speeds.tolist())
     assert share * BASELINE_M == pytest.approx(0.05, abs=0.005)
     assert abs(growing - (share if grows else 0.0)) < 3 * sigma < abs(share)
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.015, "widened"), (0.025, "widened"), (0.2, "hold")])
+def test_an_offset_is_held_if_it_moves_cones_by_more_than_sigmas_cover(share: float, verdict: str) -> None:
+    """Of a baseline of 0.4 m, cones 4 m beside the path are off by nine times the offset."""
+    rig, pairs = make_rig(), make_path(20)
+    [finding] = check_exposures((share, 0.002, 0.0, 0.5), rig, pairs)
+    assert finding.effect_m == pytest.approx(share * (4.0 - rig.baseline_m))
+    found = judge(finding)
+    assert found.verdict == verdict and ("sigmas of all positions include" in found.detail) == (verdict == "widened")
 
 
 def test_few_spans_say_nothing() -> None:

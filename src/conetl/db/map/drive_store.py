@@ -165,6 +165,8 @@ class AdjoiningDrive(NamedTuple):
     captured_from_ns: int
     on_hold: bool
     """For the check of adjoining drives."""
+    accepted: bool
+    """By a person."""
 
 
 def adjoining_drives(
@@ -178,15 +180,6 @@ def adjoining_drives(
     of = {"drive_uuids": list(drive_uuids), "within_ns": within_ns, "check": json_text([{"name": ADJOINING}])}
     rows = read(conn, _UNREAD, "drives.adjoining_drives", **of)
     return [(row.pop("of_uuid"), AdjoiningDrive(**row | {"rig": Rig.model_validate(row["rig"])})) for row in rows]
-
-
-def trusted_drives(
-    conn: Connection, drive_uuids: Collection[UUID], least_confirmed: int, before_ns: int
-) -> frozenset[UUID]:
-    """Those of drive_uuids that a person accepted, or that the map confirms (`mapping.agreement.is_confirmed`, as stored)."""
-    of = {"drive_uuids": list(drive_uuids), "least_confirmed": least_confirmed, "before_ns": before_ns}
-    rows = read(conn, _UNREAD, "drives.trusted_drives", **of)
-    return frozenset(row["drive_uuid"] for row in rows)
 
 
 def read_ends(conn: Connection, drive_uuids: Collection[UUID], count: int) -> dict[UUID, list[FramePair]]:

@@ -76,7 +76,7 @@ class Readouts(NamedTuple):
     stated_s: Floats
     """(2,) of the left and the right camera."""
     sigma_s: float
-    """Prior sigma of a change of both; 0: nothing is estimated."""
+    """Prior sigma of a change of both; 0: none is made, only estimated."""
 
 
 class RightCameraError(NamedTuple):
@@ -89,7 +89,7 @@ class RightCameraError(NamedTuple):
     model_gap: Floats
     """(4,): change of the estimate if disparities may also follow a fourth-order field."""
     readout_s: tuple[float, float] | None = None
-    """Change of both readouts and its sigma, prior included; None where it was not asked for."""
+    """Change of both readouts and its sigma, prior included if there is one; None of a global shutter, or if not determined."""
 
 
 def corrected(cameras: StereoCameras, turn_and_bend: Floats) -> StereoCameras:
@@ -149,7 +149,27 @@ def estimate_right_camera(
         else:
             return None
     readout_s = (float(state[_READOUT]), float(cov[_READOUT, _READOUT] ** 0.5)) if sigma_s > 0 else None
+    if readouts is not None and sigma_s == 0:  # one step shows which change would fit better
+        normals, scores, _ = _step_spans(corrected(cameras, state[:_SKEW]), state[_SKEW], joint, np.zeros(1))
+        further = _combine(normals, scores, np.zeros(_SHARED + 1), np.append(state, 0.0))
+        readout_s = (
+            None if further is None else (float(further[0][_READOUT]), float(further[1][_READOUT, _READOUT] ** 0.5))
+        )
     return RightCameraError(state[:_SKEW], cov[:_SKEW, :_SKEW], gap[:_SKEW], readout_s)
+
+
+def readout_by_images(
+    spans: Sequence[SpanPoints], estimate: RightCameraError, prior_s: float, params: TrajectoryParams
+) -> tuple[float, float] | None:
+    """By how much the readout is longer, and its sigma (s): without the prior, with the error that all spans have in common."""
+    if estimate.readout_s is None:
+        return None
+    longer_s, own_s = estimate.readout_s
+    information = max(own_s**-2 - (prior_s**-2 if prior_s else 0.0), 1e-9)
+    driven_m = sum(float(np.linalg.norm(span.last_SE3_first[:3, 3])) for span in spans)
+    speed_m_s = driven_m / max(sum(span.lasts_s for span in spans), 1e-9)
+    sigma_s = float(np.hypot(information**-0.5, params.self_calibration_readout_floor_m / max(speed_m_s, 1e-3)))
+    return longer_s * own_s**-2 / information, sigma_s
 
 
 def _at_stamp(cameras: StereoCameras, span: SpanPoints, start: Floats | None, readouts_s: Floats) -> SpanPoints:

@@ -15,10 +15,10 @@ from uuid import UUID
 import numpy as np
 
 from conetl.db.connection import Connection
-from conetl.db.map.drive_store import AdjoiningDrive, adjoining_drives, read_ends, trusted_drives
+from conetl.db.map.drive_store import AdjoiningDrive, adjoining_drives, read_ends
 from conetl.geometry.motion.steps import max_deviation_m
 from conetl.geometry.rig import map_SE3_left
-from conetl.mapping.agreement import BEFORE_NS, LEAST_CONFIRMED
+from conetl.mapping.history import Doubt
 from conetl.model.arrays import Floats
 from conetl.model.check_params import JumpCheckParams
 from conetl.model.drive import Drive, FramePair
@@ -34,21 +34,13 @@ _PAIRS, _NEAR_NS, _LEAST_COSINE = 10, 500_000_000, 0.8
 _LIMITS = JumpCheckParams()
 
 
-class Doubt(NamedTuple):
-    """Whether a drive may lie in the wrong place."""
+class Adjoining(NamedTuple):
+    """What is known of a drive from those before and after it."""
 
-    finding: Finding | None
-    """Why the drive goes on hold, unless it is trusted itself; None if nothing contradicts it, or it continues a trusted one."""
-    contested: bool
-    """Whether it, or one that it continues, is contradicted at all."""
-    trusted: bool
-    """Whether a person or the map says that it is right itself."""
+    doubt: Doubt | None
+    """None if nothing contradicts it or what it continues, or if a person accepted one of these."""
     on_hold: bool
     """Whether it is on hold for this already."""
-
-    @property
-    def is_settled(self) -> bool:
-        return self.on_hold == (self.finding is not None and not self.trusted)
 
 
 class NewDrive(NamedTuple):
@@ -67,29 +59,27 @@ class _Part(NamedTuple):
 
 
 def find_doubts(
-    conn: Connection,
-    drive_uuids: Collection[UUID],
-    new_drive: NewDrive | None = None,
-    trusted: Mapping[UUID, bool] | None = None,
-) -> dict[UUID, Doubt]:
+    conn: Connection, drive_uuids: Collection[UUID], new_drive: NewDrive | None = None
+) -> dict[UUID, Adjoining]:
     """Which of some drives, and of those that they contradict or continue, may lie in the wrong place.
 
-    drive_uuids: of one map. Those that no longer count are not in the result, but the drives that they held are. trusted: whether
-    the map confirms some drives, if known better than it is stored. Raises DatabaseError from the surrounding transaction.
+    drive_uuids: of one map. Those that no longer count are not in the result, but the drives that they held are. The drives that
+    an old one continues are compared even if nothing contradicts it: it may have been what the map confirmed of them. Raises
+    DatabaseError from the surrounding transaction.
     """
     drives: dict[UUID, AdjoiningDrive] = {}
     parts: dict[UUID, _Part] = {}
     links: dict[UUID, dict[UUID, float]] = {}
-    trust = dict(trusted or {})
-    gone = frozenset[UUID]() if new_drive is None else new_drive.replaces
+    gone, new = frozenset[UUID](), set[UUID]()
     if new_drive is not None:
-        drive, pairs = new_drive.drive, sorted(new_drive.drive.frame_pairs, key=lambda pair: pair.captured_at_ns)
+        gone, new, drive = new_drive.replaces, {new_drive.drive_uuid}, new_drive.drive
+        pairs = sorted(drive.frame_pairs, key=lambda pair: pair.captured_at_ns)
         drives[new_drive.drive_uuid] = AdjoiningDrive(
-            new_drive.drive_uuid, drive.drive_id, drive.rig, pairs[0].captured_at_ns, False
+            new_drive.drive_uuid, drive.drive_id, drive.rig, pairs[0].captured_at_ns, on_hold=False, accepted=False
         )
         parts[new_drive.drive_uuid] = _Part(drive.rig, pairs)
-        trust.setdefault(new_drive.drive_uuid, False)
-    todo, explored, reached = set(drive_uuids), set[UUID](), set[UUID]()
+    todo, explored = set(drive_uuids), set[UUID]()
+    doubted = todo - new
     while todo:
         found = [(of, other) for of, other in adjoining_drives(conn, todo, WITHIN_NS) if other.drive_uuid not in gone]
         drives |= {other.drive_uuid: other for _, other in found}
@@ -107,28 +97,20 @@ def find_doubts(
             if off_m is not None:
                 links.setdefault(one, {})[other] = links.setdefault(other, {})[one] = off_m
         explored |= todo
-        reached |= {of for of in explored & links.keys() if any(links[of].values())}
-        asked = (reached & drives.keys()) - trust.keys()
-        if asked:
-            by_map = trusted_drives(conn, asked, LEAST_CONFIRMED, BEFORE_NS)
-            trust |= {drive_uuid: drive_uuid in by_map for drive_uuid in asked}
-        held = {other.drive_uuid for _, other in found if other.on_hold}
-        doubted = {of for of in explored & reached if not trust[of]} | (held & explored)
-        continued = {other for of in doubted for other in links.get(of, {})}
-        reached |= continued
-        todo = (
-            held | continued | {other for of in explored for other in links.get(of, {}) if links[of][other]}
-        ) - explored
-    spread = _propagate(drives, links, trust)
+        doubted |= {other.drive_uuid for _, other in found if other.on_hold}
+        doubted |= {of for of in explored & links.keys() if any(links[of].values())}
+        doubted |= {other for of in doubted & links.keys() for other in links[of]}
+        todo = doubted - explored
+    spread = _propagate(drives, links)
     return {of: spread[of] for of in explored & spread.keys()}
 
 
 def _propagate(
-    drives: Mapping[UUID, AdjoiningDrive], links: Mapping[UUID, Mapping[UUID, float]], trust: Mapping[UUID, bool]
-) -> dict[UUID, Doubt]:
+    drives: Mapping[UUID, AdjoiningDrive], links: Mapping[UUID, Mapping[UUID, float]]
+) -> dict[UUID, Adjoining]:
     """The doubts about drives that contradict each other, and about all that continue them."""
     in_order = sorted(drives, key=lambda one: (drives[one].captured_from_ns, drives[one].drive_id))
-    doubts: dict[UUID, Doubt] = {}
+    doubts: dict[UUID, Adjoining] = {}
     for first in in_order:
         if first in doubts:
             continue
@@ -140,12 +122,13 @@ def _propagate(
             for one in sorted(chain, key=in_order.index)
             if (other := next((other for other in in_order if links.get(one, {}).get(other)), None)) is not None
         }
-        trusted = {one for one in chain if trust.get(one)}
+        is_known = not contradicted or any(drives[one].accepted for one in chain)
         for one in chain:
-            finding = None
-            if contradicted and not trusted - {one}:
+            doubt = None
+            if not is_known:
                 finding = contradicted.get(one) or _continuation(drives[next(iter(contradicted))].drive_id)
-            doubts[one] = Doubt(finding, bool(contradicted), one in trusted, drives[one].on_hold)
+                doubt = Doubt(finding, frozenset(chain) - {one})
+            doubts[one] = Adjoining(doubt, drives[one].on_hold)
     return doubts
 
 

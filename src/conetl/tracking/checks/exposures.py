@@ -38,6 +38,8 @@ EXPOSURES, DOUBLED = "exposures of both cameras", "images of one instant"
 _DEFAULT = ExposureCheckParams()
 #: Share of the baseline to which the offset of the right camera along the path is known at best.
 _FLOOR = 0.002
+#: Distance of cones from the path in which the effect of the offset is stated; most are nearer.
+_BESIDE_M = 4.0
 #: Points are outliers beyond this many sigmas of the median deviation.
 _OUTLIER_SIGMAS, _ROUNDS = 3.0, 6
 _LEAST_SPANS = 8
@@ -119,8 +121,11 @@ def check_exposures(
     speed_m_s = max(float(np.median(np.linalg.norm(np.diff(path, axis=0), axis=1) / seconds)), 1e-3)
     where, when = ("ahead of", "late") if off_m > 0 else ("behind", "early")
     facts = {"speed_m_s": speed_m_s, "late_ms": abs(off_m) / speed_m_s * 1e3, "where": where, "when": when}
-    finding = Finding(check=EXPOSURES, value=off_m, sigma=sigma_m, limit=limit_m, facts=facts)
-    return [finding.model_copy(update={"says": ("", _cause(ahead)), "treated": "widened" if is_ahead(ahead) else ""})]
+    finding = Finding(
+        check=EXPOSURES, value=off_m, sigma=sigma_m, limit=limit_m, facts=facts, says=("", _cause(ahead), "covered")
+    )
+    effect_m = abs(off_m) * abs(_BESIDE_M - baseline_m) / baseline_m
+    return [finding.model_copy(update={"treated": "widened" if is_ahead(ahead) else "", "effect_m": effect_m})]
 
 
 def _cause(ahead: tuple[float, ...]) -> str:
@@ -184,35 +189,29 @@ def check_lost_frames(
     alone = even & usual[:-2] & ~usual[1:-1] & usual[2:] & (lengths_m[1:-1] > _LEAST_STEP_M)
     suspected = (np.flatnonzero(alone) + 1).tolist()
 
-    def again(k: int, factor: float) -> float:
-        return _times_expected(factor, pairs[k], pairs[k + 1], rig, read, params)
+    def ratio(k: int, factor: float) -> float:
+        """How many times as long the images show an interval, searched around a factor if it was not measured."""
+        if not np.isnan(ratios[k]):
+            return float(ratios[k])
+        start, end = (np.array(pair.pose.map_t_body_m) for pair in pairs[k : k + 2])
+        longer = pairs[k + 1].with_pose(map_t_body_m=vec3(start + factor * (end - start)))
+        shift_m, expected_m = np.linalg.norm(_shifts_m(pairs[k], longer, rig, read, params), axis=1)
+        return float(factor * shift_m / expected_m)
 
     found = [
         pairs[k + 1].frame_index
         for k in evenly_spaced(suspected, _MOST_TRIED)
-        if any(
-            _is_about(ratios[k], factor, uneven)
-            or (np.isnan(ratios[k]) and _is_about(again(k, factor), factor, uneven))
-            for factor in (2.0, 0.5)
-        )
+        if any(abs(ratio(k, factor) - factor) < uneven * factor for factor in (2.0, 0.5))
     ]
     facts = {"first": found[0]} if found else {}
     return Finding(check="frames lost by both cameras", value=float(len(found)), facts=facts)
 
 
-def _times_expected(
-    factor: float, first: FramePair, second: FramePair, rig: Rig, read: ImageReader, params: TrajectoryParams
-) -> float:
-    """How many times the motion of their poses the images of two frame pairs show, searched around a factor."""
-    start, end = np.array(first.pose.map_t_body_m), np.array(second.pose.map_t_body_m)
-    both = first, second.with_pose(map_t_body_m=vec3(start + factor * (end - start)))
+def _shifts_m(first: FramePair, second: FramePair, rig: Rig, read: ImageReader, params: TrajectoryParams) -> Floats:
+    """(2, 3): by how much the camera moves between two frame pairs by their images (NaN: not measured), and by their poses."""
+    both = first, second
     [motion] = motions_of(follow_drive(both, rig, read, params), both, rig, params)
-    expected_m = float(np.linalg.norm(expected_motions(both, rig)[0][:3, 3]))
-    return factor * float(np.linalg.norm(motion.shift_m())) / expected_m
-
-
-def _is_about(ratio: float, factor: float, share: float) -> bool:
-    return bool(abs(ratio - factor) < share * factor)
+    return np.stack([motion.shift_m(), expected_motions(both, rig)[0][:3, 3]])
 
 
 def check_recording(
@@ -262,14 +261,14 @@ def _goes_elsewhere(
     def evened(pair: FramePair, side: Side) -> Image:
         return np.asarray(cv2.equalizeHist(read(pair, side)))  # the exposure may change from one image to the next
 
-    def off_of(first: int, second: int) -> Floats:
-        both = pairs[k + first], pairs[k + second]
-        [motion] = motions_of(follow_drive(both, rig, evened, params), both, rig, params)
-        return np.asarray(motion.shift_m() - expected_motions(both, rig)[0][:3, 3])
+    def off_of(ends: Sequence[tuple[int, int]]) -> Floats:
+        inside = [(k + first, k + second) for first, second in ends if k + first >= 0 and k + second < len(pairs)]
+        shifts_m = [_shifts_m(pairs[first], pairs[second], rig, evened, params) for first, second in inside]
+        return np.array([in_images - in_log for in_images, in_log in shifts_m])
 
-    across = np.array([off_of(*ends) for ends in _ACROSS])
+    across = off_of(_ACROSS)
     if np.isnan(off_m).any():
-        beside = np.array([off_of(*ends) for ends in _BESIDE if k + ends[0] >= 0 and k + ends[1] < len(pairs)])
+        beside = off_of(_BESIDE)
         return bool(np.isnan(across).all() and (np.linalg.norm(beside, axis=1) < elsewhere_m).all())
     known = across[~np.isnan(across[:, 0])]
     return len(known) > 1 and bool((np.linalg.norm(known - off_m, axis=1) < np.linalg.norm(off_m) / 2).all())

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from conetl.model.arrays import Floats
 from conetl.model.check_params import PathCheckParams
-from conetl.model.drive import FramePair
 from conetl.model.health import Finding
 from conetl.model.params import TrajectoryParams
 from conetl.tracking.log.log_errors import GROUPS, LogErrors, assumed_errors, compared_frames
@@ -26,9 +23,7 @@ _NAMES = ("easting and northing", "height", "roll and pitch", "heading")
 assert len(_NAMES) == len(GROUPS)
 
 
-def check_path(
-    frame_pairs: Sequence[FramePair], trajectory: RefinedTrajectory, params: TrajectoryParams, limits: PathCheckParams
-) -> list[Finding]:
+def check_path(trajectory: RefinedTrajectory, params: TrajectoryParams, limits: PathCheckParams) -> list[Finding]:
     """Distances, directions, lever arm and heights of a log against the images, and its stated sigmas."""
     findings, fit = [_stated_sigmas(trajectory, limits)], trajectory.path
     if fit is None or not fit.is_shown:
@@ -44,16 +39,22 @@ def check_path(
         *findings,
         Finding(
             check=DISTANCES, value=100 * float(fit.found[SCALE]), sigma=100 * float(sigma[SCALE]), treated=treated[SCALE],
-            says=("", "covered"),
+            effect_m=_drift_m(fit, SCALE), says=("", "covered"),
         ),
         Finding(
             check="alignment of cameras and GNSS/INS", value=angle_deg, sigma=angle_sigma_deg, treated=treated[k],
-            says=("", "covered"),
+            effect_m=_drift_m(fit, ASIDE, UP), says=("", "covered"),
             facts={"way": way, "drift_cm": 100 * float(abs(fit.found[k]))},
         ),
         Finding(check="lever arm of the cameras", value=float(arm_m), sigma=float(arm_sigma_m), facts={"way": arm_way}),
         _heights(fit, trajectory.errors or assumed_errors(params)),
     ]  # fmt: skip
+
+
+def _drift_m(fit: PathFit, *which: int) -> float:
+    """By how much the positions of a drive differ if the log drifts so, from one end of the path to the other. A wrong scale or
+    alignment is less in cones: they are nearer than the path is long."""
+    return float(np.linalg.norm(np.ptp(fit.changes[:, :, which] @ fit.found[list(which)], axis=0)))
 
 
 def _heights(fit: PathFit, errors: LogErrors) -> Finding:
@@ -79,12 +80,8 @@ def _heights(fit: PathFit, errors: LogErrors) -> Finding:
     factor, sigma = 1 + float(found[-1]), float(np.linalg.norm([cov[-1, -1] ** 0.5, alike, wrong]))
     likely = {1 / _FOOT_M: "feet", _FOOT_M: "feet twice"}
     named = (cause for times, cause in likely.items() if abs(factor / times - 1) < _SAME_FACTOR)
-    return Finding(
-        check="heights of GNSS/INS",
-        value=factor,
-        sigma=sigma,
-        says=("", "sign" if factor < 0 else next(named, "unit")),
-    )
+    says = "", "sign" if factor < 0 else next(named, "unit")
+    return Finding(check="heights of GNSS/INS", value=factor, sigma=sigma, says=says)
 
 
 def _slope_variance(climbs_m: Floats, driven_m: Floats) -> float:
@@ -98,10 +95,7 @@ def _slope_variance(climbs_m: Floats, driven_m: Floats) -> float:
 def _stated_sigmas(trajectory: RefinedTrajectory, limits: PathCheckParams) -> Finding:
     """By what factor the stated sigmas are too small, where the images show that."""
     if trajectory.outcome is RefinementOutcome.AGAINST_STATED_SIGMAS:
-        detail = trajectory.detail
-        return Finding(
-            check=SIGMAS, found=True, says=("moved",), facts={"outcome": f"{detail[0].upper()}{detail[1:]}."}
-        )
+        return Finding(check=SIGMAS, found=True, says=("moved",), facts={"outcome": sentence(trajectory.detail)})
     if trajectory.errors is None:
         return Finding(check=SIGMAS)
     factor, group = max((shares.factor**0.5, k) for k, shares in enumerate(trajectory.errors))
@@ -109,3 +103,8 @@ def _stated_sigmas(trajectory: RefinedTrajectory, limits: PathCheckParams) -> Fi
         check=SIGMAS, value=factor, treated="widened" if factor > limits.worth_saying else "", facts={"of": _NAMES[group]},
         says=("", "widened" if factor <= limits.sigma_factor else "beyond"),
     )  # fmt: skip
+
+
+def sentence(detail: str) -> str:
+    """A detail as a sentence of its own."""
+    return f"{detail[0].upper()}{detail[1:]}."

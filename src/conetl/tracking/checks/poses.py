@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
+from conetl.geometry.motion.rolling_shutter import readouts_s
 from conetl.geometry.motion.stereo_motion import RelativeMotion
+from conetl.geometry.motion.stereo_tracks import expected_motions
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.check_params import CheckParams
 from conetl.model.drive import MIN_DETAIL, FramePair
@@ -16,7 +20,7 @@ from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig
 from conetl.tracking.checks.jumps import JUMPS, check_jumps, check_turn_jumps
 from conetl.tracking.checks.mount import STRETCH, check_mount
-from conetl.tracking.checks.path import DISTANCES, check_path
+from conetl.tracking.checks.path import DISTANCES, check_path, sentence
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
 from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOutcome
 from conetl.tracking.trajectory import (
@@ -28,8 +32,12 @@ from conetl.tracking.trajectory import (
     read_log,
 )
 
+CLOCK = "clock of GNSS/INS against the cameras"
 #: Checks that no offset of the clocks explains.
 _NOT_OF_CLOCKS = (JUMPS, DISTANCES, STRETCH)
+#: Times up to this many intervals away are tried, with this many motions. One fits if others fit worse by this factor; an angle
+#: counts as what it moves at this distance.
+_MOST_LAG, _MOST_MOTIONS, _LAG_FITS, _TURNED_M = 30, 400, 3.0, 8.0
 #: A drive of fewer intervals has too little evidence, except for jumps.
 _LEAST_INTERVALS = 8
 #: A vehicle reverses in intervals in which it moves this many metres, and this many of the sigmas of the log's change.
@@ -65,6 +73,11 @@ def check_trajectory(
     good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
     if len(frame_pairs) <= _LEAST_INTERVALS:
         return [check_jumps(frame_pairs, rig, measured, good, limits.jumps, params.clock_sigma_s)]
+    if lag_s := _lag_s(frame_pairs, rig, measured):
+        # Poses of another time show nothing else.
+        facts: dict[str, float | str] = {"lag_s": abs(lag_s), "order": "later" if lag_s > 0 else "earlier"}
+        late = Finding(check=CLOCK, value=-1e3 * lag_s, found=True, says=("late",), facts=facts)
+        return [_measured(frame_pairs, rig, measured.start, limits), late]
     residual = motion_residuals(log, log.rotations, log.positions, measured, 0.0)[0]
     findings = [
         _measured(frame_pairs, rig, measured.start, limits),
@@ -73,15 +86,35 @@ def check_trajectory(
         check_jumps(frame_pairs, rig, measured, good, limits.jumps, params.clock_sigma_s),
         check_turn_jumps(frame_pairs, rig, measured, good, limits.jumps),
         _clock(trajectory.clock, params),
-        *check_path(frame_pairs, trajectory, params, limits.path),
+        *check_path(trajectory, params, limits.path),
         *([] if is_interpolated(frame_pairs) else check_mount(log, measured, good, residual, limits.mount)),
         *_directions(frame_pairs, log, measured, residual),
     ]
     return [_with_likely_cause(finding, trajectory.clock, params) for finding in findings]
 
 
-def _sentence(detail: str) -> str:
-    return f"{detail[0].upper()}{detail[1:]}."
+def _lag_s(frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions) -> float:
+    """By how much later the log shows the motions in the images, to one interval; 0 unless they fit another time, and only one.
+
+    Larger offsets than `estimate_clock` tries: of images and poses that were numbered differently, or of a recorder that was
+    started later.
+    """
+    some = evenly_spaced(range(len(measured.start)), _MOST_MOTIONS)
+    start, seen = measured.start[some], measured.next_SE3_first[some]
+    logged, misfits = np.array(expected_motions(frame_pairs, rig)), dict[int, float]()
+    for lag in range(-_MOST_LAG, _MOST_LAG + 1):
+        there = start + lag
+        both = (there >= 0) & (there < len(logged))
+        if both.sum() < _LEAST_INTERVALS:
+            continue
+        turned = Rotation.from_matrix(seen[both, :3, :3] @ np.swapaxes(logged[there[both], :3, :3], 1, 2)).magnitude()
+        shifted_m = np.linalg.norm(seen[both, :3, 3] - logged[there[both], :3, 3], axis=1)
+        misfits[lag] = float(np.median(np.hypot(shifted_m, _TURNED_M * turned)))
+    best = min(misfits, key=lambda lag: misfits[lag], default=0)
+    others = [misfit for lag, misfit in misfits.items() if abs(lag - best) > 1]
+    if best == 0 or _LAG_FITS * misfits[best] > min([misfits.get(0, 0.0), *others]):
+        return 0.0
+    return best * float(np.median(np.diff([pair.captured_at_ns for pair in frame_pairs]))) * 1e-9
 
 
 def _with_likely_cause(finding: Finding, clock: ClockOffset | None, params: TrajectoryParams) -> Finding:
@@ -103,12 +136,22 @@ def check_calibration(calibration: SelfCalibration) -> Finding:
     """Whether the images contradict the calibration, and by more than it can be corrected."""
     outcome, found = calibration.outcome, calibration.outcome is SelfCalibrationOutcome.IMPLAUSIBLE
     return Finding(
-        check=CALIBRATION,
-        found=found,
-        says=("implausible" if found else "",),
-        treated="corrected" if outcome is SelfCalibrationOutcome.APPLIED else "",
-        facts={"outcome": _sentence(calibration.detail)},
-    )
+        check=CALIBRATION, found=found, says=("implausible" if found else "",),
+        treated="corrected" if outcome is SelfCalibrationOutcome.APPLIED else "", facts={"outcome": sentence(calibration.detail)},
+    )  # fmt: skip
+
+
+def check_readout(calibration: SelfCalibration, rig: Rig, params: TrajectoryParams) -> list[Finding]:
+    """Whether the images contradict the stated readout of the cameras; none where none is stated. rig: as it was read."""
+    if calibration.readout_off_ms is None:
+        return []
+    off_ms, sigma_ms = calibration.readout_off_ms
+    is_off, stated_ms = abs(off_ms) > params.self_calibration_readout_sigmas * sigma_ms, 1e3 * float(readouts_s(rig)[0])
+    finding = Finding(
+        check="readout of the images", value=off_ms, sigma=sigma_ms, found=False, treated="corrected" if is_off else "",
+        facts={"stated_ms": stated_ms, "found_ms": stated_ms + off_ms},
+    )  # fmt: skip
+    return [finding]
 
 
 def _directions(
@@ -151,19 +194,16 @@ def _measured(frame_pairs: Sequence[FramePair], rig: Rig, starts: Ints, limits: 
     in_part = end - first > limits.odometry.max_lost_share * intervals
     lost = bool(np.median(details) >= MIN_DETAIL and share < limits.odometry.least_measured_share)
     says, facts = _against_itself(frame_pairs, rig) if lost or in_part else ((), {})
+    facts |= {
+        "measured": measured,
+        "intervals": intervals,
+        "lost": end - first,
+        "first": frame_pairs[first].frame_index,
+    }
     return Finding(
-        check="intervals measured by visual odometry",
-        value=share,
-        found=lost or in_part,
-        says=("" if lost else "part", *says),
-        facts={
-            "measured": measured,
-            "intervals": intervals,
-            "lost": end - first,
-            "first": frame_pairs[first].frame_index,
-            **facts,
-        },
-    )
+        check="intervals measured by visual odometry", value=share, found=lost or in_part, says=("" if lost else "part", *says),
+        facts=facts,
+    )  # fmt: skip
 
 
 def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> tuple[tuple[str, ...], dict[str, float]]:
@@ -198,10 +238,8 @@ def _agreement(
     facts: dict[str, float] = {"rejected": rejected, "motions": len(good), "agreeing": len(good) - rejected}
     says: tuple[str, ...] = ()
     if rejected:
-        metres, degrees = (
-            float(np.median(np.linalg.norm(part[~good], axis=1)))
-            for part in (residual[:, 3:], np.degrees(residual[:, :3]))
-        )
+        parts = residual[~good, 3:], np.degrees(residual[~good, :3])
+        metres, degrees = (float(np.median(np.linalg.norm(part, axis=1))) for part in parts)
         says, more = _against_itself(frame_pairs, rig)
         if not says:
             says, more = _in_common(_shifts_m(measured, residual), degrees, share)
@@ -235,17 +273,12 @@ def _in_common(shifts_m: Floats, degrees: float, share: float) -> tuple[tuple[st
 def _clock(clock: ClockOffset | None, params: TrajectoryParams) -> Finding:
     """The offset between the clocks of cameras and GNSS/INS."""
     clock_ms = 1e3 * params.clock_sigma_s
-    finding = Finding(check="clock of GNSS/INS against the cameras", facts={"clock_ms": clock_ms}, limit=1e3 * LEAST_S)
     if clock is None or clock.sigma_s > MAX_SIGMA_S:
-        return finding
+        return Finding(check=CLOCK, facts={"clock_ms": clock_ms}, limit=1e3 * LEAST_S)
     # An offset within the stated error of the clocks, as for videos whose start was searched, is not the recorder's fault.
     cause = "assumed" if abs(clock.offset_s) <= 3 * params.clock_sigma_s else "recorder"
-    return finding.model_copy(
-        update={
-            "value": 1e3 * clock.offset_s,
-            "sigma": 1e3 * clock.sigma_s,
-            "found": False,  # an offset that is not corrected is within the sigmas
-            "treated": "corrected" if clock.is_applied(params.clock_sigma_s) else "",
-            "says": ("", cause),
-        }
-    )
+    return Finding(  # an offset that is not corrected is within the sigmas
+        check=CLOCK, value=1e3 * clock.offset_s, sigma=1e3 * clock.sigma_s, found=False, limit=1e3 * LEAST_S,
+        treated="corrected" if clock.is_applied(params.clock_sigma_s) else "", says=("", cause),
+        facts={"clock_ms": clock_ms, "order": "behind" if clock.offset_s > 0 else "ahead of"},
+    )  # fmt: skip
