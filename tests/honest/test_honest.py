@@ -19,6 +19,8 @@ from tests.honest.recordings import part_of, sample
 
 WITH_IMAGES = ("constant", "white", "saw-tooth of 1 s", "rounded to 1e-7 degrees", "attitudes white")
 _DRIVES = 3
+#: For all that images show, an error that fluctuates has a mean as large as its changes: of one that has none, sigmas are large.
+_LEAST_NEES = 0.3
 HALF = partial(part_of, partial(sample, 1, SAMPLES[0]), 0, 24)
 _VELOCITY_M_S = np.array([11.0, 7.0, 0.3])
 
@@ -36,9 +38,9 @@ def test_drives_with_errors_as_stated_are_not_held(shape: LogShape) -> None:
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.name)
 def test_cones_are_as_accurate_as_stated(shape: LogShape) -> None:
-    """Not less, and not more."""
+    """Not less, and not much more."""
     nees = pooled("absolute", some(shape))
-    assert nees.holds(0.999), nees.per_dof
+    assert nees.value < nees.band(0.999)[1] and nees.per_dof > _LEAST_NEES, nees.per_dof
 
 
 @pytest.mark.parametrize("shape", [one for one in SHAPES if one.name in WITH_IMAGES], ids=lambda shape: shape.name)

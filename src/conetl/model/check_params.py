@@ -105,7 +105,7 @@ class MountCheckParams(Params):
     """Least roll of the cameras ..."""
     lever_arm_m: Positive = 0.3
     """... least error of their lever arm ..."""
-    sigmas: Positive = 5.0
+    sigmas: Positive = 5.5
     """... and least number of sigmas of both."""
     stretch_percent: Positive = 5.0
     """Pitch in the images beyond that of the log ..."""
