@@ -23,11 +23,10 @@ from conetl.geometry.motion.pose_graph import (
     LoggedPoses,
     MeasuredMotions,
     adjust,
-    motion_residuals,
 )
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrix
-from conetl.model.arrays import Bools, Floats, Ints
+from conetl.model.arrays import Bools, Floats
 from conetl.model.drive import FramePair, Position
 from conetl.model.health import Finding
 from conetl.model.params import TrajectoryParams
@@ -43,22 +42,15 @@ from conetl.tracking.log.log_errors import (
 )
 from conetl.tracking.log.path_difference import rising
 from conetl.tracking.log.path_fit import PathFit, fit_path
+from conetl.tracking.log.plausible_motions import log_steps, plausible_motions
 
 #: Least sigmas (m, rad) and time step (s): zero would have no finite weight.
 _LEAST_SIGMA_M, _LEAST_SIGMA_RAD, LEAST_STEP_S, _LEAST_SHARE = 1e-4, 1e-6, 1e-3, 1e-6
 #: Visual odometry turns about the optical axis by this much per metre (one sigma) in all intervals: points are followed less
 #: well where the road comes nearer. Recorded attitudes hold it, a course does not show it.
 _TURN_RAD_PER_M = 5e-5
-#: Chi-square of 6 degrees of freedom at 1e-6, beyond which an interval contradicts GNSS/INS.
-_GATE_CHI2 = 38.3
-_NEIGHBOURS = 4
-_LONE_SIGMAS = 4.5
 #: Share of the motions that has to be plausible for the others to be wrong.
 _MOST = 0.5
-#: A step of the log is so many times as rough as the images there, beyond so many sigmas of most differences, and rare.
-_STEPS_BY, _STEP_SIGMAS, _MOST_STEPS = 2.0, 8.0, 0.05
-#: Of normal errors, from the median of their absolute values.
-_SIGMA_OF_MEDIAN = 1.4826
 #: Steps of the smooth error, in its length scales over the root of 3, that leave as much of it as `STEP_CHANGE`.
 _SMOOTH_STEP = 1.68
 #: The error of interpolation comes and goes between two records: from one of n frame pairs to the next this share over n of it.
@@ -144,7 +136,7 @@ def refine_trajectory(
     common_sigmas = [params.scale_sigma, _TURN_RAD_PER_M] if sparse else [params.scale_sigma]
     errors = errors or log_errors_of(frame_pairs, rig, measured, params)
     log = read_log(frame_pairs, rig, params, errors, measured)
-    good = plausible_motions(log, measured, params.scale_sigma)
+    good = plausible_motions(log, measured, params.scale_sigma, rough_log(frame_pairs, rig, measured, params))
 
     def path_of(rotations: Floats) -> PathFit:
         # Where most motions contradict the log, they show what is wrong with it.
@@ -201,12 +193,19 @@ def log_errors_of(
 
     Two rounds: which motions are plausible depends on the errors.
     """
-    errors: LogErrors | None = rough_errors(read_log(frame_pairs, rig, params), measured, params)
-    log = read_log(frame_pairs, rig, params, errors, measured)
+    log = rough_log(frame_pairs, rig, measured, params)
     kept = only(measured, plausible_motions(log, measured, params.scale_sigma))
     solved = adjust(log, kept, (), params.robust_sigmas, [params.scale_sigma]) if len(kept.start) else None
     records = stated_errors(frame_pairs, log.renewed)
     return None if solved is None else estimate_log_errors(log, solved[0], kept, records, params)
+
+
+def rough_log(
+    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, params: TrajectoryParams
+) -> LoggedPoses:
+    """The log with errors as they are known before they are estimated."""
+    errors = rough_errors(read_log(frame_pairs, rig, params), measured, params)
+    return read_log(frame_pairs, rig, params, errors, measured)
 
 
 def only(motions: MeasuredMotions, chosen: Bools) -> MeasuredMotions:
@@ -272,7 +271,7 @@ def read_log(
     lasting = (slow + smooth) * levels**2 - smooth * records.least**2
     keep = np.exp(-step_s[:, None] / slow_s - np.diff(changes, axis=0))
     return LoggedPoses(
-        poses[:, :3, :3], poses[:, :3, 3], np.sqrt(variance + jitter)[:, :3], np.sqrt(independent),
+        poses[:, :3, :3], poses[:, :3, 3], np.sqrt(variance + jitter + between**2)[:, :3], np.sqrt(independent),
         np.sqrt(factor * np.maximum(lasting, _LEAST_SHARE * levels**2)), keep, np.array(rig.body_SE3_left),
         np.sqrt(noise), np.sqrt(own), (np.sqrt(factor * smooth) * records.least)[:3],
         3**0.5 * step_s[:, None] / smooth_s[:3] + _SMOOTH_STEP * np.diff(renewed)[:, None], renewed,
@@ -337,82 +336,6 @@ def measured_motions(
         np.array([found[k][0] for k in starts]).reshape(-1, 4, 4),
         np.array([found[k][1] for k in starts]).reshape(-1, 6, 6),
     )
-
-
-def log_steps(log: LoggedPoses, motions: MeasuredMotions) -> Bools:
-    """(K - 1,): in which intervals GNSS/INS steps, as where a receiver finds other satellites.
-
-    There it is rougher than elsewhere, by far, and than the images, if they could be compared. If that is so in many intervals,
-    it is noise.
-    """
-    left = se3.compose(se3.se3(log.rotations, log.positions), log.body_SE3_left)
-    by_log = se3.compose(se3.invert(left[1:]), left[:-1])[:, :3, 3]
-    every, seen = np.arange(len(by_log)), motions.start
-    residual, _, _ = motion_residuals(log, log.rotations, log.positions, motions, 0.0)
-
-    def roughness(rows: Ints, moved: Floats) -> Floats:
-        medians, counts = _medians_beside(rows, moved, rows)
-        found = np.zeros(len(every))
-        found[rows] = np.where(counts >= _NEIGHBOURS, np.abs(moved - medians).max(axis=1, initial=0.0), 0.0)
-        return found
-
-    of_log, of_images = roughness(every, by_log), roughness(seen, motions.next_SE3_first[:, :3, 3])
-    differs, sigma = of_log.copy(), np.zeros(len(every))
-    differs[seen] = roughness(seen, residual[:, 3:])[seen]
-    sigma[seen] = np.sqrt(np.diagonal(motions.cov[:, 3:, 3:], axis1=1, axis2=2).max(axis=1))
-    usual = np.full(len(every), np.median(of_log))
-    usual[seen] = np.median(differs[seen])
-    steps = differs > _STEP_SIGMAS * np.hypot(sigma, _SIGMA_OF_MEDIAN * usual)
-    steps &= of_log > _STEPS_BY * of_images
-    return steps if steps.mean() <= _MOST_STEPS else np.zeros(len(every), dtype=bool)
-
-
-def plausible_motions(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: float) -> Bools:
-    """(M,): which measured intervals are plausible.
-
-    One is rejected if it contradicts GNSS/INS beyond its errors, or differs from its neighbours beyond them, unless GNSS/INS
-    differs from these neighbours by more: then GNSS/INS steps, as where a receiver finds other satellites.
-    """
-    k = motions.start
-    residual, from_first, from_second = motion_residuals(log, log.rotations, log.positions, motions, 0.0)
-
-    def moved(jacobian: Floats, variance: Floats) -> Floats:
-        return np.asarray(jacobian * variance[:, None, :] @ np.swapaxes(jacobian, 1, 2))
-
-    # What both poses have in common counts too: an attitude error turns the distance between them to the side.
-    kept = log.correlation[k] * log.drift[k + 1] / log.drift[k]
-    fresh = log.drift[k + 1] ** 2 * (1 - log.correlation[k] ** 2) + log.noise[k + 1] ** 2 + log.change[k]
-    scaled = motions.next_SE3_first[:, :3, 3] * scale_sigma
-    spread = motions.cov + moved(from_first, log.noise[k] ** 2) + moved(from_second, fresh)
-    spread += moved(from_first + from_second * kept[:, None, :], log.drift[k] ** 2)
-    spread[:, 3:, 3:] += scaled[:, :, None] * scaled[:, None, :]
-    chi2 = np.einsum("mi,mi->m", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0])
-    inside = chi2 <= _GATE_CHI2
-    change = (
-        log.drift[k] ** 2 * 2 * (1 - log.correlation[k]) + log.noise[k] ** 2 + log.noise[k + 1] ** 2 + log.change[k]
-    )
-    sigma = np.sqrt(np.diagonal(motions.cov + moved(from_first, change), axis1=1, axis2=2))
-    observed = motions.next_SE3_first[:, :3, 3]
-    by_log = observed - residual[:, 3:]
-    each = np.hstack([residual, observed, by_log])
-    medians, counts = _medians_beside(k[inside], each[inside], k)
-    off, known = np.abs(each - medians), counts >= _NEIGHBOURS
-    by_images = off[:, 6:9] > off[:, 9:]  # rougher by the images than by GNSS/INS
-    lone = off[:, :6] > _LONE_SIGMAS * sigma
-    lone[:, 3:] &= by_images
-    steps = known & (off[:, 9:].max(axis=1) > _STEPS_BY * off[:, 6:9].max(axis=1))
-    return np.asarray((inside | steps) & ~(known & lone.any(axis=1)))
-
-
-def _medians_beside(rows: Ints, values: Floats, asked: Ints) -> tuple[Floats, Ints]:
-    """(A, V) medians of those of N values (N, V) that lie at most `_NEIGHBOURS` rows (N,) beside each row that is asked (A,), and
-    how many do. A row's own value does not count."""
-    table = np.full((int(asked.max(initial=0)) + 2 * _NEIGHBOURS + 1, values.shape[1]), np.nan)
-    table[rows + _NEIGHBOURS] = values
-    windows = np.lib.stride_tricks.sliding_window_view(table, 2 * _NEIGHBOURS + 1, axis=0)[asked]
-    beside = np.ma.masked_invalid(np.delete(windows, _NEIGHBOURS, axis=2))
-    medians = np.ma.median(beside, axis=2)  # type: ignore[no-untyped-call]
-    return medians.filled(np.nan), beside[:, 0].count(axis=1)
 
 
 def _observations(frame_pairs: Sequence[FramePair], cones: Sequence[Sequence[Position]]) -> list[LandmarkObservation]:

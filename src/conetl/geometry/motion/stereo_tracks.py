@@ -5,6 +5,7 @@ Points need images (`perception/visual_odometry.py`), motions only the points an
 
 from __future__ import annotations
 
+import math
 from base64 import b64decode, b64encode
 from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
@@ -14,6 +15,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
+from scipy.ndimage import uniform_filter1d
+from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.camera import intrinsics
@@ -34,6 +37,10 @@ from conetl.model.rig import Rig
 
 #: During a longer pause without images (s) GNSS may jump, and a vehicle may drive any step: only the images show which.
 PAUSE_S = 5.0
+#: Expected motions may scatter by this much from one interval to the next, beyond it they are means of at most so many around.
+_MOST_SCATTER_M, _MOST_SCATTER_RAD, _MOST_AROUND = 0.1, 0.01, 10
+#: Stated sigma of sparse positions from which on they show a motion only in the mean over some of them.
+_COARSE_M = 0.2
 
 
 class NoMeasurement(StrEnum):
@@ -106,11 +113,41 @@ def expected_motions(frame_pairs: Sequence[FramePair], rig: Rig) -> list[Floats]
 
 
 def motions_to_try(frame_pairs: Sequence[FramePair], rig: Rig) -> list[list[Floats]]:
-    """Of each interval the expected motion and, across a pause without images, also that of the interval before."""
-    expected = expected_motions(frame_pairs, rig)
+    """Of each interval the expected motions that may be near enough to follow points by.
+
+    A log that scatters is smoothed, so that motions are those of some intervals in the mean. Across a pause without images, the
+    motion of the interval before is tried, too, and where positions are sparse, the mean of those around.
+    """
+    expected = _without_scatter(np.array(expected_motions(frame_pairs, rig)).reshape(-1, 4, 4))
     pauses = np.diff([pair.captured_at_ns for pair in frame_pairs]) > 1e9 * PAUSE_S
     before = [*expected[:1], *expected[:-1]]
-    return [[one, other] if pause else [one] for one, other, pause in zip(expected, before, pauses, strict=True)]
+    found = [[one, other] if pause else [one] for one, other, pause in zip(expected, before, pauses, strict=True)]
+    sparse_s = [pair.pose.interpolated.apart_s for pair in frame_pairs if pair.pose.interpolated is not None]
+    if sparse_s and max(np.median([pair.pose.sigma_enu_m[:2] for pair in frame_pairs], axis=0)) > _COARSE_M:
+        lasts_s = float(np.median(np.diff([pair.captured_at_ns for pair in frame_pairs]))) * 1e-9
+        around = _mean_motions(expected, round(1.5 * float(np.median(sparse_s)) / max(lasts_s, 1e-3)))
+        found = [[*ones, other] for ones, other in zip(found, around, strict=True)]
+    return found
+
+
+def _without_scatter(motions: Floats) -> Floats:
+    """(N, 4, 4) motions, each the mean of as many around it as their scatter requires."""
+    if len(motions) < 3:
+        return motions
+    turns = Rotation.from_matrix(motions[:, :3, :3]).as_rotvec()
+    # Of two intervals side by side one is too long if the other is too short, by independent errors of three poses.
+    scatter = [float(np.median(np.abs(np.diff(part, axis=0)).max(axis=1))) for part in (motions[:, :3, 3], turns)]
+    around = max((one / most - 1) / 2 for one, most in zip(scatter, (_MOST_SCATTER_M, _MOST_SCATTER_RAD), strict=True))
+    return _mean_motions(motions, min(math.ceil(max(around, 0.0)), _MOST_AROUND))
+
+
+def _mean_motions(motions: Floats, around: int) -> Floats:
+    """(N, 4, 4) means of the motions (N, 4, 4) of an interval and so many before and after it."""
+    if not around:
+        return motions
+    parts = np.hstack([Rotation.from_matrix(motions[:, :3, :3]).as_rotvec(), motions[:, :3, 3]])
+    parts = uniform_filter1d(parts, 2 * around + 1, axis=0, mode="reflect")
+    return se3.se3(Rotation.from_rotvec(parts[:, :3]).as_matrix(), parts[:, 3:])
 
 
 def motions_between(frame_pairs: Sequence[FramePair], motions: Iterable[RelativeMotion]) -> list[RelativeMotion | None]:

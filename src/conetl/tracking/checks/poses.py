@@ -22,14 +22,15 @@ from conetl.tracking.checks.jumps import JUMPS, check_jumps, check_turn_jumps
 from conetl.tracking.checks.mount import STRETCH, check_mount
 from conetl.tracking.checks.path import DISTANCES, check_path, sentence
 from conetl.tracking.clock import LEAST_S, MAX_SIGMA_S, ClockOffset
+from conetl.tracking.log.plausible_motions import plausible_motions
 from conetl.tracking.self_calibration import SelfCalibration, SelfCalibrationOutcome
 from conetl.tracking.trajectory import (
     RefinedTrajectory,
     RefinementOutcome,
     is_interpolated,
     measured_motions,
-    plausible_motions,
     read_log,
+    rough_log,
 )
 
 CLOCK = "clock of GNSS/INS against the cameras"
@@ -70,7 +71,8 @@ def check_trajectory(
     measured = measured_motions(frame_pairs, motions, params)
     log = read_log(frame_pairs, rig, params, trajectory.errors, measured)
     none = np.zeros(0, dtype=bool)
-    good = plausible_motions(log, measured, params.scale_sigma) if len(measured.start) else none
+    rough = rough_log(frame_pairs, rig, measured, params)
+    good = plausible_motions(log, measured, params.scale_sigma, rough) if len(measured.start) else none
     if len(frame_pairs) <= _LEAST_INTERVALS:
         return [check_jumps(frame_pairs, rig, measured, good, limits.jumps, params.clock_sigma_s)]
     if lag_s := _lag_s(frame_pairs, rig, measured):
