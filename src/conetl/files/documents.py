@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import reprlib
-from collections.abc import Iterator, Mapping
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE, IncrementalDecoder, getincrementaldecoder
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 from io import FileIO
@@ -155,6 +156,26 @@ def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
     return content
 
 
+def encoding_of(blocks: Iterable[bytes]) -> str:
+    """Encoding of a text: UTF-8; UTF-16 if its mark says so; else Windows-1252, in which spreadsheets write.
+
+    blocks: its bytes in order. Raises UnicodeDecodeError for bytes that are none of them.
+    """
+    decoder: IncrementalDecoder = getincrementaldecoder("utf-8")()
+    found = "utf-8-sig"
+    for number, block in enumerate(blocks):
+        if number == 0 and block.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+            return "utf-16"
+        try:
+            decoder.decode(block)
+        except UnicodeDecodeError:
+            if b"\0" in block or found == "cp1252":
+                raise
+            decoder, found = getincrementaldecoder("cp1252")(), "cp1252"
+            decoder.decode(block)
+    return found
+
+
 def read_limited(path: Path, max_bytes: int = MAX_JSON_BYTES) -> str:
     """UTF-8 text of a small file. Raises InputError if it is larger than the limit, is not text, or cannot be read."""
     with library_errors(f"{path}: this is not a text file", UnicodeDecodeError):
@@ -225,9 +246,14 @@ def nested_model(annotation: Any) -> type[BaseModel] | None:
 
 def read_json(path: Path) -> Any:
     """Content of a JSON file. Raises InputError where it is not JSON, exceeds a limit or cannot be read."""
-    too_deep = library_errors(f"{path}: nested too deeply", RecursionError)
-    with too_deep, library_errors(f"{path}: this is not JSON", ValueError):
-        return json.loads(read_limited(path))
+    return parse_json(path, read_limited(path))
+
+
+def parse_json(source: object, text: str) -> Any:
+    """Content of a text in JSON. Raises InputError where it is not JSON or nested too deeply."""
+    too_deep = library_errors(f"{source}: nested too deeply", RecursionError)
+    with too_deep, library_errors(f"{source}: this is not JSON", ValueError):
+        return json.loads(text)
 
 
 def _require_bounded(source: object, text: str) -> None:

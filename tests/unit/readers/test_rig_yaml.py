@@ -110,16 +110,16 @@ def test_a_broken_kitti_file_raises_one_message(folder: Path, old: str, new: str
     ("make", "message"),
     [
         (lambda p: p / "nowhere.yaml", "no such file"),
-        (lambda p: p, "expected one of rig.yaml and calib_cam_to_cam.txt"),
-        (lambda p: p / "rig.json", "neither MATLAB's stereoParameters"),
-        (lambda p: p / "rig.toml", "not a '.toml' file"),
+        (lambda p: p, "expected one calibration in the folder, found none"),
+        (lambda p: p / "rig.json", "not a calibration that conetl knows"),
+        (lambda p: p / "rig.toml", "not a calibration that conetl knows"),
         (lambda p: p / "binary.txt", "not a text file"),
     ],
 )
 def test_files_that_are_not_calibrations(tmp_path: Path, make, message: str) -> None:  # type: ignore[no-untyped-def]
     (tmp_path / "rig.json").write_text("{}")
     (tmp_path / "rig.toml").write_text("a = 1")
-    (tmp_path / "binary.txt").write_bytes(b"\xff\xfe\x00\x81")
+    (tmp_path / "binary.txt").write_bytes(b"\x89HDF\x00\x81")
     with pytest.raises(InputError, match=message):
         read_rig(make(tmp_path))
 

@@ -14,13 +14,14 @@ from typing import Literal
 
 import numpy as np
 
-from conetl.files.documents import input_errors, read_limited
+from conetl.files.documents import input_errors, read_limited, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Lens, Rig
-from conetl.readers.rigs.common import Node, Size, rectified_rig
+from conetl.readers.rigs.common import Node, Pair, Size, rectified_rig
+from conetl.readers.rigs.rectified import camera_of_projection
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"
 VELO_TO_CAM = "calib_velo_to_cam.txt"
@@ -103,9 +104,7 @@ def read_kitti_rig(
 def _rectified_camera(path: Path, cameras: dict[str, Floats], number: int) -> tuple[Camera, Floats]:
     """A rectified camera and its pose (4, 4) in the rectified frame of camera 0."""
     key, size = f"P_rect_{number:02d}", f"S_rect_{number:02d}"
-    p = cameras[key].reshape(3, 4)
-    camera = Node(path, p[:, :3], key).camera(Node(path, cameras[size], size).size(), Lens())
-    return camera, se3.se3(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
+    return camera_of_projection(Node(path, cameras[key], key), Node(path, cameras[size], size).size())
 
 
 def _raw_camera(path: Path, cameras: dict[str, Floats], number: int) -> tuple[Camera, Floats]:
@@ -121,15 +120,31 @@ def motion_of(path: Path, link: dict[str, Floats]) -> Floats:
     return se3.se3(Node(path, link["R"], "R").rotation(), link["T"])
 
 
+def read_named_kitti_rig(file: Node, *, pair: Pair | None = None, images: Size | None = None) -> Rig:
+    """Rig of the calibration that a file belongs to, of the pair that images are usually of; pair: names with their numbers.
+
+    The data set KITTI-360 has the cameras 00 and 01 only. Raises InputError.
+    """
+    path = kitti_files(file.path)[0]
+    left, right = (0, 1) if {"P_rect_00", "P_rect_02"} & _lines(path).keys() == {"P_rect_00"} else (2, 3)
+    if pair is not None:
+        left, right = (int(name[-1:]) if name[-1:].isdecimal() else 9 for name in pair)
+    return read_kitti_rig(path, left=left, right=right, images=images)
+
+
+def kitti_files(path: Path) -> tuple[Path, ...]:
+    """The file with the cameras, and those beside it."""
+    files = [path.with_name(name) for name in (CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO)]
+    return tuple(files) if path in files and files[0].is_file() else (path,)
+
+
 def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Floats]:
     """The wanted keys of a `key: numbers` file as flat arrays, given their counts of numbers. Raises InputError."""
     lines = _lines(path)
     for key, count in wanted.items():
         if key not in lines:
-            raise InputError(
-                f"{path}: the key '{key}' is missing; expected a line '{key}: ' with {count} numbers, "
-                "as in KITTI's own file. Restore the file from the recording"
-            )
+            found = f"found {shown([*lines])}" if lines else "the file has no keys"
+            raise InputError(f"{path}: the key '{key}' is missing; expected '{key}: ' and {count} numbers, {found}")
     return {key: Node(path, lines[key].split(), key).numbers((count,)) for key, count in wanted.items()}
 
 
