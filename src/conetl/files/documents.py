@@ -27,6 +27,8 @@ MAX_YAML_BYTES = 256_000
 MAX_JSON_BYTES = 5_000_000
 MAX_DEPTH = 40
 _XML_BLOCK = 4_000_000
+#: Largest text of a map or its lines, of which some readers hold all.
+MAX_TEXT_BYTES = 512 << 20
 #: Values of a document, those behind aliases counted wherever they are used.
 MAX_VALUES = 100_000
 #: Characters of a value in a message, and of a message of a validator, which may quote one.
@@ -110,8 +112,20 @@ def first_message(error: ValueError) -> str:
     return text if complete else f"{text}, found {shown(first['input'])}"
 
 
+def require_size(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> None:
+    """Raise InputError for a file that is larger, or that cannot be read."""
+    with input_errors(path):
+        size = path.stat().st_size
+    if size > max_bytes:
+        raise InputError(f"{path} has {size:,} bytes, expected at most {max_bytes:,}: import it in parts")
+
+
 class XmlFile(FileIO):
-    """An XML file of any size, read in large blocks: expat parses an unfinished tag again with every block."""
+    """A large XML file, read in large blocks: expat parses an unfinished tag again with every block."""
+
+    def __init__(self, path: Path) -> None:
+        require_size(path)
+        super().__init__(path)
 
     def read(self, size: int | None = -1, /) -> bytes:
         """The next block, whatever size is requested. Raises ValueError if a whole block contains no tag."""

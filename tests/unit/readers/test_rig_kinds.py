@@ -294,7 +294,7 @@ UNITS_M = {
 
 
 @pytest.mark.parametrize("unit", UNITS_M)
-@pytest.mark.parametrize("kind", ["kalibr", "ros", "opencv", "orbslam", "kitti_rectified", "rig"])
+@pytest.mark.parametrize("kind", ["kalibr", "ros", "opencv", "orbslam", "kitti", "kitti_rectified", "rig"])
 def test_lengths_in_any_unit(tmp_path: Path, kind: str, unit: str) -> None:
     baseline = 0.35 / UNITS_M[unit]
     t = [-baseline, 0.0, 0.0]
@@ -306,6 +306,7 @@ def test_lengths_in_any_unit(tmp_path: Path, kind: str, unit: str) -> None:
         "kalibr": yaml.safe_dump(content), "orbslam": ORB3_RECTIFIED.replace("0.35", repr(baseline)),
         "opencv": yaml.safe_dump({name: np.asarray(value).tolist() for name, value in wide.items()}),
         "kitti_rectified": f"P2: {rows(projection(np.zeros(3)))}\nP3: {rows(projection(np.array(t)), '.17g')}\n",
+        "kitti": KITTI_360.replace(rows(projection(PARALLEL)), rows(projection(np.array(t)), ".17g")),
         "rig": f"left: {camera}\nright: {camera}\nbaseline_m: {baseline!r}\n",
         "ros": ost("left") + ost("right", size=False).replace(f"{p:.15f}", f"{p / UNITS_M[unit]:.15f}"),
     }[kind]  # fmt: skip
@@ -351,6 +352,17 @@ def test_texts_of_other_programs(tmp_path: Path) -> None:
     for encoding in ("utf-8", "cp1252", "utf-16"):
         path.write_bytes(text.encode(encoding))
         agrees_with_opencv(read_rig(path))
+
+
+@pytest.mark.parametrize("text", ['{"a":' * 900 + "1" + "}" * 900, "<a>" * 900 + "</a>" * 900, "a: " + "[" * 900])
+def test_a_file_that_is_nested_deeply_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "calib.txt"
+    for more in ("", "<opencv_storage>"):
+        path.write_text(f"{more}{text}{more.replace('<', '</')}")
+        with pytest.raises(
+            InputError, match=r"nested too deeply|exceeds|not a calibration|not YAML|not XML|keys and values"
+        ):
+            read_rig(path)
 
 
 def test_a_message_has_no_control_characters(tmp_path: Path) -> None:

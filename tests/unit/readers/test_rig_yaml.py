@@ -80,7 +80,7 @@ def test_the_rig_id_follows_the_numbers(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("P_rect_03:", "P_rekt_03:", r"calib_cam_to_cam.txt: the key 'P_rect_03' is missing.*12 numbers"),
+        ("P_rect_03:", "P_rekt_03:", r"calib_cam_to_cam.txt: 'P_rect_03' is missing; found"),
         ("S_rect_02: 1.242000e+03", "S_rect_02: wide", "'S_rect_02' must be numbers, found"),
         (P3, P3.replace("-3.4e+02", "-1.08e+12"), r"the baseline is 1.5e\+09 m, expected 0.01 to 10 m"),
         ("T: -0.81", "T: -81", "the lever arm of body_SE3_left is"),

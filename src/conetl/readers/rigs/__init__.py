@@ -62,8 +62,7 @@ class _Kind(NamedTuple):
 
 
 def _read_own(file: Node, *, pair: Pair | None = None) -> Rig:
-    unit_m = 1.0 if file.length_unit is None else file._replace(value=file.length_unit, key="length unit").metres()
-    return read_rig_yaml(file.path, pair=pair, unit_m=unit_m)
+    return read_rig_yaml(file.path, pair=pair, unit_m=file.unit_m())
 
 
 #: The first with a matching key is that of the file.
@@ -166,7 +165,7 @@ def _recognise(path: Path, pair: Pair | None = None) -> tuple[Node, Format]:
     found = next((found for found, kind in _KINDS.items() if any(re.fullmatch(kind.keys, key) for key in keys)), None)
     if found is None:
         for belongs_to in (kitti_files(path), opencv.opencv_files(path)):
-            if len(belongs_to) > 1:  # a part without a camera
+            if belongs_to[0] != path:  # a part without a camera
                 return _recognise(belongs_to[0])
         raise InputError(f"{path}: not a calibration that conetl knows: found {shown(keys)}. Known: {_KNOWN}")
     return Node(path, content), found

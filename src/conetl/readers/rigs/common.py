@@ -134,6 +134,10 @@ class Node(NamedTuple):
             )
         return length_m
 
+    def unit_m(self, unit: object = "m") -> float:
+        """Length of the unit that the user states, else of `unit`."""
+        return self._replace(value=self.length_unit or unit, key="length unit").metres()
+
     def camera(self, size: Size, lens: Lens) -> Camera:
         """Camera of a matrix (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels."""
         k = self.numbers((3, 3))
@@ -193,7 +197,7 @@ class Node(NamedTuple):
         This value is the relative pose in the file. tool: the format's name, the rig's id starts with it. unit: of t, unless the
         user states it.
         """
-        unit_m = self._replace(value=self.length_unit or unit, key="length unit").metres()
+        unit_m = self.unit_m(unit)
         with input_errors(f"{self.path}: '{self.key}' cannot be used"):
             turn = se3.nearest_rotation(right_SE3_left[:3, :3])
             left_SE3_right = se3.invert(se3.se3(turn, right_SE3_left[:3, 3] * unit_m))

@@ -21,6 +21,7 @@ from conetl.readers.rigs.matlab import is_mat, variables_of
 _NUMBERS = r"(?:[ \t]+[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)"
 #: `[section]`, `key=value` or `key: 1 2` at the beginning of a line: none of them is YAML of a calibration.
 _LINES = re.compile(rf"^[ \t]*(?:\[[A-Za-z][^\]\[=:,\n]*\]|\w+[ \t]*=.*|\w+:{_NUMBERS}{{2,}})[ \t]*$", re.MULTILINE)
+_JSON = re.compile(r'\s*\{\s*["}]')
 _NUMBER_LINE = re.compile(rf"{_NUMBERS}+")
 _COMMENT = re.compile(r"(?:^|\s)[#;].*")
 _YAML_HEADER = re.compile(r"^\s*%YAML[^\n]*\n")
@@ -31,8 +32,10 @@ _DOTTED = {".nan": math.nan, ".inf": math.inf, "-.inf": -math.inf}
 _OPENCV_ROOT = "opencv_storage"
 
 
-def read_content(path: Path) -> Any:
+def read_content(path: Path, *, of_lines: bool = False) -> Any:
     """A mapping of the file's keys; the root element of an XML file that is not OpenCV's. Raises InputError.
+
+    of_lines: it must be `key: 1 2 3`.
 
     `cv2.FileStorage` is not used: a damaged file corrupts its memory (OpenCV 5.0).
     """
@@ -41,23 +44,24 @@ def read_content(path: Path) -> Any:
         return variables_of(path, data)
     with library_errors(f"{path}: this is not a text file", UnicodeDecodeError):
         text = data.decode(encoding_of([data])).replace("\r\n", "\n").replace("\r", "\n")
-    start = text.lstrip()[:1]
-    if start == "<":
+    is_xml, is_json = text.lstrip()[:1] == "<", _JSON.match(text)
+    if of_lines or (_LINES.search(text) and not (is_xml or is_json)):
+        return _of_lines(path, text)
+    if is_xml:
         with library_errors(f"{path}: this is not XML", ElementTree.ParseError, ValueError):
             root = ElementTree.fromstring(text)
         if root.tag != _OPENCV_ROOT:
             return root
         content = _of_element(path, root, 0)
-    elif start == "{":
+    elif is_json:
         content = parse_json(path, text)
-    elif _LINES.search(text):
-        return _of_lines(path, text)
     else:
         plain = _NO_SPACE.sub(r"\1: ", _MATRIX_TAG.sub("", _YAML_HEADER.sub("", text, count=1)))
         content = parse_yaml(path, plain)
     if not isinstance(content, Mapping):
         raise InputError(f"{path}: expected keys and values, found {shown(content)}")
-    return {str(key): _plain(value) for key, value in content.items()}
+    with library_errors(f"{path}: nested too deeply", RecursionError):
+        return {str(key): _plain(value) for key, value in content.items()}
 
 
 def keys_of(content: Any, levels: int = 3) -> Iterator[str]:
