@@ -139,7 +139,7 @@ def test_heights_of_a_stated_system_are_not_taken_as_ellipsoidal(tmp_path: Path)
     path = tmp_path / "points.csv"
     rows = [f"{e},{n},{h},EPSG:7837" for e, n, h in WANTED]
     path.write_text("\n".join(["easting,northing,ground_height_m,height_system", *rows]))
-    refused(path, "ground_height_m is in the height system 'EPSG:7837': state it with the CRS")
+    refused(path, "'ground_height_m' is in the height system 'EPSG:7837': state it with the CRS")
     path.write_text(path.read_text().replace("EPSG:7837", "ellipsoidal"))
     same(imported(path))
 
@@ -170,17 +170,14 @@ def test_a_crs_in_feet_is_converted_in_all_three_axes(tmp_path: Path, crs: str) 
     path.write_text("\n".join(["easting,northing,z", *(f"{x!r},{y!r},{z!r}" for x, y, z in in_feet.tolist())]))
     same(imported(path, crs=crs, map_srid=srid), wanted)
     same(surveyed(path, crs, srid), wanted)
-    # A name that states metres states metres.
-    path.write_text(
-        "\n".join(
-            [
-                "easting,northing,ground_height_m",
-                *(f"{x!r},{y!r},{h}" for (x, y), h in zip(xy.tolist(), HEIGHTS_M, strict=True)),
-            ]
-        )
-    )
-    same(imported(path, crs=crs, map_srid=srid), wanted)
-    same(surveyed(path, crs, srid), wanted)
+    # A name that states a unit is in this unit.
+    names = ("ground_height_m", "Height [m]", "elevation (metres)", "Z_ft", "height (feet)")
+    for name in names:
+        heights = HEIGHTS_M / (0.3048 if "f" in name else 1.0)
+        rows = np.column_stack([xy, heights]).tolist()
+        path.write_text("\n".join([f"easting,northing,{name}", *(f"{x!r},{y!r},{h!r}" for x, y, h in rows)]))
+        same(imported(path, crs=crs, map_srid=srid), wanted)
+        same(surveyed(path, crs, srid), wanted)
     layer = geo.layer_crs(CRS(crs), srid)  # as `conetl base import`
     same(geo.to_map(layer, in_feet), wanted)
 
@@ -234,6 +231,8 @@ def test_tables_of_german_spreadsheets(tmp_path: Path, encoding: str, delimiter:
     names = ["Ostwert", "NORDWERT", "Höhe [m]", "sigma_u_m"]
     text = csv_text(delimiter.join(names), *WANTED.T, np.full(4, 0.125), delimiter=delimiter, comma=True)
     path = tmp_path / "points.csv"
+    if delimiter == ";" and encoding != "utf-8":
+        text = f"sep=;\n{text}"  # as Excel writes
     path.write_bytes(text.replace("\n", "\r\n").encode(encoding))
     same(imported(path))
     same(surveyed(path))

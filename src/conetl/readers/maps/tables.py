@@ -44,20 +44,23 @@ _MULTI_POINT = 4
 _MIN_ROW_BYTES = 8
 #: Characters of a line of a text file: no row of a map is as long.
 _MAX_LINE = 1 << 20
-#: Other names of position columns in CSV files.
-_CSV_NAMES = {
+#: Columns of positions in CSV files, by their names without a unit.
+_POSITIONS = {
     **dict.fromkeys(("lon", "lng", "long", "longitude"), "lon_deg"),
     **dict.fromkeys(("lat", "latitude"), "lat_deg"),
     **dict.fromkeys(("easting", "east", "e", "x", "ostwert", "rechtswert"), "easting_m"),
     **dict.fromkeys(("northing", "north", "n", "y", "nordwert", "hochwert"), "northing_m"),
 }
-_UNIT = re.compile(r"\s*[\[(](m|metres?|meters?|deg|degrees?|°)[\])]$")
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,?\d+(?:[eE][-+]?\d+)?")
-#: Columns with heights of the ground, the first one counts: in metres, or without `_m` in the unit of the CRS.
-HEIGHTS = ("ellipsoidal_height_m", "ground_height_m", "height_ellipsoidal_m", "elevation_m", "elevation", "ele", "altitude",
-           "z", "height_m", "height", "höhe", "hoehe", "h")  # fmt: skip
+#: Names without a unit of columns with heights of the ground; the first one counts.
+HEIGHTS = (
+    "ellipsoidal_height", "ground_height", "height_ellipsoidal", "height_ellipsoid", "elevation", "elev", "ele", "altitude",
+    "alt", "z", "height", "höhe", "hoehe", "h",
+)  # fmt: skip
 #: Those of them that files of objects also have for the objects, which are not higher than this.
-_OF_OBJECTS, _HIGHEST_OBJECT_M = HEIGHTS[-5:], 10.0
+_OF_OBJECTS, _HIGHEST_OBJECT_M = HEIGHTS[-4:], 10.0
+_UNIT = re.compile(r"_*[_\[(](m|ft|feet|deg|°|met(?:re|er)s?|degrees?)[\])]?$")
+_UNITS_M = {"m": 1.0, "f": 0.3048}
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,?\d+(?:[eE][-+]?\d+)?")
 #: The first bytes of a FlatGeobuf file, without the patch version.
 _FGB_MAGIC = b"fgb\x03fgb"
 #: Options of GDAL's drivers, which would read times in GeoJSON with milliseconds only.
@@ -255,9 +258,10 @@ def _read_csv(path: Path) -> MapTable:
         with path.open(encoding=encoding, newline="") as file:
             texts = _short_lines(path, file)
             header = next(texts, "")
+            header = next(texts, "") if header.lower().startswith("sep=") else header  # of Excel
             delimiter = max(",;\t", key=header.count)
             rows = csv.reader(chain([header], texts), strict=True, delimiter=delimiter)
-            names = [_UNIT.sub("", text.strip().lower()) for text in next(rows, [])]
+            names = [text.strip().lower() for text in next(rows, [])]
             lines = []
             most_rows = min(MAX_ROWS, MAX_VALUES // max(1, len(names)))
             for number, line in enumerate(rows, start=1):
@@ -268,7 +272,7 @@ def _read_csv(path: Path) -> MapTable:
                 lines.append(line)
                 if number > most_rows:
                     raise _too_many(path)
-    names = [_CSV_NAMES.get(name, name) for name in names]
+    names = [_POSITIONS.get(_split(name)[0], name) for name in names]
     if len(set(names)) != len(names):
         raise InputError(f"{path}: the header contains a column name twice")
     columns = dict(zip(names, (_values(texts, delimiter) for texts in zip(*lines, strict=True)), strict=False))
@@ -312,31 +316,44 @@ def numbers_of(path: Path, name: str, values: Sequence[Any], *, required: bool =
     return found
 
 
+def _split(name: str) -> tuple[str, float | None]:
+    """A column's name in small letters without its unit, and the unit (m), None where there is none or it is no length."""
+    base = name.strip().lower().replace(" ", "_")
+    found = _UNIT.search(base)
+    return (base, None) if found is None else (base[: found.start()], _UNITS_M.get(found[1][0]))
+
+
 def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:
     """Make the heights of `xyz` metres (of a compound CRS, its unit), and take those that are not in the geometry from a column.
 
     crs: of the positions. of_points: all names are those of points, not of objects above them. A column is removed if it has such
     a name. Raises InputError for heights of another system than that of the CRS.
     """
-    unit_m = height_unit_m(crs)
-    heights_m = table.xyz[:, 2] * unit_m
+    crs_unit_m = height_unit_m(crs)
+    heights_m = table.xyz[:, 2] * crs_unit_m
     absent = np.isnan(heights_m) | (heights_m == 0.0 if not heights_m.any() else False)
-    for name in (name for known in HEIGHTS for name in table.columns if name.lower() == known and absent.any()):
-        found_m = numbers_of(table.path, name, table.columns[name]) * (1.0 if name.endswith("_m") else unit_m)
+    named = [
+        (HEIGHTS.index(base), name, unit_m)
+        for name in table.columns
+        for base, unit_m in [_split(name)]
+        if base in HEIGHTS
+    ]
+    for order, name, unit_m in sorted(named, key=lambda one: one[0]) if absent.any() else ():
+        found_m = numbers_of(table.path, name, table.columns[name]) * (crs_unit_m if unit_m is None else unit_m)
         known_m = found_m[np.isfinite(found_m)]
-        if not of_points and name.lower() in _OF_OBJECTS:
+        if not of_points and HEIGHTS[order] in _OF_OBJECTS:
             if ((known_m > 0) & (known_m <= _HIGHEST_OBJECT_M)).all():
                 continue
             del table.columns[name]
         systems = {str(system) for system in table.columns.get("height_system", ()) if system is not None}
-        if name == "ground_height_m" and not crs.is_compound and systems - {ELLIPSOIDAL}:
+        if HEIGHTS[order] == "ground_height" and not crs.is_compound and systems - {ELLIPSOIDAL}:
             raise InputError(
-                f"{table.path}: ground_height_m is in the height system {shown(sorted(systems)[0])}: state it with the CRS, like "
+                f"{table.path}: {shown(name)} is in the height system {shown(sorted(systems)[0])}: state it with the CRS, like "
                 "--crs EPSG:25832+7837"
             )
         heights_m[absent] = found_m[absent]
         break
-    table.xyz[:, 2] = heights_m / unit_m if crs.is_compound else heights_m
+    table.xyz[:, 2] = heights_m / crs_unit_m if crs.is_compound else heights_m
 
 
 def _check_flatgeobuf_header(path: Path) -> None:
