@@ -30,6 +30,7 @@ _NO_SPACE = re.compile(r"^(\s*[\w.]+):(?=[\[{])", re.MULTILINE)
 _DOTTED = {".nan": math.nan, ".inf": math.inf, "-.inf": -math.inf}
 #: The root of OpenCV's XML.
 _OPENCV_ROOT = "opencv_storage"
+_UNKNOWN = "not a calibration that conetl knows"
 
 
 def read_content(path: Path, *, of_lines: bool = False) -> Any:
@@ -57,9 +58,16 @@ def read_content(path: Path, *, of_lines: bool = False) -> Any:
         content = parse_json(path, text)
     else:
         plain = _NO_SPACE.sub(r"\1: ", _MATRIX_TAG.sub("", _YAML_HEADER.sub("", text, count=1)))
-        content = parse_yaml(path, plain)
+        try:
+            content = parse_yaml(path, plain)
+        except InputError as error:
+            if path.suffix.lower() in (".yaml", ".yml"):
+                raise
+            raise InputError(
+                f"{path}: {_UNKNOWN}, found neither XML, JSON, YAML nor lines of keys and numbers"
+            ) from error
     if not isinstance(content, Mapping):
-        raise InputError(f"{path}: expected keys and values, found {shown(content)}")
+        raise InputError(f"{path}: {_UNKNOWN}: expected keys and values, found {shown(content)}")
     with library_errors(f"{path}: nested too deeply", RecursionError):
         return {str(key): _plain(value) for key, value in content.items()}
 
