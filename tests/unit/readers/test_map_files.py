@@ -285,6 +285,16 @@ def test_a_sparse_file_is_refused_at_once(tmp_path: Path, name: str) -> None:
             read(path)
 
 
+@pytest.mark.parametrize(
+    "text", [f"easting;northing;{'_' * 120_000}\n1;2;3\n", f"easting;northing\n1;2\n1;{'1' * 120_000}x\n"]
+)
+def test_long_cells_take_no_time(tmp_path: Path, text: str) -> None:
+    """Expressions that go back over a text would take minutes."""
+    path = tmp_path / "points.csv"
+    path.write_text(text)
+    refused(path, "row")
+
+
 def test_messages_have_no_control_characters(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("east\x1b[31m,north\n1,2\n")

@@ -366,6 +366,18 @@ def test_a_file_that_is_nested_deeply_is_refused(tmp_path: Path, text: str) -> N
             read_rig(path)
 
 
+@pytest.mark.parametrize(
+    "text",
+    ["\n" * 400_000, " " * 400_000, "a" * 400_000, f"P2: {'1' * 400_000}x", "1 " * 200_000, "[a" * 100_000],
+)
+def test_long_texts_take_no_time(tmp_path: Path, text: str) -> None:
+    """Expressions that go back over a text would take minutes."""
+    path = tmp_path / "calib.txt"
+    path.write_text(text)
+    with pytest.raises(InputError):
+        read_rig(path)
+
+
 def test_a_message_has_no_control_characters(tmp_path: Path) -> None:
     for text in (
         "P2\x1b[31m: 1 2 3\n",

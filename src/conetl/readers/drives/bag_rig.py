@@ -119,7 +119,7 @@ def rig_of_infos(topics: Topics, infos: Mapping[str, Any], source: Path) -> Rig:
                 "or put a rig.yaml beside the bag"
             )
         found.append(Node(Path(f"{source}:{info}"), _camera_info(infos[info], rectified=is_rectified_topic(image))))
-    return rig_of_camera_infos(found)
+    return rig_of_camera_infos(*found)
 
 
 def is_rectified_topic(topic: str) -> bool:

@@ -58,9 +58,9 @@ HEIGHTS = (
 )  # fmt: skip
 #: Those of them that files of objects also have for the objects, which are not higher than this.
 _OF_OBJECTS, _HIGHEST_OBJECT_M = HEIGHTS[-4:], 10.0
-_UNIT = re.compile(r"_*[_\[(](m|ft|feet|deg|°|met(?:re|er)s?|degrees?)[\])]?$")
+_UNIT = re.compile(r"[_\[(](m|ft|feet|deg|°|met(?:re|er)s?|degrees?)[\])]?$")
 _UNITS_M = {"m": 1.0, "f": 0.3048}
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,?\d+(?:[eE][-+]?\d+)?")
+_DECIMAL_COMMA = re.compile(r"[-+]?(?:\d+(?:,\d*)?|,\d+)(?:[eE][-+]?\d+)?")
 #: The first bytes of a FlatGeobuf file, without the patch version.
 _FGB_MAGIC = b"fgb\x03fgb"
 #: Options of GDAL's drivers, which would read times in GeoJSON with milliseconds only.
@@ -320,7 +320,7 @@ def _split(name: str) -> tuple[str, float | None]:
     """A column's name in small letters without its unit, and the unit (m), None where there is none or it is no length."""
     base = name.strip().lower().replace(" ", "_")
     found = _UNIT.search(base)
-    return (base, None) if found is None else (base[: found.start()], _UNITS_M.get(found[1][0]))
+    return (base, None) if found is None else (base[: found.start()].rstrip("_"), _UNITS_M.get(found[1][0]))
 
 
 def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:

@@ -26,7 +26,7 @@ _NUMBER_LINE = re.compile(rf"{_NUMBERS}+")
 _COMMENT = re.compile(r"(?:^|\s)[#;].*")
 _YAML_HEADER = re.compile(r"^\s*%YAML[^\n]*\n")
 _MATRIX_TAG = re.compile(r"!!opencv-(nd-)?matrix")
-_NO_SPACE = re.compile(r"^(\s*[\w.]+):(?=[\[{])", re.MULTILINE)
+_NO_SPACE = re.compile(r"^([ \t]*[\w.]+):(?=[\[{])", re.MULTILINE)
 _DOTTED = {".nan": math.nan, ".inf": math.inf, "-.inf": -math.inf}
 #: The root of OpenCV's XML.
 _OPENCV_ROOT = "opencv_storage"

@@ -57,7 +57,7 @@ def read_ros_rig(file: Node, *, pair: Pair | None = None) -> Rig:
     """Raw rig of a file with both cameras, or of one of two files; pair as in `ros_files`. Raises InputError."""
     if len(cameras := _ost_cameras(file)) > 1:
         left, right = (cameras[name] for name in choose_pair(file.path, [*cameras], pair))
-        return rig_of_camera_infos((left, right), _OST_KEYS)
+        return rig_of_camera_infos(left, right, keys=[_OST_KEYS])
     files = ros_files(file.path) if pair is None else _named(file.path, pair)
     if len(files) == 1:
         other = re.sub("left|right", lambda side: "left" if side.group() == "right" else "right", file.path.name)
@@ -76,7 +76,7 @@ def read_ros_rig(file: Node, *, pair: Pair | None = None) -> Rig:
         pose = se3.se3(relative.at("R").numbers((3, 3)), relative.at("t_m").numbers((3,)))
         left_camera, right_camera = (_camera(info, keys)[0] for info in infos)
         return relative.stereo_rig("ros", left_camera, right_camera, se3.invert(pose))
-    return rig_of_camera_infos(infos, keys)
+    return rig_of_camera_infos(*infos, keys=[keys])
 
 
 def ros_files(path: Path) -> tuple[Path, ...]:
@@ -105,13 +105,14 @@ def _ost_cameras(file: Node) -> dict[str, Node]:
     }
 
 
-def rig_of_camera_infos(infos: Sequence[Node], *keys: CameraInfoKeys) -> Rig:
-    """Raw rig of the camera_info mappings of the left and the right camera. Raises InputError.
+def rig_of_camera_infos(
+    left_info: Node, right_info: Node, *, keys: Sequence[CameraInfoKeys] = (CameraInfoKeys(),)
+) -> Rig:
+    """Raw rig of two camera_info mappings. Raises InputError.
 
-    keys: of both, or of each; without any those of YAML files.
+    keys: of both, or of each; by default those of YAML files.
     """
-    left_keys, right_keys = (keys or (CameraInfoKeys(),))[0], (keys or (CameraInfoKeys(),))[-1]
-    left_info, right_info = infos
+    left_keys, right_keys = keys[0], keys[-1]
     left, left_R, left_p = _camera(left_info, left_keys)
     right, right_R, right_p = _camera(right_info, right_keys)
     projection = right_info.at(right_keys.projection)
@@ -189,7 +190,7 @@ def read_orbslam_rig(file: Node, *, image_size: Size | None = None) -> Rig:
             CameraInfoKeys(f"{side}.width", f"{side}.height", f"{side}.K", f"{side}.D", f"{side}.R", f"{side}.P", None)
             for side in ("LEFT", "RIGHT")
         )
-        return rig_of_camera_infos((file, file), left, right)
+        return rig_of_camera_infos(file, file, keys=[left, right])
     first = "Camera1" if "Camera1.fx" in file.value else "Camera"
     size = image_size or file.both("Camera.width", "Camera.height").size()
     if "Camera2.fx" in file.value:
