@@ -22,20 +22,24 @@ order by m.map_name;
 
 -- name: extent
 -- Extent and beginning of a map. Parameters: $1 map name.
--- Columns: west, south, east, north (degrees; around the areas of all drives; null: none), since (beginning of the first drive, or
--- creation of the map), share (of this map in all versions of features of the database), version_count (of this map): both as
+-- Columns: west, south, east, north (degrees; around the areas of all drives; null: none), west_360, east_360 (the same counted from 0
+-- to 360), since (beginning of the first drive, or creation of the map), share (of this map in all versions of features of the database), version_count (of this map): both as
 -- PostgreSQL last estimated them for its plans, 0 without an estimate.
 select
     ST_XMin(a.box) as west, ST_YMin(a.box) as south, ST_XMax(a.box) as east, ST_YMax(a.box) as north,
+    ST_XMin(a.shifted) as west_360, ST_XMax(a.shifted) as east_360,
     coalesce(a.since, m.created_at) as since,
     coalesce(s.share, 0)::float8 as share, coalesce(s.share * s.row_count, 0)::float8 as version_count
 from conetl.map m
 cross join lateral (
-    select
-        ST_Extent(ST_Transform(ST_Segmentize(e.edges, greatest(ST_Perimeter(e.edges) / 64, 1)), 4326)) as box,
-        min(e.since) as since
+    select ST_Extent(e.edges) as box, ST_Extent(ST_ShiftLongitude(e.edges)) as shifted, min(e.since) as since
     from (
-        select ST_Envelope(d.area) as edges, lower(d.captured_period) as since from conetl.drive d where d.map_id = m.map_id
+        select
+            ST_Transform(ST_Segmentize(b.box, greatest(ST_Perimeter(b.box) / 64, 1)), 4326) as edges,
+            lower(d.captured_period) as since
+        from conetl.drive d
+        cross join lateral (select ST_Envelope(d.area) as box) b
+        where d.map_id = m.map_id
     ) e
 ) a
 left join (

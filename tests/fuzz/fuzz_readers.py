@@ -159,6 +159,8 @@ def _problem(reader: Any, path: Path, scratch: Path) -> str | None:
 
 def _check_message(text: str) -> None:
     text.encode()
+    if not text.replace("\n", " ").isprintable():
+        raise FindingError(f"control characters in a message: {text[:150]!r}")
     if len(text) > MAX_MESSAGE:
         raise FindingError(f"a long message: {text[:150]!r}")
 

@@ -53,6 +53,7 @@ from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers
 from tests.unit.readers import test_device_rigs as device_rigs
 from tests.unit.readers import test_rig_formats as rig_files
+from tests.unit.readers import test_rig_kinds as rig_kinds
 from tests.unit.readers import trajectory_files
 
 WIDTH, HEIGHT = 96, 32
@@ -384,6 +385,12 @@ READERS: dict[str, Reader] = {
     "rig_zed": Reader(written("SN1.conf", device_rigs.zed_text()), read_chosen_rig(image_size=(1280, 720))),
     "rig_oak": Reader(written("calib.json", json.dumps(device_rigs.oak_content())), read_any_rig),
     "rig_metashape": Reader(written("cameras.xml", device_rigs.metashape_text()), read_any_rig),
+    **{
+        f"rig_{name.lower().replace(' ', '_')}": Reader(
+            written("calib.txt", rig_kinds.SAMPLES[name].text), read_chosen_rig(**rig_kinds.SAMPLES[name].options)
+        )
+        for name in ("KITTI object", "Middlebury", "oST", "ORB-SLAM2 raw", "ORB-SLAM3 fisheye", "OpenVINS")
+    },
     "rig_of_many": Reader(
         written("rig.yaml", yaml.safe_dump(device_rigs.rig_of_many()[0])), read_chosen_rig(pair=("l", "r"))
     ),

@@ -22,6 +22,7 @@ from conetl.db.map.map_store import list_changesets, read_current_features, read
 from conetl.exports import FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportContent, ExportRequest
+from conetl.files.documents import MAX_TEXT_BYTES
 from conetl.files.parquet_store import file_sha256
 from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
@@ -31,7 +32,6 @@ from conetl.pipeline.maps.decisions import revert
 from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.base_layers.line_files import read_vector_file
 from conetl.readers.maps.imported_rows import read_map_file
-from conetl.readers.maps.tables import MAX_TEXT_BYTES
 from conetl.readers.surveyed_points import read_surveyed_points
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, failed_audits, merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
@@ -673,7 +673,7 @@ def test_files_that_are_none(conn, tmp_path, surveyed):
     )
     refused("noheader.csv", b"a,b\n1,2\n", "no columns lon_deg")
     refused("two.csv", b"lon;lat\n8.4;49\n", "height of the ground .* and the time of the survey")
-    refused("comma.csv", b"Longitude;Latitude\n8,4;49\n", "row 1: lon_deg is '8,4', which is not a number")
+    refused("comma.csv", b"Longitude;Latitude\n8,4;49,x\n", "row 1: lat_deg is '49,x', which is not a number")
     refused("ragged.csv", b"lon_deg,lat_deg\n8.4,49\n8.4\n", "row 2: 1 values where the header has 2")
     refused("crs.csv", b"easting_m,northing_m\n458000,5428000\n", "give it with --crs")
     refused("map.kml", b"<kml/>", "can be imported from")

@@ -159,6 +159,12 @@ def test_a_box_holds_what_its_definition_says_whichever_way_it_is_found(maps, as
         assert (found, page.returned, page.matched) == (cones[offset : offset + limit], len(found), len(cones)), way
 
 
+def test_the_box_of_a_map_across_180_degrees_has_its_west_beyond_its_east(maps):
+    west, south, east, north = maps.served["dateline"].bbox
+    assert 178.9 < west < 179.3 and -179.3 < east < -178.9 and -17.6 < south < north < -16.4
+    assert maps.served["town"].bbox == maps.served["town"].extent
+
+
 @pytest.mark.parametrize("name", [name for name in MAPS if name != "dateline"])
 def test_most_of_a_large_box_needs_no_degrees(maps, name):
     served = maps.served[name]

@@ -46,6 +46,8 @@ class ServedMap:
     extent: Degrees
     since: datetime
     """Beginning of the first drive."""
+    bbox: Degrees = EVERYWHERE
+    """The extent as standards state it: west > east across 180 degrees, where `extent` goes around the earth."""
     share: float = 0.0
     """Estimated share of this map in all versions of features of the database; 0 without an estimate."""
     version_count: float = 0.0
@@ -122,8 +124,12 @@ class MapDirectory:
             found = await conn.fetchrow(load_sql("ogc.extent"), row["map_name"])
             extent = (found["west"], found["south"], found["east"], found["north"])
             extent = EVERYWHERE if None in extent else extent
+            west, south, east, north = bbox = extent
+            west_360, east_360 = found["west_360"] or 0.0, found["east_360"] or 360.0
+            if west_360 < 180.0 < east_360 and east_360 - west_360 < east - west:
+                bbox = (west_360, south, east_360 - 360.0, north)
             sizes = {"share": found["share"], "version_count": found["version_count"]}
-            known = ServedMap(**row, extent=extent, since=found["since"], **sizes)
+            known = ServedMap(**row, extent=extent, bbox=bbox, since=found["since"], **sizes)
             self._known[row["map_name"]] = known
         return replace(known, last_committed_at=row["last_committed_at"])
 

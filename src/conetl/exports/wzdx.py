@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any, Literal
 from uuid import NAMESPACE_URL, uuid5
 
-import numpy as np
 from jsonschema import Draft7Validator, FormatChecker
 from pydantic import Field
 from pyproj import Geod
@@ -25,6 +24,7 @@ from referencing.jsonschema import DRAFT7
 from conetl.exports.text_files import coordinates, iso_utc
 from conetl.files.atomic import write_json
 from conetl.files.documents import read_yaml_mapping, validated
+from conetl.geometry.geodesy import bbox_of_degrees
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.base import Record, ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
@@ -187,7 +187,7 @@ def _road_event(zone: WorkZone, context: FeedContext, ids: set[Any]) -> Object:
         "type": "Feature",
         "properties": properties,
         "geometry": {"type": "LineString", "coordinates": line},
-        "bbox": [*np.min(line, axis=0).tolist(), *np.max(line, axis=0).tolist()],  # as many as the coordinates have
+        "bbox": bbox_of_degrees(line),
         "conetl": {"last_surveyed_at": _iso(surveyed), "stale": stale, **_evidence(zone)},
     }
 

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import json
 import reprlib
-from collections.abc import Iterator, Mapping
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE, IncrementalDecoder, getincrementaldecoder
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from difflib import get_close_matches
 from io import FileIO
@@ -26,6 +27,8 @@ MAX_YAML_BYTES = 256_000
 MAX_JSON_BYTES = 5_000_000
 MAX_DEPTH = 40
 _XML_BLOCK = 4_000_000
+#: Largest text of a map or its lines, of which some readers hold all.
+MAX_TEXT_BYTES = 512 << 20
 #: Values of a document, those behind aliases counted wherever they are used.
 MAX_VALUES = 100_000
 #: Characters of a value in a message, and of a message of a validator, which may quote one.
@@ -109,8 +112,20 @@ def first_message(error: ValueError) -> str:
     return text if complete else f"{text}, found {shown(first['input'])}"
 
 
+def require_size(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> None:
+    """Raise InputError for a file that is larger, or that cannot be read."""
+    with input_errors(path):
+        size = path.stat().st_size
+    if size > max_bytes:
+        raise InputError(f"{path} has {size:,} bytes, expected at most {max_bytes:,}: import it in parts")
+
+
 class XmlFile(FileIO):
-    """An XML file of any size, read in large blocks: expat parses an unfinished tag again with every block."""
+    """A large XML file, read in large blocks: expat parses an unfinished tag again with every block."""
+
+    def __init__(self, path: Path) -> None:
+        require_size(path)
+        super().__init__(path)
 
     def read(self, size: int | None = -1, /) -> bytes:
         """The next block, whatever size is requested. Raises ValueError if a whole block contains no tag."""
@@ -153,6 +168,26 @@ def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
     if len(content) > max_bytes:
         raise InputError(f"{path}: expected at most {max_bytes:,} bytes")
     return content
+
+
+def encoding_of(blocks: Iterable[bytes]) -> str:
+    """Encoding of a text: UTF-8; UTF-16 if its mark says so; else Windows-1252, in which spreadsheets write.
+
+    blocks: its bytes in order. Raises UnicodeDecodeError for bytes that are none of them.
+    """
+    decoder: IncrementalDecoder = getincrementaldecoder("utf-8")()
+    found = "utf-8-sig"
+    for number, block in enumerate(blocks):
+        if number == 0 and block.startswith((BOM_UTF16_LE, BOM_UTF16_BE)):
+            return "utf-16"
+        try:
+            decoder.decode(block)
+        except UnicodeDecodeError:
+            if b"\0" in block or found == "cp1252":
+                raise
+            decoder, found = getincrementaldecoder("cp1252")(), "cp1252"
+            decoder.decode(block)
+    return found
 
 
 def read_limited(path: Path, max_bytes: int = MAX_JSON_BYTES) -> str:
@@ -225,9 +260,14 @@ def nested_model(annotation: Any) -> type[BaseModel] | None:
 
 def read_json(path: Path) -> Any:
     """Content of a JSON file. Raises InputError where it is not JSON, exceeds a limit or cannot be read."""
-    too_deep = library_errors(f"{path}: nested too deeply", RecursionError)
-    with too_deep, library_errors(f"{path}: this is not JSON", ValueError):
-        return json.loads(read_limited(path))
+    return parse_json(path, read_limited(path))
+
+
+def parse_json(source: object, text: str) -> Any:
+    """Content of a text in JSON. Raises InputError where it is not JSON or nested too deeply."""
+    too_deep = library_errors(f"{source}: nested too deeply", RecursionError)
+    with too_deep, library_errors(f"{source}: this is not JSON", ValueError):
+        return json.loads(text)
 
 
 def _require_bounded(source: object, text: str) -> None:

@@ -260,6 +260,18 @@ def to_ellipsoidal(xyz_m: ArrayLike, crs: CRS) -> Floats:
     return np.column_stack(transformer.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], direction="INVERSE"))
 
 
+def bbox_of_degrees(points: ArrayLike) -> list[float]:
+    """Lowest and highest longitude, latitude and, where there is one, height of points (N, 2 or 3), less than 180 degrees apart.
+
+    West is greater than east across 180 degrees (RFC 7946, 5.2).
+    """
+    xyz = np.asarray(points, dtype=np.float64)
+    low, high, lon = xyz.min(axis=0), xyz.max(axis=0), xyz[:, 0]
+    if high[0] - low[0] > 180.0:
+        low[0], high[0] = lon[lon > 0].min(), lon[lon <= 0].max()
+    return [*low.tolist(), *high.tolist()]
+
+
 def axis_rotations(xyz_m: ArrayLike, source_srid: int, srid: int) -> Floats:
     """Rotations (N, 2, 2) from the axes of EPSG:source_srid to those of EPSG:srid at positions (N, 3), for covariances.
 

@@ -87,9 +87,9 @@ def check_stereo_baseline(left_SE3_right: ArrayLike) -> None:
     """Raise ValueError unless the right camera is to the right of the left one, roughly along its rows."""
     x, y, z = (float(c) for c in np.asarray(left_SE3_right, dtype=np.float64)[:3, 3])
     if not x > MIN_BASELINE_M:
+        cause = "are left and right swapped?" if x <= 0 else "are lengths in another unit (conetl rig convert --unit)?"
         raise ValueError(
-            f"the right camera must sit to the right of the left one, found {x:.4f} m along the image rows: "
-            "are left and right swapped?"
+            f"the right camera must sit to the right of the left one, found {x:.4f} m along the image rows: {cause}"
         )
     if np.hypot(y, z) > MAX_SLOPE * x:
         raise ValueError(f"the baseline ({x:.3f}, {y:.3f}, {z:.3f}) m does not follow the image rows")

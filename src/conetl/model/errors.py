@@ -20,6 +20,13 @@ class ConetlError(Exception):
 
     exit_code = EXIT_BAD_INPUT
 
+    def __str__(self) -> str:
+        """The message. Characters that a terminal would obey are escaped: messages quote names and contents of files."""
+        text = super().__str__()
+        return (
+            text if text.isprintable() else "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+        )
+
 
 class InputError(ConetlError):
     """The input as a whole cannot be used; nothing was written."""

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.files.documents import input_errors, library_errors, shown
+from conetl.files.documents import input_errors, shown
 from conetl.files.names import printable
 from conetl.geometry import geodesy
 from conetl.geometry.packing import vec3
@@ -14,14 +14,13 @@ from conetl.model.arrays import Floats
 from conetl.model.drive import SurveyedPoint
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
-from conetl.readers.maps.tables import MapTable, read_table
+from conetl.readers.maps.tables import HEIGHTS, MapTable, add_heights, numbers_of, read_table
 from conetl.readers.stated_sigmas import require_exact
 from conetl.readers.trajectories.earth import in_wgs84
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 
 _NAMES = ("name", "id", "point", "point_id", "cone_id", "nr", "no")
-_HEIGHTS = ("height_m", "height", "h", "z", "height_ellipsoidal_m")
 _SIGMAS = ("sigma_e_m", "sigma_n_m", "sigma_u_m")
 
 
@@ -37,14 +36,12 @@ def read_surveyed_points(
     source = crs or (table.crs.to_wkt() if table.crs is not None else None)
     if source is None:
         raise InputError(f"{path}: does not state a coordinate reference system; give its crs (--crs), like EPSG:25832")
-    xyz, heights_of = table.xyz.copy(), next((name for name in _HEIGHTS if name in table.columns), None)
-    if heights_of is not None and np.isnan(xyz[:, 2]).all():
-        xyz[:, 2] = _numbers(table, heights_of)
-    _require_finite(path, xyz, f"a point needs east, north and a height ({', '.join(_HEIGHTS)})")
     settings = TrajectoryFile(crs=source, heights=heights)
     with input_errors(f"{path}: crs"):
         own_crs = parse_crs(source)
-        geographic = own_crs.is_geographic
+    add_heights(table, own_crs, of_points=True)
+    xyz, geographic = table.xyz, own_crs.is_geographic
+    _require_finite(path, xyz, f"a point needs east, north and a height ({', '.join(HEIGHTS)})")
     own = xyz[:, [1, 0, 2]] if geographic else xyz
     count = len(own)
     records = Records(np.zeros(count, np.int64), own, None, np.full((count, 6), np.nan), {})
@@ -73,14 +70,11 @@ def _sigmas(table: MapTable, sigma_m: float | None, path: Path) -> Floats:
         raise InputError(
             f"{path}: does not state the sigmas of the survey ({', '.join(_SIGMAS)}); give one sigma_m (--sigma-m)"
         )
-    stated = [np.full(len(table), sigma_m) if sigma_m is not None else _numbers(table, name) for name in _SIGMAS]
+    stated = [
+        np.full(len(table), sigma_m) if sigma_m is not None else numbers_of(path, name, table.columns[name])
+        for name in _SIGMAS
+    ]
     found = np.column_stack(stated)
     if not ((found > 0) & np.isfinite(found)).all():
         raise InputError(f"{path}: sigmas must be above 0 m")
     return found
-
-
-def _numbers(table: MapTable, name: str) -> Floats:
-    """A column (N,), NaN where it is empty. Raises InputError."""
-    with library_errors(f"{table.path}: {name} is not a number", TypeError, ValueError):
-        return np.array([np.nan if value is None else float(value) for value in table.columns[name]])

@@ -12,7 +12,7 @@ from pyproj import Transformer
 
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
-from conetl.geometry.geodesy import local_to_map, sensor_R_body
+from conetl.geometry.geodesy import bbox_of_degrees, local_to_map, sensor_R_body
 from conetl.model.errors import InputError
 
 ANGLE = st.floats(-math.pi, math.pi)
@@ -117,3 +117,10 @@ def test_axes_are_renamed_to_those_of_the_camera(yaw: float, pitch: float, roll:
     found = sensor_R_body(sensor_R_true @ body_R_left)
     assert np.linalg.det(found) == pytest.approx(1.0)
     np.testing.assert_allclose(found, sensor_R_true, atol=1e-9)
+
+
+def test_a_box_across_180_degrees_has_its_west_beyond_its_east() -> None:
+    assert bbox_of_degrees([[8.5, 49.1], [8.4, 49.0]]) == [8.4, 49.0, 8.5, 49.1]
+    line = [[179.99985, -16.8, 50.0], [179.99995, -16.9, 51.0], [-179.99995, -16.7, 52.0], [-179.99985, -16.8, 50.0]]
+    assert bbox_of_degrees(line) == [179.99985, -16.9, 50.0, -179.99985, -16.7, 52.0]
+    assert bbox_of_degrees([[179.9, 1.0], [-180.0, 2.0]]) == [179.9, 1.0, -180.0, 2.0]

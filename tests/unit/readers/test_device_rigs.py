@@ -88,14 +88,18 @@ ZED = zed_text()
 BAD_ZED = {
     "no size": (ZED, r"images of 2208x1242 \(2K\), 1280x720 \(HD\); name that.*--image-size"),
     "other size": (ZED, "none is 640x480", (640, 480)),
-    "negative": (ZED.replace("=274", "=-274"), "'STEREO.Baseline' must be 10 millimetres .*, found -274", SIZE),
-    "metres": (ZED.replace("Baseline=274", "Baseline=0.274 #"), "millimetres or more, found 0.274", SIZE),
+    "negative": (ZED.replace("=274", "=-274"), "'STEREO.baseline'.* found -0.2740 m .*swapped", SIZE),
+    "metres": (
+        ZED.replace("Baseline=274", "Baseline=0.274 #"),
+        "'STEREO.baseline'.* found 0.0002 m .*another unit",
+        SIZE,
+    ),
     "degrees": (ZED.replace("RX_HD=0", "RX_HD=9"), "RX_HD.*small angles in radians", SIZE),
     "no angle": (ZED.replace("CV_HD", "CV_QHD"), "'STEREO.cv_hd' is missing", SIZE),
-    "no camera": (ZED.replace("RIGHT_CAM", "RIGHT"), "expected the sections LEFT_CAM_HD", SIZE),
+    "no camera": (ZED.replace("RIGHT_CAM", "RIGHT"), "must have the sections LEFT_CAM_HD", SIZE),
     "no lens": (ZED.replace("k1", "q1"), "'LEFT_CAM_HD.k1' must be in one of", SIZE),
-    "twice": (ZED.replace("[STEREO]", "[STEREO]\nTY=1"), "not an INI file.*already exists", SIZE),
-    "no sections": ("fx=1\n", "not an INI file", SIZE),
+    "twice": (ZED.replace("[STEREO]", "[STEREO]\nTY=1"), "'STEREO.TY' is in the file twice", SIZE),
+    "no sections": ("fx=1\n", "not a calibration that conetl knows: found \\['fx'\\]", SIZE),
     "words": (ZED.replace("cx=", "cx=about "), "'LEFT_CAM_HD.cx' must be numbers", SIZE),
 }
 

@@ -344,7 +344,7 @@ BAD_MATLAB = {
     "swapped": (change("TranslationOfCamera2", [274.0, 0, 0]), "TranslationOfCamera2.*swapped"),
     "no pose": (change("RotationOfCamera2", None), "'PoseCamera2' is missing"),
     "far": (change("TranslationOfCamera2", [-1.5e12, 0, 0]), r"baseline is 1.5e\+09 m"),
-    "unit": (change("WorldUnits", "squares"), "'WorldUnits' 'squares' is not a known unit"),
+    "unit": (change("WorldUnits", "squares"), "'length unit' 'squares' is not a known unit"),
 }  # fmt: skip
 BAD_ROS = {
     "no projection": (change("projection_matrix", None), "'projection_matrix' is missing"),
@@ -413,7 +413,7 @@ def test_files_that_are_cut_off_or_of_another_kind(tmp_path: Path) -> None:
     (tmp_path / "cut.mat").write_bytes(b"MATLAB 5.0 MAT-file" + b"\0" * 200)
     complaint(tmp_path / "cut.mat", "not a .mat file|no structure")
     scipy.io.savemat(tmp_path / "other.mat", {"a": 1})
-    complaint(tmp_path / "other.mat", "toStruct")
+    complaint(tmp_path / "other.mat", "not a calibration that conetl knows: found")
     (tmp_path / "left_cam.yaml").write_text(yaml.safe_dump(ros_content("left")))
     complaint(tmp_path / "left_cam.yaml", "right_cam.yaml is missing")
     (tmp_path / "cam.yaml").write_text(yaml.safe_dump(ros_content("left")))
@@ -455,14 +455,14 @@ def test_a_mat_file_beyond_the_limits_is_refused(tmp_path: Path) -> None:
 def test_a_folder_with_two_calibrations_is_not_guessed_at(tmp_path: Path) -> None:
     ros_pair(tmp_path)
     (tmp_path / "camchain.yaml").write_text(yaml.safe_dump(kalibr_content()))
-    complaint(tmp_path, "found camchain.yaml and ROS camera_info pair")
+    complaint(tmp_path, "found camchain.yaml and left.yaml")
 
 
-def test_size_and_unit_are_only_for_files_without_them(tmp_path: Path) -> None:
+def test_a_size_is_only_for_files_without_it(tmp_path: Path) -> None:
     path = tmp_path / "camchain.yaml"
     path.write_text(yaml.safe_dump(kalibr_content()))
     with pytest.raises(InputError, match="leave them out"):
-        read_rig(path, length_unit="mm")
+        read_rig(path, image_size=SIZE)
 
 
 def test_opencv_writes_no_rig_that_it_cannot_hold(tmp_path: Path) -> None:

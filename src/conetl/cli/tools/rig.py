@@ -20,12 +20,12 @@ from conetl.readers.rigs import FORMAT_NAMES, RIG_YAML, WRITERS, read_rig_and_fo
 SizeOption = Annotated[
     str | None,
     typer.Option(
-        "--image-size", help="Image size like 1242x375, if the file has none (OpenCV, MATLAB) or several (ZED)."
+        "--image-size", help="Image size like 1242x375, if the file has none (OpenCV, KITTI odometry) or several (ZED)."
     ),
 ]
 UnitOption = Annotated[
     str | None,
-    typer.Option("--unit", help="Unit of the baseline in an OpenCV, MATLAB or Metashape file: m, cm, mm, in."),
+    typer.Option("--unit", help="Unit of the lengths in the file, if not that of its format: m, cm, mm, in, ft."),
 ]
 PairOption = Annotated[
     str | None,

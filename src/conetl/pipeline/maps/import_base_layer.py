@@ -199,7 +199,7 @@ def _some_points(folder: Path, spilled: Spilled) -> Any:
 def _import_lines(job: FileImport) -> ImportedFile:
     path, ground = job.path, job.ground
     found = LINE_READERS[path.suffix.lower()](path)
-    layer, warnings = geo.resolve_crs(path, found.crs, job.crs, ground)
+    layer, warnings = geo.resolve_crs(path, found.crs, job.crs, ground, found.why_no_crs)
     everything = np.concatenate([line.xyz for line in found.lines])
     warnings += geo.check_coordinates(path, layer, everything[:, :2], ground)
     flat = [bool(np.isnan(line.xyz[:, 2]).any()) for line in found.lines]

@@ -55,6 +55,12 @@ def parse_crs(text: str) -> CRS:
         ) from error
 
 
+def height_unit_m(crs: CRS) -> float:
+    """Unit of heights; without a vertical part the horizontal one (LAS 1.4, and common practice), with degrees the metre."""
+    axes = crs.axis_info[2:] or crs.axis_info[: int(crs.is_projected)]
+    return float(axes[0].unit_conversion_factor) if axes else 1.0
+
+
 def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:
     """The transformation from `crs` to the map. Raises ValueError for local and engineering CRSs."""
     parts = crs.sub_crs_list if crs.is_compound else []
@@ -64,11 +70,6 @@ def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:
     if not (flat.is_projected or flat.is_geographic):
         raise ValueError(f"{crs.name} is neither a projected nor a geographic coordinate reference system")
     target = CRS.from_epsg(map_srid)
-    axes = vertical.axis_info if vertical is not None else flat.axis_info[2:]
-    # Without a vertical CRS, heights are in the horizontal unit (LAS 1.4, and common practice), with degrees in metres.
-    units = [axis.unit_conversion_factor for axis in axes] or (
-        [flat.axis_info[0].unit_conversion_factor] if flat.is_projected else [1.0]
-    )
     note = None
     if vertical is not None and "ellips" not in vertical.name.lower():
         note = f"its heights are those of {vertical.name}, the map's are ellipsoidal"
@@ -78,7 +79,7 @@ def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:
             crs.name,
             Transformer.from_crs(flat, target, always_xy=True),
             Transformer.from_crs(flat, CRS.from_epsg(4326), always_xy=True),
-            float(units[0]),
+            height_unit_m(crs),
             note,
             flat if code is None else CRS.from_epsg(code),
         )
@@ -154,15 +155,18 @@ def ground_under(poses_m: Floats, feet_m: Floats) -> Floats:
     return np.asarray(poses_m + np.array([0.0, 0.0, down]))
 
 
-def resolve_crs(path: Path, stated: CRS | None, given: str | None, ground: MapGround) -> tuple[LayerCrs, list[str]]:
-    """The CRS of a file: `given` by the user, else the one it states, and warnings. Raises InputError without a usable one."""
+def resolve_crs(
+    path: Path, stated: CRS | None, given: str | None, ground: MapGround, why: str = "the file has no CRS"
+) -> tuple[LayerCrs, list[str]]:
+    """The CRS of a file: `given` by the user, else the one it states, and warnings. Raises InputError without a usable one.
+
+    why: the reason where it states none.
+    """
     warnings: list[str] = []
     with input_errors(path):
         crs = parse_crs(given) if given else stated
         if crs is None:
-            raise InputError(
-                f"{path}: the file has no CRS. State that of its coordinates, e.g. --crs {ground.srid} for the map's"
-            )
+            raise InputError(f"{path}: {why}. State the CRS of its coordinates, e.g. --crs {ground.srid} for the map's")
         if given and stated is not None and not crs.equals(stated, ignore_axis_order=True):
             warnings.append(f"{path.name}: read as {crs.name} as given; the file itself states {stated.name}")
         layer = layer_crs(crs, ground.srid)

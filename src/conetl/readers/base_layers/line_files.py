@@ -16,7 +16,7 @@ import pyogrio.raw
 import shapely
 from pyproj import Transformer
 
-from conetl.files.documents import MAX_SHOWN, library_errors, shown
+from conetl.files.documents import library_errors, require_size, shown
 from conetl.model.errors import InputError
 from conetl.model.work_zone_records import LaneLine
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -38,6 +38,8 @@ _KIND_NAMES = ("kind", "type", "subtype", "class", "lane_type", "boundary_type")
 
 def read_vector_file(path: Path) -> LineFile:
     """Lines and parts of multi-lines of a file. Raises InputError without any, or if its layers differ in CRS."""
+    if path.suffix.lower() in (".geojson", ".json"):
+        require_size(path)
     lines: list[Line] = []
     refused: list[str] = []
     systems: dict[str, None] = {}
@@ -58,19 +60,17 @@ def read_vector_file(path: Path) -> LineFile:
         reasons = f"; {refused[0]}" if refused else ""
         raise InputError(f"{path}: there is no line; expected LineString or MultiLineString features{reasons}")
     if len(systems) > 1:
-        raise InputError(
-            f"{path}: its layers have different CRSs ({', '.join(systems)[:MAX_SHOWN]}): write one file for each"
-        )
+        raise InputError(f"{path}: its layers have different CRSs ({shown([*systems])}): write one file for each")
     try:
         return LineFile(lines, parse_crs(next(iter(systems))) if systems else None, refused)
-    except ValueError:
-        return LineFile(lines, None, refused)
+    except ValueError as error:
+        return LineFile(lines, None, refused, str(error))
 
 
 def _lines(layer: str, names: Any, fids: Any, geometries: Any, fields: Any, refused: list[str]) -> list[Line]:
     lines: list[Line] = []
     for row, (fid, data) in enumerate(zip(fids, geometries, strict=True)):
-        what = f"feature {fid} of layer {layer[:MAX_SHOWN]}"
+        what = f"feature {fid} of layer {shown(layer)}"
         if data is None:
             refused.append(f"{what}: it has no geometry")
             continue
@@ -118,7 +118,7 @@ def read_lane_lines(path: Path, *, srid: int) -> list[LaneLine]:
     if not lines:
         raise InputError(f"lanes {path}: there is no line of the types {', '.join(sorted(LANELET2_BOUNDARIES))}")
     if file.crs is None:
-        raise InputError(f"lanes {path}: it has no usable coordinate reference system")
+        raise InputError(f"lanes {path}: it has no usable coordinate reference system: {file.why_no_crs}")
     to_map = Transformer.from_crs(file.crs, f"EPSG:{srid}", always_xy=True)
     found = []
     for line in lines:

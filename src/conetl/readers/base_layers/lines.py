@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pyproj import CRS
 
-from conetl.files.documents import XmlFile, input_errors, library_errors
+from conetl.files.documents import XmlFile, input_errors, library_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
@@ -46,6 +46,7 @@ class LineFile(NamedTuple):
     crs: CRS | None
     refused: list[str]
     """What could not be used, one message each."""
+    why_no_crs: str = "the file has no CRS"
 
 
 def add_line(line: Line, what: str, lines: list[Line], refused: list[str]) -> None:
@@ -83,15 +84,17 @@ def read_lanelet2(path: Path) -> LineFile:
             continue
         missing = [r for r in references if r not in nodes]
         if missing:
-            refused.append(f"way {identity}: its node {missing[0]} is missing")
+            count = f"{len(missing)} of its {len(references)} nodes are missing"
+            refused.append(f"way {shown(identity)}: {count}, node {shown(missing[0])} first")
             continue
         attributes = {**tags, "way": identity, "bounds_a_lanelet": identity in bounding}
         xyz = np.array([nodes[r] for r in references], np.float64).reshape(-1, 3)
-        add_line(Line(tags.get("type", "unknown"), xyz, attributes), f"way {identity}", lines, refused)
+        add_line(Line(tags.get("type", "unknown"), xyz, attributes), f"way {shown(identity)}", lines, refused)
     if not lines:
-        wanted = ", ".join(sorted(BOUNDARIES))
+        reason = f"{refused[-1]}; " if refused else ""
         raise InputError(
-            f"{path}: there are no lane boundaries; expected ways that lanelets refer to, or of type {wanted}"
+            f"{path}: there are no whole lane boundaries; {reason}expected ways that lanelets refer to, or of type "
+            f"{', '.join(sorted(BOUNDARIES))}"
         )
     return LineFile(lines, CRS.from_epsg(4326), refused)
 
@@ -109,14 +112,16 @@ def _read(
     is_local = False
     for _, item in ElementTree.iterparse(file, events=("end",)):
         identity = item.get("id", "")
-        if item.tag == "node":
+        if item.get("action") == "delete" or item.get("visible") == "false":
+            item.clear()  # an object that an editor (JOSM) has deleted, but not uploaded yet
+        elif item.tag == "node":
             tags = _tags(item)
             is_local |= "local_x" in tags
             try:
                 height = float(tags["ele"]) if "ele" in tags else math.nan
                 nodes[identity] = (float(item.get("lon", "")), float(item.get("lat", "")), height)
             except ValueError:
-                refused.append(f"node {identity}: longitude, latitude or height is not a number")
+                refused.append(f"node {shown(identity)}: longitude, latitude or height is not a number")
         elif item.tag == "way":
             ways[identity] = ([n.get("ref", "") for n in item.iter("nd")], _tags(item))
         elif item.tag == "relation":

@@ -18,7 +18,7 @@ import shapely
 from numpy.polynomial.polynomial import polyder, polyval
 from pyproj import CRS
 
-from conetl.files.documents import MAX_SHOWN, XmlFile, input_errors, library_errors, shown
+from conetl.files.documents import XmlFile, input_errors, library_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -178,7 +178,7 @@ def read_opendrive(path: Path) -> LineFile:
             )
 
     for road in root.iter("road"):
-        what = f"road {road.get('id', '')[:MAX_SHOWN]}"
+        what = f"road {shown(road.get('id', ''))}"
         try:
             for line in _road_lines(road, spend):
                 moved = line._replace(xyz=_simplified(line.xyz) @ move[0].T + move[1])
@@ -187,14 +187,24 @@ def read_opendrive(path: Path) -> LineFile:
             refused.append(f"{what}: {error}")
     if not lines:
         raise InputError(f"{path}: none of its roads can be used{'; ' + refused[0] if refused else ''}")
+    return LineFile(lines, *_crs(root, refused))
+
+
+def _crs(root: Element, refused: list[str]) -> tuple[CRS | None, list[str], str]:
+    """The CRS of the coordinates, which are metres whatever it is; what was refused, and why there is none."""
     reference = (root.findtext("header/geoReference") or "").strip()
-    crs: CRS | None = None
+    why = "the file has no geoReference"
     if reference:
         try:
             crs = parse_crs(reference)
         except ValueError as error:
-            refused.append(f"geoReference: {error}")
-    return LineFile(lines, crs, refused)
+            why = f"geoReference: {error}"
+        else:
+            if not crs.is_geographic:
+                return crs, refused, ""
+            why = f"geoReference: {shown(reference)} is in degrees, but the lengths of OpenDRIVE are metres: 1 m would be 111 km"
+        refused.append(why)
+    return None, refused, why
 
 
 def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]:

@@ -21,7 +21,7 @@ from conetl.readers.drives.formats import image_files, names_in
 from conetl.readers.drives.pairs import first_size
 from conetl.readers.drives.template import RIG, Missing
 from conetl.readers.drives.video_timing import stated_start
-from conetl.readers.rigs import CAM_TO_CAM, RIG_SUFFIXES, RIG_YAML, FoundRigs, find_rigs, read_given_rig
+from conetl.readers.rigs import RIG_SUFFIXES, RIG_YAML, FoundRigs, find_rigs, read_given_rig
 from conetl.readers.trajectories import find_trajectories, read_trajectory, trajectory_format
 from conetl.readers.trajectories.recorded import RecordedTrajectory
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -327,8 +327,7 @@ def _add_rig(root: Path, rig_file: Path | None, proposal: Proposal, size: tuple[
 
 
 def _rigs_in(root: Path, size: tuple[int, int] | None) -> FoundRigs:
-    names = names_in(root, RIG_SUFFIXES) + [CAM_TO_CAM] * (root / CAM_TO_CAM).is_file()
-    return find_rigs([root / name for name in names if name != DRIVE_YAML], size)
+    return find_rigs([root / name for name in names_in(root, RIG_SUFFIXES) if name != DRIVE_YAML], size)
 
 
 def _mounted(mount: Mount) -> str:

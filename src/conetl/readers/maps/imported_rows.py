@@ -26,7 +26,7 @@ from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LINE_CLASSES
 from conetl.model.map_records import ImportedFeature, ImportedMap, MapFeature
 from conetl.model.params import ImportParams
 from conetl.readers.base_layers.georeferencing import in_area, parse_crs
-from conetl.readers.maps.tables import MapTable, read_table
+from conetl.readers.maps.tables import MapTable, add_heights, read_table
 from conetl.readers.stated_sigmas import require_exact
 from conetl.readers.trajectories.times import DAY_NS, clock_problem
 
@@ -119,6 +119,7 @@ def read_map_file(
                 f"{path} is an export of history or changes (column {name}); export features to import them"
             )
     file_crs = _file_crs(table, crs)
+    add_heights(table, file_crs)
     if file_crs.is_compound:
         try:
             table.xyz[:] = to_ellipsoidal(table.xyz, file_crs)

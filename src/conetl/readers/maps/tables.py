@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import struct
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 import pyarrow as pa
@@ -21,29 +23,44 @@ import pyarrow.parquet as pq
 import shapely
 from pyproj import CRS
 
-from conetl.files.documents import input_errors, library_errors, shown
+from conetl.files.documents import encoding_of, input_errors, library_errors, require_size, shown
+from conetl.geometry.geodesy import ELLIPSOIDAL
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
-from conetl.readers.base_layers.georeferencing import parse_crs
+from conetl.readers.base_layers.georeferencing import height_unit_m, parse_crs
 
 #: Larger files are not cone maps and do not fit into memory.
 MAX_ROWS = 1_000_000
 #: Largest uncompressed size.
 MAX_BYTES = 2 << 30
-#: Largest text file, and most values (rows times columns) of any, as they are in memory; ten times those of our own exports.
-MAX_TEXT_BYTES = 512 << 20
+#: Most values (rows times columns), as they are in memory; ten times those of our own exports.
 MAX_VALUES = 50_000_000
+TEXT_SUFFIXES = (".csv", ".geojson", ".json")
 _BATCH = 20_000
+#: GEOS's number of the type.
+_MULTI_POINT = 4
 #: A feature has at least this many bytes in any format.
 _MIN_ROW_BYTES = 8
-#: Other names of position columns in CSV files.
-_CSV_NAMES = {
+#: Characters of a line of a text file: no row of a map is as long.
+_MAX_LINE = 1 << 20
+#: Columns of positions in CSV files, by their names without a unit.
+_POSITIONS = {
     **dict.fromkeys(("lon", "lng", "long", "longitude"), "lon_deg"),
     **dict.fromkeys(("lat", "latitude"), "lat_deg"),
-    "easting": "easting_m",
-    "northing": "northing_m",
+    **dict.fromkeys(("easting", "east", "e", "x", "ostwert", "rechtswert"), "easting_m"),
+    **dict.fromkeys(("northing", "north", "n", "y", "nordwert", "hochwert"), "northing_m"),
 }
+#: Names without a unit of columns with heights of the ground; the first one counts.
+HEIGHTS = (
+    "ellipsoidal_height", "ground_height", "height_ellipsoidal", "height_ellipsoid", "elevation", "elev", "ele", "altitude",
+    "alt", "z", "height", "höhe", "hoehe", "h",
+)  # fmt: skip
+#: Those of them that files of objects also have for the objects, which are not higher than this.
+_OF_OBJECTS, _HIGHEST_OBJECT_M = HEIGHTS[-4:], 10.0
+_UNIT = re.compile(r"[_\[(](m|ft|feet|deg|°|met(?:re|er)s?|degrees?)[\])]?$")
+_UNITS_M = {"m": 1.0, "f": 0.3048}
+_DECIMAL_COMMA = re.compile(r"[-+]?(?:\d+(?:,\d*)?|,\d+)(?:[eE][-+]?\d+)?")
 #: The first bytes of a FlatGeobuf file, without the patch version.
 _FGB_MAGIC = b"fgb\x03fgb"
 #: Options of GDAL's drivers, which would read times in GeoJSON with milliseconds only.
@@ -58,7 +75,7 @@ class MapTable:
     crs: CRS | None
     """None where the file has none."""
     xyz: Floats = field(default_factory=lambda: np.empty((0, 3)))
-    """(n, 3) in `crs`, east before north, longitude before latitude; heights NaN where there are none."""
+    """(n, 3) in `crs`, east before north, longitude before latitude; heights of the geometry, else NaN (`add_heights`)."""
     columns: dict[str, list[Any]] = field(default_factory=dict)
     layers: tuple[str, ...] = ()
     """Names of the file's layers with geometry, in its order; empty for formats without layers."""
@@ -90,10 +107,8 @@ def read_table(path: Path, layer: str | None = None) -> MapTable:
         size = path.stat().st_size
     if not path.is_file() or size == 0:
         raise InputError(f"{path} is {'empty' if path.is_file() else 'not a file'}: nothing to import")
-    if size > MAX_TEXT_BYTES and path.suffix.lower() in (".csv", ".geojson", ".json"):
-        raise InputError(
-            f"{path} has {size:,} bytes, expected at most {MAX_TEXT_BYTES:,}: import it in parts, or as .gpkg"
-        )
+    if path.suffix.lower() in TEXT_SUFFIXES:
+        require_size(path)
     if layer is not None and reader is not read_vector:
         raise InputError(f"{path}: has no layers: leave out --layer")
     table = reader(path)
@@ -127,6 +142,8 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
             if name not in reader.schema.names:
                 raise InputError(f"{path} has no geometry: a cone map is a layer of points")
             _append_batches(table, reader, name)
+    if info["driver"].startswith("GeoJSON") and 2 * (np.abs(table.xyz[:, :2]) > 180).any(axis=1).sum() > len(table):
+        table.crs = None  # its standard has degrees only, so that programs leave another CRS out
     return table
 
 
@@ -212,6 +229,8 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
             batch = every.filter(pc.invert(pc.is_in(every.column("category"), pa.array(LINE_CLASSES))))
         table.lines_left_out += every.num_rows - batch.num_rows
         points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object), on_invalid="ignore")
+        single = (shapely.get_type_id(points) == _MULTI_POINT) & (shapely.get_num_geometries(points) == 1)
+        points = np.where(single, shapely.get_geometry(points, 0), points)
         bad = np.flatnonzero((shapely.get_type_id(points) != 0) | shapely.is_empty(points))
         if len(bad):
             kind = getattr(points[bad[0]], "geom_type", None)
@@ -228,50 +247,113 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
 
 
 def _read_csv(path: Path) -> MapTable:
-    """Columns lon_deg, lat_deg (WGS 84), or easting_m, northing_m (their CRS has to be stated); ellipsoidal_height_m.
+    """Columns lon_deg, lat_deg (WGS 84), or easting_m, northing_m (their CRS has to be stated).
 
-    The separator is the most frequent of comma, semicolon and tab in the header; names of columns may be in capitals.
+    The separator is the most frequent of comma, semicolon and tab in the header; names of columns may be in capitals, numbers
+    have a decimal comma where it is not the separator.
     """
-    with (
-        library_errors(f"{path} cannot be read as CSV", OSError, UnicodeError, csv.Error),
-        path.open(encoding="utf-8-sig", newline="") as file,
-    ):
-        header = file.readline()
-        file.seek(0)
-        rows = csv.reader(file, strict=True, delimiter=max(",;\t", key=header.count))
-        names = [_CSV_NAMES.get(name, name) for name in (text.strip().lower() for text in next(rows, []))]
-        lines = []
-        most_rows = min(MAX_ROWS, MAX_VALUES // max(1, len(names)))
-        for number, line in enumerate(rows, start=1):
-            if not line:
-                continue
-            if len(line) != len(names):
-                raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
-            lines.append(line)
-            if number > most_rows:
-                raise _too_many(path)
+    with library_errors(f"{path} cannot be read as CSV", OSError, UnicodeError, csv.Error):
+        with path.open("rb") as raw:
+            encoding = encoding_of(iter(partial(raw.read, _MAX_LINE), b""))
+        with path.open(encoding=encoding, newline="") as file:
+            texts = _short_lines(path, file)
+            header = next(texts, "")
+            header = next(texts, "") if header.lower().startswith("sep=") else header  # of Excel
+            delimiter = max(",;\t", key=header.count)
+            rows = csv.reader(chain([header], texts), strict=True, delimiter=delimiter)
+            names = [text.strip().lower() for text in next(rows, [])]
+            lines = []
+            most_rows = min(MAX_ROWS, MAX_VALUES // max(1, len(names)))
+            for number, line in enumerate(rows, start=1):
+                if not line:
+                    continue
+                if len(line) != len(names):
+                    raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
+                lines.append(line)
+                if number > most_rows:
+                    raise _too_many(path)
+    names = [_POSITIONS.get(_split(name)[0], name) for name in names]
     if len(set(names)) != len(names):
         raise InputError(f"{path}: the header contains a column name twice")
-    columns = {
-        name: [text.strip() or None for text in values]
-        for name, values in zip(names, zip(*lines, strict=True), strict=False)
-    }
+    columns = dict(zip(names, (_values(texts, delimiter) for texts in zip(*lines, strict=True)), strict=False))
     geographic = {"lon_deg", "lat_deg"} <= set(names)
     if not geographic and not {"easting_m", "northing_m"} <= set(names):
-        found = ", ".join(names)[:200]
+        found = shown(names)
         raise InputError(f"{path}: no columns lon_deg and lat_deg, nor easting_m and northing_m; found: {found}")
     horizontal = ("lon_deg", "lat_deg") if geographic else ("easting_m", "northing_m")
-    axes = [[_number(path, i, name, value) for i, value in enumerate(columns.get(name, []))] for name in horizontal]
-    heights = columns.get("ellipsoidal_height_m", [None] * len(lines))
-    axes.append([_number(path, i, "ellipsoidal_height_m", value or "nan") for i, value in enumerate(heights)])
-    return MapTable(path, CRS("OGC:CRS84") if geographic else None, np.array(axes).T.reshape(-1, 3), columns)
+    axes = [numbers_of(path, name, columns.get(name, []), required=True) for name in horizontal]
+    xyz = np.column_stack([*axes, np.full(len(lines), np.nan)])
+    return MapTable(path, CRS("OGC:CRS84") if geographic else None, xyz, columns)
 
 
-def _number(path: Path, index: int, name: str, text: Any) -> float:
-    try:
-        return float(text)
-    except (TypeError, ValueError):
-        raise InputError(f"{path}, row {index + 1}: {name} is {shown(text)}, which is not a number") from None
+def _short_lines(path: Path, file: TextIO) -> Iterator[str]:
+    """The lines of a file, one in memory at a time. Raises InputError for one that is too long."""
+    for number, line in enumerate(iter(partial(file.readline, _MAX_LINE), ""), start=1):
+        if len(line) == _MAX_LINE:
+            raise InputError(
+                f"{path}: line {number} has more than {_MAX_LINE:,} characters: that is not a table of points"
+            )
+        yield line
+
+
+def _values(texts: Sequence[str], delimiter: str) -> list[str | None]:
+    """The cells of a column, None for empty ones; numbers with a decimal point."""
+    values = [text.strip() for text in texts]
+    if delimiter != "," and all(_DECIMAL_COMMA.fullmatch(text) for text in values if text):
+        values = [text.replace(",", ".") for text in values]
+    return [text or None for text in values]
+
+
+def numbers_of(path: Path, name: str, values: Sequence[Any], *, required: bool = False) -> Floats:
+    """The values of a column (N,) as numbers, NaN for empty cells. Raises InputError, which names the row."""
+    found = np.empty(len(values))
+    for index, value in enumerate(values):
+        try:
+            found[index] = np.nan if value is None and not required else float(value)
+        except (TypeError, ValueError, OverflowError):
+            problem = f"{name} is {shown(value)}, which is not a number"
+            raise InputError(f"{path}, row {index + 1}: {problem}") from None
+    return found
+
+
+def _split(name: str) -> tuple[str, float | None]:
+    """A column's name in small letters without its unit, and the unit (m), None where there is none or it is no length."""
+    base = name.strip().lower().replace(" ", "_")
+    found = _UNIT.search(base)
+    return (base, None) if found is None else (base[: found.start()].rstrip("_"), _UNITS_M.get(found[1][0]))
+
+
+def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:
+    """Make the heights of `xyz` metres (of a compound CRS, its unit), and take those that are not in the geometry from a column.
+
+    crs: of the positions. of_points: all names are those of points, not of objects above them. A column is removed if it has such
+    a name. Raises InputError for heights of another system than that of the CRS.
+    """
+    crs_unit_m = height_unit_m(crs)
+    heights_m = table.xyz[:, 2] * crs_unit_m
+    absent = np.isnan(heights_m) | (heights_m == 0.0 if not heights_m.any() else False)
+    named = [
+        (HEIGHTS.index(base), name, unit_m)
+        for name in table.columns
+        for base, unit_m in [_split(name)]
+        if base in HEIGHTS
+    ]
+    for order, name, unit_m in sorted(named, key=lambda one: one[0]) if absent.any() else ():
+        found_m = numbers_of(table.path, name, table.columns[name]) * (crs_unit_m if unit_m is None else unit_m)
+        known_m = found_m[np.isfinite(found_m)]
+        if not of_points and HEIGHTS[order] in _OF_OBJECTS:
+            if ((known_m > 0) & (known_m <= _HIGHEST_OBJECT_M)).all():
+                continue
+            del table.columns[name]
+        systems = {str(system) for system in table.columns.get("height_system", ()) if system is not None}
+        if HEIGHTS[order] == "ground_height" and not crs.is_compound and systems - {ELLIPSOIDAL}:
+            raise InputError(
+                f"{table.path}: {shown(name)} is in the height system {shown(sorted(systems)[0])}: state it with the CRS, like "
+                "--crs EPSG:25832+7837"
+            )
+        heights_m[absent] = found_m[absent]
+        break
+    table.xyz[:, 2] = heights_m / crs_unit_m if crs.is_compound else heights_m
 
 
 def _check_flatgeobuf_header(path: Path) -> None:

@@ -1,29 +1,42 @@
-"""Calibration files of many tools -> `Rig`, and some back: one module per format, `read_rig` recognises the format.
+"""Calibration files of many tools -> `Rig`, and some back: one table of formats, recognised by the keys of their content.
 
 The result is the rig of the stored images: raw, with its lenses, unless the file describes a rectified pair
 (`geometry/rectification.py` makes the other from it). Every error is an InputError that names the file, the key, what was
-expected and what to do.
+expected, what to do and the format that the file was read as.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import glob
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from inspect import signature
+from itertools import islice
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
-from conetl.files.documents import read_json, read_limited, read_yaml
+from conetl.files.documents import shown
 from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Rig
-from conetl.readers.rigs.common import Pair, Size, read_xml, rectified_rig
+from conetl.readers.rigs import opencv
+from conetl.readers.rigs.common import Node, Pair, Size, rectified_rig
+from conetl.readers.rigs.content import keys_of, read_content
 from conetl.readers.rigs.devices import read_oak_rig, read_zed_rig
-from conetl.readers.rigs.kitti import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
-from conetl.readers.rigs.matlab import read_matlab_rig, structure
-from conetl.readers.rigs.metashape import looks_like_metashape, read_metashape_rig
-from conetl.readers.rigs.opencv import looks_like_opencv, read_opencv_rig, write_opencv_rig
+from conetl.readers.rigs.kalibr import read_kalibr_rig
+from conetl.readers.rigs.kitti import (
+    CAM_TO_CAM,
+    IMU_TO_VELO,
+    VELO_TO_CAM,
+    kitti_files,
+    read_kitti_rig,
+    read_named_kitti_rig,
+)  # fmt: skip
+from conetl.readers.rigs.matlab import read_matlab_rig
+from conetl.readers.rigs.metashape import read_metashape_rig
+from conetl.readers.rigs.rectified import read_middlebury_rig, read_projections_rig
 from conetl.readers.rigs.rig_yaml import RIG_YAML, read_rig_yaml, write_rig_yaml
-from conetl.readers.rigs.ros import read_kalibr_rig, read_ros_rig, write_ros_rig
+from conetl.readers.rigs.ros import read_orbslam_rig, read_ros_rig, ros_files, write_ros_rig
 
 __all__ = [
     "CAM_TO_CAM", "FORMAT_NAMES", "IMU_TO_VELO", "RIG_SUFFIXES", "RIG_YAML", "VELO_TO_CAM", "WRITERS", "Format", "FoundRigs",
@@ -31,27 +44,61 @@ __all__ = [
     "write_rig_yaml",
 ]  # fmt: skip
 
-Format = Literal["rig", "kitti", "opencv", "kalibr", "ros", "matlab", "zed", "oak", "metashape"]
-FORMAT_NAMES: dict[Format, str] = {
-    "rig": "conetl rig.yaml", "kitti": "KITTI calib_cam_to_cam.txt", "opencv": "OpenCV stereo calibration",
-    "kalibr": "Kalibr camchain", "ros": "ROS camera_info pair", "matlab": "MATLAB stereoParameters",
-    "zed": "ZED factory calibration", "oak": "OAK (DepthAI) calibration", "metashape": "Metashape cameras",
-}  # fmt: skip
-_READERS: dict[Format, Callable[..., Rig]] = {
-    "rig": read_rig_yaml, "kitti": read_kitti_rig, "kalibr": read_kalibr_rig, "ros": read_ros_rig,
-    "opencv": read_opencv_rig, "matlab": read_matlab_rig, "zed": read_zed_rig, "oak": read_oak_rig,
-    "metashape": read_metashape_rig,
-}  # fmt: skip
-#: Names in messages of the options that readers have besides the path.
-_CALLED = {"image_size": "image size", "length_unit": "unit", "pair": "pair of cameras"}
+Format = Literal[
+    "rig", "kitti", "kitti_rectified", "middlebury", "matlab", "oak", "zed", "metashape", "kalibr", "orbslam", "ros", "opencv"
+]  # fmt: skip
+
+
+class _Kind(NamedTuple):
+    """One format."""
+
+    name: str
+    keys: str
+    """A file with a key that matches is of this format: a regular expression for a whole key, with a dot those of mappings."""
+    read: Callable[..., Rig]
+    """Of the file's content; its keyword arguments are the options that the format needs."""
+    files: Callable[[Path], tuple[Path, ...]] = lambda path: (path,)
+    """All files of the calibration that a file belongs to."""
+
+
+def _read_own(file: Node, *, pair: Pair | None = None) -> Rig:
+    return read_rig_yaml(file.path, pair=pair, unit_m=file.unit_m())
+
+
+#: The first with a matching key is that of the file.
+_KINDS: dict[Format, _Kind] = {
+    "rig": _Kind("conetl rig.yaml", r"(cameras\.[^.]+|left|right)\.(\w+_(px|mm)|lens\..+)|baseline_m", _read_own),
+    "kitti": _Kind("KITTI calib_cam_to_cam.txt", r"(S|K|D|R|T|[SRP]_rect)_0\d", read_named_kitti_rig, kitti_files),
+    "kitti_rectified": _Kind("KITTI odometry or object calib.txt", r"P\d|R0_rect|Tr_velo_to_cam", read_projections_rig),
+    "middlebury": _Kind("Middlebury calib.txt", r"cam\d|doffs|ndisp", read_middlebury_rig),
+    "matlab": _Kind("MATLAB stereoParameters", r"(\w+\.)?CameraParameters1(\..+)?", read_matlab_rig),
+    "oak": _Kind("OAK (DepthAI) calibration", r"cameraData(\..+)?", read_oak_rig),
+    "zed": _Kind("ZED factory calibration", r"(?i:(LEFT|RIGHT)_(CAM|DISTO)\w*\..+|STEREO\.baseline)", read_zed_rig),
+    "metashape": _Kind("Metashape cameras", r"document\.chunk", read_metashape_rig),
+    "kalibr": _Kind("Kalibr camchain", r"cam\d+\..+", read_kalibr_rig),
+    "orbslam": _Kind("ORB-SLAM settings", r"Camera\d?\.(fx|bf|type|width)|(LEFT|RIGHT)\.P", read_orbslam_rig),
+    "ros": _Kind(
+        "ROS camera_info pair",
+        r"(projection|rectification)_matrix(\..+)?|.+\.(camera matrix|projection)",
+        read_ros_rig,
+        ros_files,
+    ),
+    "opencv": _Kind("OpenCV stereo calibration", opencv.MARKS, opencv.read_opencv_rig, opencv.opencv_files),
+}
+FORMAT_NAMES: dict[Format, str] = {found: kind.name for found, kind in _KINDS.items()}
+#: Names in messages of the options that readers have besides the file.
+_CALLED = {"image_size": "image size", "pair": "pair of cameras"}
 #: Writers by format; that of ROS takes a folder, the others a file.
 WRITERS: dict[str, Callable[[Rig, Path], None]] = {
-    "rig": write_rig_yaml, "opencv": write_opencv_rig, "ros": write_ros_rig,
+    "rig": write_rig_yaml, "opencv": opencv.write_opencv_rig, "ros": write_ros_rig,
 }  # fmt: skip
-_KNOWN = (
-    "rig.yaml, KITTI calib_cam_to_cam.txt, OpenCV .yml/.xml/.json, Kalibr camchain.yaml, ROS left.yaml + right.yaml, "
-    "MATLAB .json/.mat, ZED SN*.conf, OAK calib.json, Metashape cameras.xml"
-)
+#: Larger files are no calibrations; keys that are looked at.
+_LARGEST_BYTES, _MOST_KEYS = 4_000_000, 1_000
+_KNOWN = ", ".join(FORMAT_NAMES.values())
+#: Suffixes of files that are looked at in a folder.
+RIG_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".json", ".conf", ".mat", ".txt", ".ini"})
+#: Those of many other files, of which nothing is said.
+_TEXTS = (".txt", ".ini")
 
 
 def read_rig(
@@ -66,17 +113,25 @@ def read_rig_and_format(
 ) -> tuple[Rig, Format]:
     """Rig and its recognised format.
 
-    image_size (width, height) and length_unit are for files without them, image_size also chooses the resolution of a ZED file.
-    pair: names of the left and the right camera in a file with more than two. A KITTI calibration gives its rectified pair
-    (cameras 02 and 03; with the two other files beside it the body is the IMU, else the left camera). Raises InputError.
+    image_size (width, height) is for files without it, it also chooses the resolution of a ZED file. length_unit: of the lengths
+    in the file, where it is not that of its format. pair: names of the left and the right camera in a file with more than two. A
+    KITTI calibration gives its rectified pair (cameras 02 and 03; with the two other files beside it the body is the IMU, else
+    the left camera). Raises InputError.
     """
-    path, found = _recognise(path, pair)
-    options = {"image_size": image_size, "length_unit": length_unit, "pair": pair}
+    file, found = _recognise(path, pair)
+    return _read(file._replace(length_unit=length_unit), found, {"image_size": image_size, "pair": pair}), found
+
+
+def _read(file: Node, found: Format, options: Mapping[str, Any]) -> Rig:
+    kind = _KINDS[found]
     given = {name: value for name, value in options.items() if value is not None}
-    foreign = [_CALLED[name] for name in given if name not in signature(_READERS[found]).parameters]
+    foreign = [_CALLED[name] for name in given if name not in signature(kind.read).parameters]
     if foreign:
-        raise InputError(f"{path}: a {FORMAT_NAMES[found]} has its own {' and '.join(foreign)}; leave them out")
-    return _READERS[found](path, **given), found
+        raise InputError(f"{file.path}: a {kind.name} has its own {' and '.join(foreign)}; leave them out")
+    try:
+        return kind.read(file, **given)
+    except InputError as error:
+        raise InputError(f"{error} (read as {kind.name})") from error
 
 
 def read_rig_for_images(path: Path, size: Size | None) -> Rig:
@@ -84,84 +139,72 @@ def read_rig_for_images(path: Path, size: Size | None) -> Rig:
 
     Where they are raw, `rectified_from` is the rig that took them. Raises InputError.
     """
-    path, found = _recognise(path)
+    file, found = _recognise(path)
+    known = signature(_KINDS[found].read).parameters
     if found == "kitti":
-        return read_kitti_rig(path, images=size)
-    return rectified_rig(read_rig(path, image_size=size if found == "zed" else None), path)
+        return read_named_kitti_rig(file, images=size)
+    try:
+        rig = _read(file, found, {})
+    except InputError:
+        if size is None or "image_size" not in known:
+            raise
+        rig = _read(file, found, {"image_size": size})
+    return rectified_rig(rig, path)
 
 
-def _recognise(path: Path, pair: Pair | None = None) -> tuple[Path, Format]:
-    """The file to read (or the folder, for formats of several files) and its format. Raises InputError."""
+def _recognise(path: Path, pair: Pair | None = None) -> tuple[Node, Format]:
+    """The content of a file, or of the first file of the only calibration in a folder, and its format. Raises InputError."""
     if path.is_dir():
         return _in_folder(path, pair)
     if not path.is_file():
         raise InputError(f"{path}: there is no such file. Known: {_KNOWN}, or a folder that holds one of them")
-    kind = _OF_SUFFIX.get(path.suffix.lower())
-    if kind is None:
-        raise InputError(f"{path}: a calibration is not a '{path.suffix.lower()}' file. Known: {_KNOWN}")
-    return path, kind(path) if callable(kind) else kind
+    if path.name == RIG_YAML:
+        return Node(path, {}), "rig"
+    content = read_content(path)
+    keys = [*islice(keys_of(content), _MOST_KEYS)]
+    found = next((found for found, kind in _KINDS.items() if any(re.fullmatch(kind.keys, key) for key in keys)), None)
+    if found is None:
+        for belongs_to in (kitti_files(path), opencv.opencv_files(path)):
+            if belongs_to[0] != path:  # a part without a camera
+                return _recognise(belongs_to[0])
+        raise InputError(f"{path}: not a calibration that conetl knows: found {shown(keys)}. Known: {_KNOWN}")
+    return Node(path, content), found
 
 
-def _of_json(path: Path) -> Format:
-    content = read_json(path)
-    if structure(content) is not None:
-        return "matlab"
-    if isinstance(content, Mapping) and "cameraData" in content:
-        return "oak"
-    if looks_like_opencv(content):
-        return "opencv"
-    raise InputError(
-        f"{path}: neither MATLAB's stereoParameters (CameraParameters1) nor an OAK's cameraData nor OpenCV's (M1, D1); "
-        f"known: {_KNOWN}"
-    )
-
-
-def _of_yaml(path: Path) -> Format:
-    text = read_limited(path)
-    if text.lstrip().startswith("%YAML:") or "!!opencv" in text:
-        return "opencv"
-    content = read_yaml(path)
-    if isinstance(content, Mapping) and "cam0" in content:
-        return "kalibr"
-    ros = {"projection_matrix", "rectification_matrix"}
-    if isinstance(content, Mapping) and "camera_matrix" in content and not ros.isdisjoint(content):
-        return "ros"
-    return "opencv" if looks_like_opencv(content) else "rig"
-
-
-#: The format, or how to find it in the content.
-_OF_SUFFIX: dict[str, Format | Callable[[Path], Format]] = {
-    ".txt": "kitti", ".mat": "matlab", ".conf": "zed", ".json": _of_json, ".yaml": _of_yaml, ".yml": _of_yaml,
-    ".xml": lambda path: "metashape" if looks_like_metashape(read_xml(path)) else "opencv",
-}  # fmt: skip
-
-
-def _in_folder(folder: Path, pair: Pair | None) -> tuple[Path, Format]:
-    if pair is not None and any((folder / f"{pair[0]}{suffix}").is_file() for suffix in (".yaml", ".yml")):
-        return folder, "ros"
-    found: list[tuple[Path, Format]] = []
-    if (folder / RIG_YAML).is_file():
-        found.append((folder / RIG_YAML, "rig"))
-    if (folder / CAM_TO_CAM).is_file():
-        found.append((folder / CAM_TO_CAM, "kitti"))
-    found += [(path, "kalibr") for path in sorted(folder.glob("*camchain*.yaml"))]
-    for left, right in (("left", "right"), ("intrinsics", "extrinsics")):
-        first = next((p for s in (".yaml", ".yml", ".xml") if (p := folder / f"{left}{s}").is_file()), None)
-        if first is not None and (folder / f"{right}{first.suffix}").is_file():
-            found.append((folder, "ros" if first.suffix != ".xml" and _of_yaml(first) == "ros" else "opencv"))
+def _in_folder(folder: Path, pair: Pair | None) -> tuple[Node, Format]:
+    if pair is not None:
+        named = [path for path in sorted(folder.glob(f"{glob.escape(pair[0])}.*")) if path.suffix in RIG_SUFFIXES]
+        if named:
+            return _recognise(named[0])
+    found = [path for path, error in _calibrations(sorted(folder.iterdir())) if error is None]
     if len(found) != 1:
-        names = " and ".join(path.name if path != folder else FORMAT_NAMES[kind] for path, kind in found)
+        names = " and ".join(path.name for path in found)
         raise InputError(
-            f"{folder}: expected one of {RIG_YAML} and {CAM_TO_CAM} (or another calibration) in the folder, found "
-            f"{names or 'none of them'}; name the file itself. Known: {_KNOWN}"
+            f"{folder}: expected one calibration in the folder, found {names or 'none'}; name the file itself. Known: {_KNOWN}"
         )
-    return found[0]
+    return _recognise(found[0])
+
+
+def _calibrations(paths: Iterable[Path]) -> Iterator[tuple[Path, InputError | None]]:
+    """The first file of each calibration, and files that look like one and are not, with the reason."""
+    seen: set[Path] = set()
+    for path in paths:
+        is_small = path.suffix.lower() in RIG_SUFFIXES and path.is_file() and path.stat().st_size <= _LARGEST_BYTES
+        if path in seen or not is_small:
+            continue
+        try:
+            file, found = _recognise(path)
+            files = _KINDS[found].files(file.path)
+            if seen.isdisjoint(files):
+                yield files[0], None
+            seen.update(files)
+        except InputError as error:
+            if path.suffix.lower() not in _TEXTS:
+                yield path, error
 
 
 # --------------------------------------------------------------------------- the calibrations in a folder, for `conetl init`
 
-RIG_SUFFIXES = frozenset(_OF_SUFFIX.keys() - {".txt"})
-_LARGEST_BYTES = 4_000_000
 #: How far a principal point is from the centre of its image, at most, in parts of the image's size.
 _OFF_CENTRE = 0.2
 #: Baselines that a file without a unit may mean in millimetres (m).
@@ -180,14 +223,14 @@ class FoundRigs(NamedTuple):
 def find_rigs(paths: Sequence[Path], size: tuple[int, int] | None) -> FoundRigs:
     """The calibrations for images of this size (width, height): rig.yaml, or if there is none that fits, those of other tools.
 
-    paths: files of one folder, with one of `RIG_SUFFIXES`. Raises InputError for a rig.yaml that cannot be read.
+    paths: files of one folder, with one of `RIG_SUFFIXES`; texts without a calibration's keys are other files of the recording.
+    Raises InputError for a rig.yaml that cannot be read.
     """
     found = FoundRigs([], [], [])
-    for path in sorted(paths, key=lambda path: (path.name != RIG_YAML, path.name)):
-        of_conetl = bool(found.fitting) and found.fitting[0][0].name == RIG_YAML
-        if of_conetl or path.stat().st_size > _LARGEST_BYTES:
-            continue
+    for path, problem in _calibrations(sorted(paths, key=lambda path: (path.name != RIG_YAML, path.name))):
         try:
+            if problem is not None:
+                raise problem
             rig, kind = read_given_rig(path, size)
         except InputError as error:
             if path.name == RIG_YAML:
@@ -197,6 +240,8 @@ def find_rigs(paths: Sequence[Path], size: tuple[int, int] | None) -> FoundRigs:
         width_px, height_px = rig.left.width_px, rig.left.height_px
         if size is None or size == (width_px, height_px):
             found.fitting.append((path, rig, kind))
+            if path.name == RIG_YAML:
+                break
         else:
             found.of_other_size.append(
                 f"calibration {path.name}: for images of {width_px} x {height_px}, these have {size[0]} x {size[1]}; 'conetl rig "

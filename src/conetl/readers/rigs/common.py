@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 import yaml
 from numpy.typing import ArrayLike
 
 from conetl.files.atomic import atomic_text_file
-from conetl.files.documents import input_errors, library_errors, read_limited, shown
+from conetl.files.documents import input_errors, shown
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.arrays import Floats
@@ -24,20 +24,15 @@ Size = tuple[int, int]
 Pair = tuple[str, str]
 """Names of the left and the right camera in a file with several."""
 
-#: Length of units in metres, by the names that calibration tools write.
-LENGTH_UNITS: Mapping[str, float] = {
-    "m": 1.0, "meter": 1.0, "meters": 1.0, "metres": 1.0,
-    "cm": 0.01, "centimeter": 0.01, "centimeters": 0.01,
-    "mm": 0.001, "millimeter": 0.001, "millimeters": 0.001,
-    "in": 0.0254, "inch": 0.0254, "inches": 0.0254,
+_METRES = {
+    "m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "um": 1e-6, "µm": 1e-6, "in": 0.0254, "ft": 0.3048,
+    "inch": 0.0254, "foot": 0.3048, "feet": 0.3048, "inche": 0.0254,
+    **{f"{part}{metre}": factor for metre in ("meter", "metre")
+       for part, factor in (("", 1.0), ("deci", 0.1), ("centi", 0.01), ("milli", 0.001), ("micro", 1e-6))},
 }  # fmt: skip
+#: Characters between the numbers of a text.
+_BETWEEN = re.compile(r"[\s,;\[\]()]+")
 _SKEW_SHARE = 1e-6
-
-
-def read_xml(path: Path) -> ElementTree.Element:
-    """Root element of an XML file. Raises InputError."""
-    with library_errors(f"{path}: this is not XML", ElementTree.ParseError, ValueError):
-        return ElementTree.fromstring(read_limited(path))
 
 
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
@@ -53,15 +48,17 @@ class Node(NamedTuple):
     value: Any
     key: str = ""
     """Its key, with the keys above it."""
+    length_unit: str | None = None
+    """Of all lengths of the file, as the user states it."""
 
     def bad(self, text: str) -> InputError:
         """The error for this value."""
-        return InputError(f"{self.path}: {shown(self.key)} {text}")
+        return InputError(f"{self.path}: {shown(self.key) if self.key else 'it'} {text}")
 
     def get(self, key: str) -> Node:
         """The value of a key, None where there is none."""
         value = self.value.get(key) if isinstance(self.value, Mapping) else None
-        return Node(self.path, value, f"{self.key}.{key}" if self.key else key)
+        return self._replace(value=value, key=f"{self.key}.{key}" if self.key else key)
 
     def at(self, key: str) -> Node:
         """The value of a required key."""
@@ -74,14 +71,14 @@ class Node(NamedTuple):
     def both(self, first: str, second: str) -> Node:
         """The values of two required keys."""
         one = self.at(first)
-        return Node(self.path, [one.value, self.at(second).value], f"{one.key}, {second}")
+        return one._replace(value=[one.value, self.at(second).value], key=f"{one.key}, {second}")
 
     def number(self) -> float:
         """One finite number."""
         return float(self.numbers((1,))[0])
 
     def numbers(self, shape: tuple[int, ...] | None = None) -> Floats:
-        """Finite numbers of the given shape (or any flat count), from lists or from {rows, cols, data}."""
+        """Finite numbers of the given shape (or any flat count), from lists, a text or {rows, cols, data}."""
         value = self.value
         if isinstance(value, Mapping):
             rows, cols = value.get("rows"), value.get("cols")
@@ -89,6 +86,8 @@ class Node(NamedTuple):
             if not (type(rows) is type(cols) is int and rows > 0 and rows * cols == data.size):  # True is an int, too
                 raise self.bad(f"has {shown(rows)} rows and {shown(cols)} columns, but {data.size} numbers")
             value = data.reshape(rows, cols)
+        if isinstance(value, str):
+            value = [word for word in _BETWEEN.split(value) if word]
         try:
             array = np.asarray(value, dtype=np.float64)
         except (TypeError, ValueError, OverflowError):
@@ -126,13 +125,18 @@ class Node(NamedTuple):
         return se3.se3(se3.nearest_rotation(matrix[:3, :3]), matrix[:3, 3])
 
     def metres(self) -> float:
-        """Length of a unit of `LENGTH_UNITS`."""
-        if self.value not in LENGTH_UNITS:
-            known = ", ".join(LENGTH_UNITS)
+        """Length of a unit, by its symbol or name."""
+        name = str(self.value).strip().lower()
+        if (length_m := _METRES.get(name, _METRES.get(name.removesuffix("s")))) is None:
+            known = ", ".join([*_METRES][:8])
             raise self.bad(
                 f"{shown(self.value)} is not a known unit; known: {known}. Give it with conetl rig convert --unit mm"
             )
-        return LENGTH_UNITS[self.value]
+        return length_m
+
+    def unit_m(self, unit: object = "m") -> float:
+        """Length of the unit that the user states, else of `unit`."""
+        return self._replace(value=self.length_unit or unit, key="length unit").metres()
 
     def camera(self, size: Size, lens: Lens) -> Camera:
         """Camera of a matrix (3, 3) [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels."""
@@ -187,14 +191,16 @@ class Node(NamedTuple):
             return Lens(model="brown", coefficients=tuple(values[:5]))
         return Lens(model="radial", coefficients=tuple(values[:2])) if any(values) else Lens()
 
-    def stereo_rig(self, tool: str, left: Camera, right: Camera, right_SE3_left: Floats) -> Rig:
+    def stereo_rig(self, tool: str, left: Camera, right: Camera, right_SE3_left: Floats, unit: object = "m") -> Rig:
         """Rig of the usual stereo calibration `p_right = R p_left + t`, as (4, 4); the body is the left camera.
 
-        This value is the relative pose in the file. tool: the format's name, the rig's id starts with it.
+        This value is the relative pose in the file. tool: the format's name, the rig's id starts with it. unit: of t, unless the
+        user states it.
         """
+        unit_m = self.unit_m(unit)
         with input_errors(f"{self.path}: '{self.key}' cannot be used"):
             turn = se3.nearest_rotation(right_SE3_left[:3, :3])
-            left_SE3_right = se3.invert(se3.se3(turn, right_SE3_left[:3, 3]))
+            left_SE3_right = se3.invert(se3.se3(turn, right_SE3_left[:3, 3] * unit_m))
             check_stereo_baseline(left_SE3_right)
             return rig_of(tool, left, right, left_SE3_right)
 

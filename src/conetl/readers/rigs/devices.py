@@ -14,19 +14,17 @@ the baseline to 4e-9 of its length; every file is checked by it.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from configparser import Error, RawConfigParser
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from conetl.files.documents import MAX_SHOWN, library_errors, read_json, read_limited, shown
+from conetl.files.documents import shown
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
-from conetl.model.rig import MIN_BASELINE_M, Camera, Lens, Rig
-from conetl.readers.rigs.common import LENGTH_UNITS, Node, Pair, Size, choose_pair, matrix_of
+from conetl.model.rig import Camera, Lens, Rig
+from conetl.readers.rigs.common import Node, Pair, Size, choose_pair, matrix_of
 
 #: Size of one camera's image by the name of the resolution.
 RESOLUTIONS: dict[str, Size] = {
@@ -41,86 +39,85 @@ _UNITS_M = {0: 1.0, 1: 0.01, 2: 0.001}
 _MAX_CONTRADICTION = 5e-3
 
 
-def read_zed_rig(path: Path, *, image_size: Size | None = None) -> Rig:
-    """Raw rig of one resolution; image_size: width and height of one camera's image, where the file has several.
+def read_zed_rig(file: Node, *, image_size: Size | None = None) -> Rig:
+    """Raw rig of one resolution; image_size: width and height of one camera's image, where the file does not say it alone.
 
     Raises InputError.
     """
-    sections = _sections(path)
-    name = _resolution(path, sections, image_size)
-    left, right = (_zed_camera(path, sections, side, name) for side in ("LEFT", "RIGHT"))
-    stereo = Node(path, sections.get("STEREO", {}), "STEREO")
+    sections = {
+        name.upper(): {key.lower(): value for key, value in values.items()}
+        for name, values in file.value.items()
+        if isinstance(values, Mapping)
+    }
+    name, size = _resolution(file, sections, image_size)
+    left, right = (_zed_camera(file, sections, side, name).camera(size, _zed_lens(file, sections, side, name))
+                   for side in ("LEFT", "RIGHT"))  # fmt: skip
+    stereo = file._replace(value=sections.get("STEREO", {}), key="STEREO")
     baseline = stereo.at("baseline").number()
     ty, tz = (stereo._replace(value={key: "0"} | stereo.value).at(key).number() for key in ("ty", "tz"))
     turn = [stereo.at(f"{key}_{name.lower()}").number() for key in ("rx", "cv", "rz")]
-    key = Node(path, baseline, "STEREO.Baseline")
-    if not baseline * LENGTH_UNITS["mm"] >= MIN_BASELINE_M:
-        raise key.bad(f"must be {MIN_BASELINE_M / LENGTH_UNITS['mm']:g} millimetres or more, found {baseline:g}")
     if not np.linalg.norm(turn) < np.pi / 4:
-        angles = Node(path, turn, f"STEREO.RX_{name}, CV_{name}, RZ_{name}")
+        angles = Node(file.path, turn, f"STEREO.RX_{name}, CV_{name}, RZ_{name}")
         raise angles.bad(f"must be small angles in radians, found {shown(turn)}")
-    shift_m = LENGTH_UNITS["mm"] * np.array([-baseline, ty, tz])
-    return key.stereo_rig("zed", left, right, se3.se3(Rotation.from_rotvec(turn).as_matrix(), shift_m))
+    pose = se3.se3(Rotation.from_rotvec(turn).as_matrix(), np.array([-baseline, ty, tz]))
+    return stereo.at("baseline").stereo_rig("zed", left, right, pose, "mm")
 
 
-def _sections(path: Path) -> Sections:
-    """Values by section (in capitals) and key (in lower case)."""
-    parser = RawConfigParser(inline_comment_prefixes=("#", ";"))
-    with library_errors(f"{path}: not an INI file", Error):
-        parser.read_string(read_limited(path), source=path.name[:MAX_SHOWN])
-    return {name.upper(): dict(parser.items(name)) for name in parser.sections()}
-
-
-def _resolution(path: Path, sections: Sections, image_size: Size | None) -> str:
-    known = [name for name in RESOLUTIONS if f"LEFT_CAM_{name}" in sections and f"RIGHT_CAM_{name}" in sections]
-    if not known:
-        raise InputError(
-            f"{path}: expected the sections LEFT_CAM_HD and RIGHT_CAM_HD (or {', '.join(RESOLUTIONS)}) of a ZED camera, found "
-            f"{shown([*sections])}"
+def _resolution(file: Node, sections: Sections, image_size: Size | None) -> tuple[str, Size]:
+    """The name of the resolution in the sections, and the size of its images."""
+    names = [name.removeprefix("LEFT_CAM_") for name in sections if name.startswith("LEFT_CAM_")]
+    names = [name for name in names if f"RIGHT_CAM_{name}" in sections]
+    if not names:
+        raise file.bad(
+            f"must have the sections LEFT_CAM_HD and RIGHT_CAM_HD of a ZED camera, found {shown([*sections])}"
         )
-    fitting = [name for name in known if image_size in (None, RESOLUTIONS[name])]
-    if len(fitting) == 1:
+    sizes = {name: RESOLUTIONS.get(name, image_size if len(names) == 1 else None) for name in names}
+    fitting = [(name, size) for name, size in sizes.items() if size is not None and image_size in (None, size)]
+    if len(fitting) == 1 and (image_size is not None or len(names) == 1):
         return fitting[0]
-    sizes = ", ".join(f"{RESOLUTIONS[name][0]}x{RESOLUTIONS[name][1]} ({name})" for name in known)
+    listed = ", ".join(
+        f"{size[0]}x{size[1]} ({name})" if size else f"unknown size ({name})" for name, size in sizes.items()
+    )
     given = "" if image_size is None else f", none is {image_size[0]}x{image_size[1]}"
-    raise InputError(
-        f"{path}: the file has calibrations for images of {sizes}{given}; name that of your images: conetl rig convert with "
-        "--image-size (one camera's image, half of a side-by-side one)"
+    raise file._replace(key="LEFT_CAM, RIGHT_CAM").bad(
+        f"are for images of {listed}{given}; name that of your images: conetl rig convert with --image-size (one camera's "
+        "image, half of a side-by-side one)"
     )
 
 
-def _zed_camera(path: Path, sections: Sections, side: str, name: str) -> Camera:
-    camera = Node(path, sections[f"{side}_CAM_{name}"], f"{side}_CAM_{name}")
-    k = matrix_of(*(camera.at(key).number() for key in ("fx", "fy", "cx", "cy")))
-    return camera._replace(value=k).camera(RESOLUTIONS[name], _zed_lens(camera, sections, f"{side}_DISTO"))
+def _zed_camera(file: Node, sections: Sections, side: str, name: str) -> Node:
+    """The camera matrix (3, 3)."""
+    camera = file._replace(value=sections[f"{side}_CAM_{name}"], key=f"{side}_CAM_{name}")
+    return camera._replace(value=matrix_of(*(camera.at(key).number() for key in ("fx", "fy", "cx", "cy"))))
 
 
-def _zed_lens(camera: Node, sections: Sections, disto: str) -> Lens:
+def _zed_lens(file: Node, sections: Sections, side: str, name: str) -> Lens:
     """Coefficients beside the camera matrix, or (files of newer cameras) in a section for all resolutions."""
-    found = [part for part in (camera.key, disto) if "k1" in sections.get(part, {})]
+    own, disto = f"{side}_CAM_{name}", f"{side}_DISTO"
+    found = [part for part in (own, disto) if "k1" in sections.get(part, {})]
     if len(found) != 1:
-        raise camera.get("k1").bad(
-            f"must be in one of {camera.key} and {disto}, found in {' and '.join(found) or 'none'}"
-        )
+        problem = f"must be in one of {own} and {disto}, found in {' and '.join(found) or 'none'}"
+        raise file._replace(key=f"{own}.k1").bad(problem)
     given = sections[found[0]]
     # k3 to k6 and the tangential coefficients are zero where a file does not have them.
-    lens = Node(camera.path, dict.fromkeys(_POLYNOMIAL, "0") | given, found[0])
+    lens = file._replace(value=dict.fromkeys(_POLYNOMIAL, "0") | given, key=found[0])
     if "k4" in given and "p1" not in given:
         raise lens.at("k4").bad("without p1 and p2 is a fisheye lens, whose meaning in ZED files conetl does not know")
-    return Node(lens.path, [lens.at(key).number() for key in _POLYNOMIAL], f"{lens.key}.k1 to k6").lens()
+    return lens._replace(value=[lens.at(key).number() for key in _POLYNOMIAL], key=f"{lens.key}.k1 to k6").lens()
 
 
-def read_oak_rig(path: Path, *, pair: Pair | None = None) -> Rig:
+def read_oak_rig(content: Node, *, pair: Pair | None = None) -> Rig:
     """Raw rig of two cameras; pair: sockets like CAM_B,CAM_C or 1,2; default the stereo pair that the file names.
 
     Raises InputError.
     """
-    content = Node(path, read_json(path))
     cameras = _cameras(content)
     rectification = content.get("stereoRectificationData")
     stated = tuple(_socket(rectification.get(f"{side}CameraSocket").value) for side in ("left", "right"))
     named = None if pair is None else tuple(_socket(name) for name in pair)
-    left, right = choose_pair(path, [*cameras], named or (stated if all(name in cameras for name in stated) else None))
+    left, right = choose_pair(
+        content.path, [*cameras], named or (stated if all(name in cameras for name in stated) else None)
+    )
     poses: dict[tuple[str, str], Floats] = {}
     for name, camera in cameras.items():
         found = _pose(camera)
@@ -150,7 +147,7 @@ def _cameras(content: Node) -> dict[str, Node]:
     if not isinstance(items, list) or not all(isinstance(item, list | tuple) and len(item) == 2 for item in items):
         raise data.bad("must hold pairs of socket and camera")
     found = {
-        _socket(name): Node(data.path, camera, f"cameraData.{_socket(name)}")
+        _socket(name): data._replace(value=camera, key=f"cameraData.{_socket(name)}")
         for name, camera in items
         if isinstance(camera, Mapping) and camera.get("intrinsicMatrix")
     }
@@ -181,7 +178,8 @@ def _pose(camera: Node) -> tuple[str, Floats] | None:
         raise extrinsics.get("lengthUnit").bad(f"must be 0 (m), 1 (cm) or 2 (mm), found {shown(unit)}")
     turn, shift = extrinsics.at("rotationMatrix").rotation(), extrinsics.at("translation")
     t = shift._replace(value=[shift.at(axis).value for axis in "xyz"]).numbers((3,))
-    return _socket(extrinsics.value["toCameraSocket"]), se3.se3(turn, _UNITS_M[unit] * t)
+    unit_m = _UNITS_M[unit] if camera.length_unit is None else 1.0
+    return _socket(extrinsics.value["toCameraSocket"]), se3.se3(turn, unit_m * t)
 
 
 def _check(rectification: Node, right_SE3_left: Floats) -> None:

@@ -14,13 +14,15 @@ from typing import Literal
 
 import numpy as np
 
-from conetl.files.documents import input_errors, read_limited
+from conetl.files.documents import input_errors
 from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Lens, Rig
-from conetl.readers.rigs.common import Node, Size, rectified_rig
+from conetl.readers.rigs.common import Node, Pair, Size, rectified_rig
+from conetl.readers.rigs.content import read_content
+from conetl.readers.rigs.rectified import camera_of_projection
 
 CAM_TO_CAM = "calib_cam_to_cam.txt"
 VELO_TO_CAM = "calib_velo_to_cam.txt"
@@ -38,6 +40,7 @@ def read_kitti_rig(
     images: Literal["raw"] | Size | None = None,
     rig_id: str | None = None,
     sigma_px: float = 0.5,
+    unit_m: float = 1.0,
 ) -> Rig:
     """Rig of two KITTI cameras from `calib_cam_to_cam.txt` and the two files beside it; without them the body is the left camera.
 
@@ -45,15 +48,16 @@ def read_kitti_rig(
     "raw" for the cameras that took the images ("synced only": S_0i, K_0i, D_0i, R_0i, T_0i), lenses included; or width and
     height of the left images, which decide: raw ones have the size S_0i and give a rectified rig with `rectified_from`; those of
     another size, or where both sizes are equal, are taken for rectified ones.
-    rig_id: default "kitti-" and the start of a hash over the numbers. Raises InputError.
+    rig_id: default "kitti-" and the start of a hash over the numbers. unit_m: of all lengths. Raises InputError.
     """
     if isinstance(images, tuple):
         read = partial(
             read_kitti_rig, cam_to_cam, left=left, right=right, body_required=body_required, rig_id=rig_id, sigma_px=sigma_px
         )  # fmt: skip
         own, key = read(), f"S_{left:02d}"
-        raw_size = read_numbers(cam_to_cam, {key: 2})[key].tolist() if key in _lines(cam_to_cam) else None
-        if images == (own.left.width_px, own.left.height_px) or [*images] != raw_size:
+        raw_size = Node(cam_to_cam, read_content(cam_to_cam, of_lines=True)).get(key)
+        is_own = images == (own.left.width_px, own.left.height_px)
+        if is_own or raw_size.value is None or [*images] != raw_size.numbers((2,)).tolist():
             return own
         return rectified_rig(read(images="raw"), cam_to_cam)
     raw = images == "raw"
@@ -68,6 +72,8 @@ def read_kitti_rig(
             "camera is needed; KITTI delivers all three calib_*.txt files together; put them into the same folder"
         )
     links = [] if absent else [read_numbers(path, {"R": 9, "T": 3}) for path in chain]
+    for link in links:
+        link["T"] *= unit_m
     if rig_id is None:
         digest = hashlib.sha256()
         for part in (cameras, *links):
@@ -79,6 +85,8 @@ def read_kitti_rig(
     (left_camera, base_SE3_left), (right_camera, base_SE3_right) = (
         read_camera(cam_to_cam, cameras, number) for number in (left, right)
     )
+    for pose in (base_SE3_left, base_SE3_right):
+        pose[:3, 3] *= unit_m
     x, y, z = (left_SE3_right := se3.compose(se3.invert(base_SE3_left), base_SE3_right))[:3, 3]
     with input_errors(f"{cam_to_cam}: T_{left:02d}, T_{right:02d}" if raw else cam_to_cam):
         check_stereo_baseline(left_SE3_right)
@@ -103,9 +111,7 @@ def read_kitti_rig(
 def _rectified_camera(path: Path, cameras: dict[str, Floats], number: int) -> tuple[Camera, Floats]:
     """A rectified camera and its pose (4, 4) in the rectified frame of camera 0."""
     key, size = f"P_rect_{number:02d}", f"S_rect_{number:02d}"
-    p = cameras[key].reshape(3, 4)
-    camera = Node(path, p[:, :3], key).camera(Node(path, cameras[size], size).size(), Lens())
-    return camera, se3.se3(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
+    return camera_of_projection(Node(path, cameras[key], key), Node(path, cameras[size], size).size())
 
 
 def _raw_camera(path: Path, cameras: dict[str, Floats], number: int) -> tuple[Camera, Floats]:
@@ -121,19 +127,24 @@ def motion_of(path: Path, link: dict[str, Floats]) -> Floats:
     return se3.se3(Node(path, link["R"], "R").rotation(), link["T"])
 
 
+def read_named_kitti_rig(file: Node, *, pair: Pair | None = None, images: Size | None = None) -> Rig:
+    """Rig of the calibration that a file belongs to, of the pair that images are usually of; pair: names with their numbers.
+
+    The data set KITTI-360 has the cameras 00 and 01 only. Raises InputError.
+    """
+    left, right = (0, 1) if {"P_rect_00", "P_rect_02"} & file.value.keys() == {"P_rect_00"} else (2, 3)
+    if pair is not None:
+        left, right = (int(name[-1:]) if name[-1:].isdecimal() else 9 for name in pair)
+    return read_kitti_rig(file.path, left=left, right=right, images=images, unit_m=file.unit_m())
+
+
+def kitti_files(path: Path) -> tuple[Path, ...]:
+    """The file with the cameras, and those beside it."""
+    files = [path.with_name(name) for name in (CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO)]
+    return tuple(files) if path in files and files[0].is_file() else (path,)
+
+
 def read_numbers(path: Path, wanted: dict[str, int]) -> dict[str, Floats]:
-    """The wanted keys of a `key: numbers` file as flat arrays, given their counts of numbers. Raises InputError."""
-    lines = _lines(path)
-    for key, count in wanted.items():
-        if key not in lines:
-            raise InputError(
-                f"{path}: the key '{key}' is missing; expected a line '{key}: ' with {count} numbers, "
-                "as in KITTI's own file. Restore the file from the recording"
-            )
-    return {key: Node(path, lines[key].split(), key).numbers((count,)) for key, count in wanted.items()}
-
-
-def _lines(path: Path) -> dict[str, str]:
-    """The text after the colon, by key; for a repeated key the first."""
-    parts = [line.partition(":") for line in reversed(read_limited(path).splitlines())]
-    return {key.strip(): rest for key, colon, rest in parts if colon}
+    """The wanted keys of a file as flat arrays, given their counts of numbers. Raises InputError."""
+    file = Node(path, read_content(path, of_lines=True))
+    return {key: file.at(key).numbers((count,)) for key, count in wanted.items()}

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from conetl.files.documents import MAX_DEPTH, MAX_JSON_BYTES, library_errors, read_bytes, read_json, shown
+from conetl.files.documents import MAX_DEPTH, MAX_JSON_BYTES, library_errors
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -33,24 +33,20 @@ _STRUCTURE, _TEXT, _NUMERIC = 2, 4, range(6, 16)
 _HOW = "In MATLAB: s = toStruct(stereoParams); then save('stereo.mat', 's', '-v7') or writelines(jsonencode(s), 'stereo.json')"
 
 
-def read_matlab_rig(path: Path, *, image_size: Size | None = None, length_unit: str | None = None) -> Rig:
-    """Raw rig of camera 1 (left) and camera 2 (right).
-
-    image_size: width and height where the file has none; length_unit: instead of WorldUnits. Raises InputError.
-    """
-    content = _read_mat(path) if path.suffix.lower() == ".mat" else read_json(path)
-    found = Node(path, structure(content))
+def read_matlab_rig(file: Node, *, image_size: Size | None = None) -> Rig:
+    """Raw rig of camera 1 (left) and camera 2 (right); image_size: where the file has none. Raises InputError."""
+    inner = (value for value in file.value.values() if isinstance(value, Mapping) and "CameraParameters1" in value)
+    found = file._replace(value=file.value if "CameraParameters1" in file.value else next(inner, None))
     left, right = (_camera(found.at(f"CameraParameters{number}"), image_size) for number in (1, 2))
-    unit_m = Node(path, (length_unit or _unit(found.value)).lower(), "WorldUnits").metres()
     key, right_R_left, t = _relative(found)
-    return key.stereo_rig("matlab", left, right, se3.se3(right_R_left, t * unit_m))
+    return key.stereo_rig("matlab", left, right, se3.se3(right_R_left, t), _unit(found.value))
 
 
 def _relative(found: Node) -> tuple[Node, Floats, Floats]:
     """Where the pose is, rotation and translation of `p_right = R p_left + t`, in the file's unit."""
     if _given(found.get("RotationOfCamera2")):
         rotation = found.at("RotationOfCamera2").numbers((3, 3)).T
-        both = Node(found.path, None, "RotationOfCamera2, TranslationOfCamera2")
+        both = found._replace(key="RotationOfCamera2, TranslationOfCamera2")
         return both, rotation, found.at("TranslationOfCamera2").numbers((3,))
     pose = found.at("PoseCamera2")
     if _given(pose.get("A")):
@@ -94,30 +90,20 @@ def _unit(found: Mapping[str, Any]) -> str:
     return next((unit for unit in units if isinstance(unit, str) and unit), "mm")  # MATLAB's own default
 
 
-def structure(content: Any) -> Mapping[str, Any] | None:
-    """The structure itself, or the only variable that holds one."""
-    if not isinstance(content, Mapping):
-        return None
-    if "CameraParameters1" in content:
-        return content
-    inner = [v for v in content.values() if isinstance(v, Mapping) and "CameraParameters1" in v]
-    return inner[0] if len(inner) == 1 else None
+def is_mat(data: bytes) -> bool:
+    """True for the bytes of a .mat file."""
+    return data.startswith(b"MATLAB ") or data[124:128] in (b"\0\1IM", b"\1\0MI", b"\0\2IM", b"\2\0MI")
 
 
-def _read_mat(path: Path) -> Mapping[str, Any]:
-    """Variables of a .mat file, structures as dictionaries."""
-    data = read_bytes(path)
+def variables_of(path: Path, data: bytes) -> Mapping[str, Any]:
+    """Variables of a .mat file, structures as dictionaries. Raises InputError."""
     if data[124:128] in (b"\0\2IM", b"\2\0MI"):
         raise InputError(f"{path}: this is a version 7.3 file (HDF5), which is not read. {_HOW}")
-    not_mat = f"{path}: this is not a .mat file (version 5 to 7), or it is damaged"
+    not_mat = f"{path}: this is not a .mat file of version 5 to 7, or not all of it"
     with library_errors(not_mat, ValueError, KeyError, struct.error, zlib.error, hint=f". {_HOW}"):
         variables = _variables(data)
-    if structure(variables) is None:
-        names = shown([*variables]) if variables else "only objects"
-        raise InputError(
-            f"{path}: no structure of a stereoParameters object, found {names}; only MATLAB "
-            f"can read a saved object itself. {_HOW}"
-        )
+    if not variables:
+        raise InputError(f"{path}: only MATLAB itself can read the objects in this file. {_HOW}")
     return variables
 
 

@@ -17,21 +17,16 @@ from conetl.files.documents import shown
 from conetl.geometry import pose as se3
 from conetl.model.errors import InputError
 from conetl.model.rig import Camera, Lens, Rig
-from conetl.readers.rigs.common import Node, Pair, choose_pair, read_xml
+from conetl.readers.rigs.common import Node, Pair, choose_pair
 
 _FISHEYES = ("fisheye", "equidistant_fisheye")
 _NUMBERS = ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")
 _SCALE_SHARE = 1e-6
 
 
-def looks_like_metashape(root: Element) -> bool:
-    """True for the root element of an export with sensors."""
-    return root.tag == "document" and root.find("chunk/sensors") is not None
-
-
-def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str | None = None) -> Rig:
-    """Raw rig of two sensors; pair: their labels or numbers. length_unit: of `location`. Raises InputError."""
-    root = read_xml(path)
+def read_metashape_rig(file: Node, *, pair: Pair | None = None) -> Rig:
+    """Raw rig of two sensors; pair: their labels or numbers. Raises InputError."""
+    path, root = file.path, file.value
     chunks = root.findall("chunk")
     if len(chunks) != 1:
         raise InputError(f"{path}: expected the export of one chunk, found {len(chunks)}")
@@ -43,14 +38,14 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
     }
     chosen = None if pair is None else tuple(names.get(name, name) for name in pair)
     left, right = choose_pair(path, [*names.values()], chosen)
-    unit_m = _unit_m(path, chunks[0], length_unit)
+    _require_unit(file, chunks[0])
     poses = {}
     for number, sensor in sensors.items():
         master = sensor.get("master_id", number)
         if master != number and names[number] in (left, right):
             turn = _of_sensor(path, sensor, "rotation", names[number], (3, 3)).rotation()
             shift = _of_sensor(path, sensor, "location", names[number], (3,)).numbers()
-            poses[master, number] = se3.se3(turn, unit_m * shift)  # master_SE3_sensor
+            poses[master, number] = se3.se3(turn, shift)  # master_SE3_sensor
     numbers_of = {name: number for number, name in names.items()}
     right_SE3_left = se3.find_pose(poses, numbers_of[right], numbers_of[left])
     if right_SE3_left is None:
@@ -59,22 +54,19 @@ def read_metashape_rig(path: Path, *, pair: Pair | None = None, length_unit: str
             "(master_id) of the other, nor do they have the same one"
         )
     left_camera, right_camera = (_camera(path, sensors[numbers_of[name]], name) for name in (left, right))
-    return Node(path, None, f"{right}.location").stereo_rig("metashape", left_camera, right_camera, right_SE3_left)
+    return file._replace(key=f"{right}.location").stereo_rig("metashape", left_camera, right_camera, right_SE3_left)
 
 
-def _unit_m(path: Path, chunk: Element, length_unit: str | None) -> float:
-    location = Node(path, length_unit, "location")
-    if length_unit is not None:
-        return location.metres()
-    for place in ("transform/scale", "components/component/transform/scale"):
-        for scale in chunk.findall(place):
-            value = Node(path, (scale.text or "").strip(), "transform.scale").number()
-            if abs(value - 1.0) > _SCALE_SHARE:
-                raise location.bad(
-                    f"may be in the chunk's own unit, which is {value:g} m. If Slave Offset in Camera Calibration shows the same "
-                    "numbers in metres, add --unit m to conetl rig convert"
-                )
-    return 1.0
+def _require_unit(file: Node, chunk: Element) -> None:
+    """Raise InputError where the unit of `location` is known only to the user, who does not state it."""
+    places = ("transform/scale", "components/component/transform/scale") if file.length_unit is None else ()
+    for scale in (scale for place in places for scale in chunk.findall(place)):
+        value = Node(file.path, (scale.text or "").strip(), "transform.scale").number()
+        if abs(value - 1.0) > _SCALE_SHARE:
+            raise Node(file.path, None, "location").bad(
+                f"may be in the chunk's own unit, which is {value:g} m. If Slave Offset in Camera Calibration shows the same "
+                "numbers in metres, add --unit m to conetl rig convert"
+            )
 
 
 def _of_sensor(path: Path, sensor: Element, key: str, name: str, shape: tuple[int, ...]) -> Node:

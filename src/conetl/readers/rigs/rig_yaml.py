@@ -200,11 +200,16 @@ def _check_covariance(covariance: CalibrationCovariance, left: Lens, right: Lens
         raise ValueError("'calibration_covariance.matrix' is not a covariance: it has a negative eigenvalue")
 
 
-def read_rig_yaml(path: Path, *, pair: Pair | None = None) -> Rig:
-    """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras; pair: of its `cameras`. Raises InputError."""
+def read_rig_yaml(path: Path, *, pair: Pair | None = None, unit_m: float = 1.0) -> Rig:
+    """Rig from a `rig.yaml`: raw, where it has lenses or turned cameras. Raises InputError.
+
+    pair: of its `cameras`; unit_m: of the lengths whose keys end in `_m`, where somebody wrote them in another unit.
+    """
     content: Any = read_yaml(path)
     if not isinstance(content, dict):
         raise InputError(f"{path}: expected a YAML mapping with the keys left, right and baseline_m")
+    if unit_m != 1.0:
+        content = _in_metres(content, unit_m)
     with input_errors(path):
         if "cameras" in content:
             return _pair_of_many(path, _RigOfMany.model_validate(content), pair)
@@ -222,6 +227,15 @@ def read_rig_yaml(path: Path, *, pair: Pair | None = None) -> Rig:
             rig_id=file.rig_id, sigma_px=file.sigma_px, body_SE3_left=body_SE3_left,
         )  # fmt: skip
         return rig.model_copy(update={"calibration_covariance": file.covariance()})
+
+
+def _in_metres(content: Any, unit_m: float, key: str = "") -> Any:
+    """The same values, those of lengths multiplied."""
+    if isinstance(content, dict):
+        return {name: _in_metres(value, unit_m, str(name)) for name, value in content.items()}
+    if isinstance(content, list):
+        return [_in_metres(value, unit_m, key) for value in content]
+    return content * unit_m if key.endswith("_m") and type(content) in (int, float) else content
 
 
 def _pair_of_many(path: Path, file: _RigOfMany, pair: Pair | None) -> Rig:

@@ -1,21 +1,22 @@
-"""Calibrations of the ROS world: `camera_info` YAML pairs, read and written, and Kalibr's `camchain.yaml`, read.
+"""Calibrations of the ROS world: `camera_info` pairs in YAML or in oST, read and written, and ORB-SLAM's settings, read.
 
-A pair of camera_info (camera_calibration, camera_info_manager: `left.yaml` and `right.yaml`) describes the raw images.
-`rectification_matrix` rotates directions of the camera into the rectified frame, and `projection_matrix` of the right camera has
--fx baseline in its fourth column (REP 104, sensor_msgs/CameraInfo); both together are the relative pose. If the cameras were
-calibrated one by one (identity and no fourth column), the relative pose is read from `extrinsics.yaml` beside them:
+A camera_info (camera_calibration, camera_info_manager: `left.yaml` and `right.yaml`, or `ost.txt` with both) describes raw
+images. The rectification matrix rotates directions of the camera into the rectified frame, and the projection matrix of the
+right camera has -fx baseline in its fourth column (REP 104, sensor_msgs/CameraInfo); both together are the relative pose. If the
+cameras were calibrated one by one (identity and no fourth column), it is read from `extrinsics.yaml` beside them:
 `left_SE3_right: {R: [[...], [...], [...]], t_m: [x, y, z]}`, as in a rig.yaml.
 
-A camchain (Furgale, Rehder & Siegwart 2013) has pinhole cameras; `T_cn_cnm1` of each camera after the first transforms points of
-the one before it to its own, metres. radtan is k1, k2, p1, p2 and equidistant is OpenCV's fisheye. `T_cam_imu` is ignored:
-Kalibr's IMU is any IMU, conetl's body is the INS of the trajectory; write body_SE3_left into a rig.yaml.
+ORB-SLAM2 and 3 (Mur-Artal & Tardos 2017; Campos et al. 2021, `Settings.cc`) write such a pair as LEFT.K, D, R, P and RIGHT.*, or
+two raw cameras with `Stereo.T_c1_c2` or `Tlr` (`p_left = T p_right`), or one rectified camera with `Camera.bf` = fx baseline or
+`Stereo.b`, whose images are rectified already.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,56 +27,97 @@ from conetl.geometry.camera import matrix_k
 from conetl.geometry.rectification import common_rotation, rectify
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
-from conetl.model.rig import SIDES, Camera, Rig
-from conetl.readers.rigs.common import Node, Pair, choose_pair, opencv_coefficients, write_yaml
+from conetl.model.rig import SIDES, Camera, Lens, Rig
+from conetl.readers.rigs.common import Node, Pair, Size, choose_pair, matrix_of, opencv_coefficients, write_yaml
+from conetl.readers.rigs.content import read_content
 
 EXTRINSICS = "extrinsics.yaml"
 _MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
-_KALIBR_LENSES: dict[str | None, str | None] = {"radtan": "opencv", "equidistant": "fisheye", "none": None}
+#: What a section of an oST file has besides its camera's name.
+_OST_PARTS = ("projection", "camera matrix", "rectification", "distortion")
 
 
-def pair_of(path: Path, pair: Pair | None = None) -> tuple[Path, Path]:
-    """Both files of a pair, given one of them (with left or right in its name) or their folder.
+class CameraInfoKeys(NamedTuple):
+    """Keys of a camera_info in one of its notations."""
 
-    pair: names without suffix, of two of a folder's files. Raises InputError.
-    """
-    if pair is not None:
-        folder = path if path.is_dir() else path.parent
-        files = {file.stem: file for file in sorted(folder.glob("*.y*ml"))}
-        left, right = choose_pair(folder, [*files], pair)
-        return files[left], files[right]
-    if path.is_dir():
-        suffix = ".yaml" if (path / "left.yaml").is_file() else ".yml"
-        return path / f"left{suffix}", path / f"right{suffix}"
-    name = path.name
-    for ours, theirs in (("left", "right"), ("right", "left")):
-        if name.count(ours) == 1:
-            other = path.with_name(name.replace(ours, theirs))
-            if not other.is_file():
-                raise InputError(f"{path}: this is one camera of two; {other.name} is missing beside it")
-            return (path, other) if ours == "left" else (other, path)
-    raise InputError(f"{path}: this is one camera of two; name the files left.yaml and right.yaml, in one folder")
+    width: str = "image_width"
+    height: str = "image_height"
+    matrix: str = "camera_matrix"
+    distortion: str = "distortion_coefficients"
+    rectification: str = "rectification_matrix"
+    projection: str = "projection_matrix"
+    model: str | None = "distortion_model"
+    """None where the number of coefficients says it."""
 
 
-def read_ros_rig(path: Path, *, pair: Pair | None = None) -> Rig:
-    """Raw rig of a camera_info pair; pair as in `pair_of`. Raises InputError."""
-    left_path, right_path = pair_of(path, pair)
-    left_info, right_info = Node(left_path, read_yaml(left_path)), Node(right_path, read_yaml(right_path))
-    extrinsics = left_path.parent / EXTRINSICS
+_OST_KEYS = CameraInfoKeys("width", "height", "camera matrix", "distortion", "rectification", "projection", None)
+
+
+def read_ros_rig(file: Node, *, pair: Pair | None = None) -> Rig:
+    """Raw rig of a file with both cameras, or of one of two files; pair as in `ros_files`. Raises InputError."""
+    if len(cameras := _ost_cameras(file)) > 1:
+        left, right = (cameras[name] for name in choose_pair(file.path, [*cameras], pair))
+        return rig_of_camera_infos(left, right, keys=[_OST_KEYS])
+    files = ros_files(file.path) if pair is None else _named(file.path, pair)
+    if len(files) == 1:
+        other = re.sub("left|right", lambda side: "left" if side.group() == "right" else "right", file.path.name)
+        advice = "name the files left.yaml and right.yaml, in one folder"
+        missing = advice if other == file.path.name else f"{other} is missing beside it"
+        raise InputError(f"{file.path}: this is one camera of two; {missing}")
+    infos = [file if path == file.path else file._replace(path=path, value=read_content(path)) for path in files]
+    for info in infos:
+        if not isinstance(info.value, Mapping):
+            raise info.bad("must be the mapping of a ROS camera_info")
+    keys = _OST_KEYS if cameras else CameraInfoKeys()
+    infos = [next(iter(_ost_cameras(info).values()), info) for info in infos]
+    extrinsics = files[0].parent / EXTRINSICS
     if extrinsics.is_file():
-        relative = Node(extrinsics, read_yaml(extrinsics)).at("left_SE3_right")
+        relative = file._replace(path=extrinsics, value=read_yaml(extrinsics)).at("left_SE3_right")
         pose = se3.se3(relative.at("R").numbers((3, 3)), relative.at("t_m").numbers((3,)))
-        return relative.stereo_rig("ros", _camera(left_info)[0], _camera(right_info)[0], se3.invert(pose))
-    return rig_of_camera_infos(left_info, right_info)
+        left_camera, right_camera = (_camera(info, keys)[0] for info in infos)
+        return relative.stereo_rig("ros", left_camera, right_camera, se3.invert(pose))
+    return rig_of_camera_infos(*infos, keys=[keys])
 
 
-def rig_of_camera_infos(left_info: Node, right_info: Node) -> Rig:
-    """Raw rig of two camera_info mappings (keys of the YAML files). Raises InputError."""
-    left, left_R, left_p = _camera(left_info)
-    right, right_R, right_p = _camera(right_info)
-    projection = right_info.at("projection_matrix")
+def ros_files(path: Path) -> tuple[Path, ...]:
+    """The left and the right file of a pair, given one with left or right in its name; a file without the other alone."""
+    for ours, theirs in (("left", "right"), ("right", "left")):
+        other = path.with_name(path.name.replace(ours, theirs))
+        if path.name.count(ours) == 1 and other.is_file():
+            return (path, other) if ours == "left" else (other, path)
+    return (path,)
+
+
+def _named(path: Path, pair: Pair) -> tuple[Path, ...]:
+    """Two files beside a file, by their names without suffix. Raises InputError."""
+    files = {file.stem: file for file in sorted(path.parent.iterdir()) if file.suffix == path.suffix}
+    return tuple(files[name] for name in choose_pair(path.parent, [*files], pair))
+
+
+def _ost_cameras(file: Node) -> dict[str, Node]:
+    """The cameras of an oST file by the last part of their names, with the size of its images; none of another file."""
+    sections = {name: part for name, part in file.value.items() if isinstance(part, Mapping)}
+    size = sections.get("image", {})
+    return {
+        name.rpartition("/")[2]: file._replace(value={**size, **part}, key=name)
+        for name, part in sections.items()
+        if any(key in part for key in _OST_PARTS)
+    }
+
+
+def rig_of_camera_infos(
+    left_info: Node, right_info: Node, *, keys: Sequence[CameraInfoKeys] = (CameraInfoKeys(),)
+) -> Rig:
+    """Raw rig of two camera_info mappings. Raises InputError.
+
+    keys: of both, or of each; by default those of YAML files.
+    """
+    left_keys, right_keys = keys[0], keys[-1]
+    left, left_R, left_p = _camera(left_info, left_keys)
+    right, right_R, right_p = _camera(right_info, right_keys)
+    projection = right_info.at(right_keys.projection)
     if abs(left_p[0, 3]) > 1e-9:
-        raise left_info.at("projection_matrix").bad(
+        raise left_info.at(left_keys.projection).bad(
             "of the left camera must have a zero in row 1, column 4: are left and right swapped?"
         )
     if right_p[0, 3] == 0.0:
@@ -90,17 +132,19 @@ def rig_of_camera_infos(left_info: Node, right_info: Node) -> Rig:
     return projection.stereo_rig("ros", left, right, se3.se3(right_R.T @ left_R, -right_R.T @ centre))
 
 
-def _camera(info: Node) -> tuple[Camera, Floats, Floats]:
+def _camera(info: Node, keys: CameraInfoKeys) -> tuple[Camera, Floats, Floats]:
     """Camera, its rectification matrix (3, 3) and its projection matrix (3, 4)."""
-    if not isinstance(info.value, Mapping):
-        raise InputError(f"{info.path}: expected the YAML mapping of a ROS camera_info")
-    size = info.both("image_width", "image_height").size()
-    model = info.at("distortion_model")
-    if model.value not in _MODELS:
-        raise model.bad(f"{shown(model.value)} is not supported; known: {', '.join(_MODELS)}")
-    lens = info.at("distortion_coefficients").lens(fisheye=model.value == "equidistant")
-    camera = info.at("camera_matrix").camera(size, lens)
-    return camera, info.at("rectification_matrix").rotation(), info.at("projection_matrix").numbers((3, 4))
+    size = info.both(keys.width, keys.height).size()
+    distortion, model = info.at(keys.distortion), "plumb_bob"
+    if keys.model is not None:
+        stated = info.at(keys.model)
+        if stated.value not in _MODELS:
+            raise stated.bad(f"{shown(stated.value)} is not supported; known: {', '.join(_MODELS)}")
+        model = stated.value
+    elif distortion.numbers().size == 4:
+        raise distortion.bad("are 4 numbers, of plumb_bob or of equidistant, which this file cannot say: use its YAML")
+    camera = info.at(keys.matrix).camera(size, distortion.lens(fisheye=model == "equidistant"))
+    return camera, info.at(keys.rectification).rotation(), info.at(keys.projection).numbers((3, 4))
 
 
 def write_ros_rig(rig: Rig, folder: Path) -> None:
@@ -136,23 +180,44 @@ def _matrix(values: Floats) -> dict[str, Any]:
     return {"rows": values.shape[0], "cols": values.shape[1], "data": [float(v) for v in values.reshape(-1)]}
 
 
-def read_kalibr_rig(path: Path, *, pair: Pair | None = None) -> Rig:
-    """Raw rig of cam0 (left) and cam1 (right), or of another pair of a chain of more cameras. Raises InputError."""
-    content = read_yaml(path)
-    if not isinstance(content, Mapping):
-        raise InputError(f"{path}: expected a YAML mapping with the keys cam0 and cam1")
-    names = [name for number in range(1000) if (name := f"cam{number}") in content]
-    if len(names) < 2 or names[-1] != f"cam{len(names) - 1}":
-        raise InputError(f"{path}: expected the cameras cam0 (left), cam1 (right) and so on, found {shown(names)}")
-    left, right = choose_pair(path, names, pair)
-    chain = Node(path, content)
-    left_camera, right_camera = (
-        chain.get(name).pinhole_camera("distortion_coeffs", _KALIBR_LENSES) for name in (left, right)
-    )
-    first, last = sorted((int(left[3:]), int(right[3:])))
-    pose = np.eye(4)
-    for number in range(first + 1, last + 1):
-        pose = se3.compose(chain.get(f"cam{number}").at("T_cn_cnm1").motion(), pose)
-    right_SE3_left = pose if left == f"cam{first}" else se3.invert(pose)
-    key = chain.get(f"cam{last}").at("T_cn_cnm1")
-    return key.stereo_rig("kalibr", left_camera, right_camera, right_SE3_left)
+# --------------------------------------------------------------------------- ORB-SLAM's settings
+
+
+def read_orbslam_rig(file: Node, *, image_size: Size | None = None) -> Rig:
+    """Raw or rectified rig, as the settings describe it; image_size: where they have none. Raises InputError."""
+    if any(key.startswith(("LEFT.", "RIGHT.")) for key in file.value):
+        left, right = (
+            CameraInfoKeys(f"{side}.width", f"{side}.height", f"{side}.K", f"{side}.D", f"{side}.R", f"{side}.P", None)
+            for side in ("LEFT", "RIGHT")
+        )
+        return rig_of_camera_infos(file, file, keys=[left, right])
+    first = "Camera1" if "Camera1.fx" in file.value else "Camera"
+    size = image_size or file.both("Camera.width", "Camera.height").size()
+    if "Camera2.fx" in file.value:
+        key = file.at("Tlr" if "Tlr" in file.value else "Stereo.T_c1_c2")
+        values = key.numbers()
+        if values.size not in (12, 16):
+            raise key.bad(f"must be 3 x 4 or 4 x 4 numbers, found {values.size}")
+        left_SE3_right = key._replace(value=[*values[:12], 0, 0, 0, 1]).motion()
+        cameras = [_orbslam_camera(file, name, size) for name in (first, "Camera2")]
+        return key.stereo_rig("orbslam", cameras[0], cameras[1], se3.invert(left_SE3_right))
+    camera = _orbslam_camera(file, first, size)
+    if camera.lens.model != "none":
+        raise file.at(f"{first}.k1").bad(
+            "and the other coefficients must be 0 in settings of rectified images; of raw ones LEFT.K, LEFT.D, LEFT.R, LEFT.P "
+            "and RIGHT.*, or Camera2.* and Stereo.T_c1_c2 are missing"
+        )
+    key = file.at("Stereo.b" if "Stereo.b" in file.value else "Camera.bf")
+    baseline = key.number() / (1.0 if key.key == "Stereo.b" else camera.fx_px)
+    return key.stereo_rig("orbslam", camera, camera, se3.se3(np.eye(3), [-baseline, 0.0, 0.0]))
+
+
+def _orbslam_camera(file: Node, name: str, size: Size) -> Camera:
+    matrix = matrix_of(*(file.at(f"{name}.{key}").number() for key in ("fx", "fy", "cx", "cy")))
+    kind = str(file.value.get("Camera.type", "PinHole"))
+    names = ("k1", "k2", "k3", "k4") if kind == "KannalaBrandt8" else ("k1", "k2", "p1", "p2", "k3")
+    values = file.value if kind == "KannalaBrandt8" else {f"{name}.{key}": 0.0 for key in names} | file.value
+    given = file._replace(value=values)
+    bent = file._replace(value=[given.at(f"{name}.{key}").number() for key in names], key=f"{name}.k1")
+    lens = Lens() if kind == "Rectified" else bent.lens(fisheye=kind == "KannalaBrandt8")
+    return file._replace(value=matrix, key=f"{name}.fx").camera(size, lens)

@@ -99,7 +99,7 @@ class AsOfCollection(PgCollection):
     def extent(self) -> Extent:
         """The area that the map's drives covered, and the time from the first drive on."""
         since = self.served.since.astimezone(UTC).isoformat().replace("+00:00", "Z")
-        return Extent(spatial=Spatial(bbox=[list(self.served.extent)]), temporal=Temporal(interval=[[since, None]]))
+        return Extent(spatial=Spatial(bbox=[list(self.served.bbox)]), temporal=Temporal(interval=[[since, None]]))
 
     def cql_where(  # type: ignore[override]  # tipg's other parameters are passed on
         self, ids: list[str] | None = None, **others: Any
