@@ -98,16 +98,16 @@ def trajectory_format(path: Path) -> FormatName | None:
     """Name of the format of a file or folder by its content, None for anything else. Raises InputError."""
     if path.is_dir():
         return "oxts" if oxts.looks_like(path) else None
-    head = head_bytes(path)
+    head = head_bytes(path).rstrip(b"\0")  # space may be reserved behind a log
     lines = head_lines(path)
+    if "<gpx" in (text := "\n".join(lines)).lower() and text.lstrip("\ufeff \n\t").startswith("<"):
+        return "gpx"
     if nmea.looks_like(lines, binary := b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff"))):
         return "nmea"
     if binary:
-        return "sbet" if sbet.looks_like(path.stat().st_size, head) else None
+        return "sbet" if sbet.looks_like(path.stat().st_size, head_bytes(path)) else None
     if rtklib.looks_like(lines):
         return "rtklib"
-    if "<gpx" in (text := "\n".join(lines)).lower() and text.lstrip("\ufeff \n\t").startswith("<"):
-        return "gpx"
     if tables.looks_like_euroc(lines):
         return "euroc"
     return "tum" if tables.looks_like_tum(lines) else delimited.kind_of(lines)

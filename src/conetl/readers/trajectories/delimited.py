@@ -60,6 +60,7 @@ _MAKERS = ("inertial explorer", "grafnav", "waypoint")
 _DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}|\d{6}|\d{8}", re.ASCII)
 _STAMP = re.compile(r"\d[-/.]\d.*\d:\d\d", re.ASCII)
 _DATED = re.compile(r"(?:date|day|datum|mission|start).*?\b(\d{4})[-/](\d\d?)[-/](\d\d?)\b", re.IGNORECASE | re.ASCII)
+_IN_WORDS = re.compile(r"\bin (feet|foot|ft|radians?|gons?|grads?)\b", re.IGNORECASE)
 _OF_RTKLIB = frozenset({"quality", "sdx", "sdy", "sdz", "sdxy", "sdyz", "sdzx"})
 #: Of conetl's own trajectory.csv.
 _OWN_NAMES = frozenset({"captured_at", "yaw_deg"})
@@ -127,6 +128,9 @@ def read(path: Path, settings: TrajectoryFile, *, kind: FormatName = "table", ad
     if (day := _stated_day(lines[: header.line + 1], header, settings)) is not None:
         settings = settings.model_copy(update={"date": day})
         notes.append(f"{path}: the date of its times of a week is that of its heading, {day}")
+    between = " ".join(lines[header.line + 1 : header.first])[:_LONGEST_HEADER]
+    if (match := _IN_WORDS.search(between)) is not None and settings.angles is None:
+        raise refusal(path, f"the unit {match[1].lower()} is not supported; write degrees and metres")
     layout = _layout(path, header, settings, kind, notes)
     yaw = layout.columns["yaw"].name if "yaw" in layout.columns and "heading" not in layout.columns else None
     stated = "yaw" in settings.columns or set(header.names) >= _OWN_NAMES
@@ -170,11 +174,12 @@ def header_of(lines: list[str], settings: TrajectoryFile, most_lines: int = _HEA
     best: _Header | None = None
     for i, whole in enumerate(lines[:most_lines]):
         line = whole[:_LONGEST_HEADER]
-        for found in _headers(
-            line.lstrip("#% \t\ufeff") if line.startswith(("#", "%", "\ufeff")) else line, i, lines, settings
-        ):
-            if best is None or found.fit > best.fit:
-                best = found
+        text = line.lstrip("#% \t\ufeff") if line.startswith(("#", "%", "\ufeff")) else line
+        best = max(
+            [*([best] if best else []), *_headers(text, i, lines, settings)], key=lambda one: one.fit, default=None
+        )
+        if best is not None and best.fit[:2] == (True, True):
+            break  # another line with names is of records below it
     return best
 
 
@@ -223,11 +228,15 @@ def _first_records(lines: list[str], first: int, mark: str | None) -> tuple[int,
     rows: list[list[str]] = []
     for i, line in enumerate(lines[first : first + 3 * _COMPARED], first):
         if not line.strip() or line.startswith(("#", "%")):
+            if rows and line.strip():
+                break  # names of other columns may follow
             continue
         cells = split_line(line.strip("\r \0" if mark else "\t\r \0"), mark)
         if len(cells) > 2 and sum(any(c.isdigit() for c in cell) for cell in cells) > 0.3 * len(cells):
             start = start if rows else i
             rows.append(cells)
+        elif rows:
+            break
         if len(rows) == _COMPARED:
             break
     return start, rows
