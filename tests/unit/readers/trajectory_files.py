@@ -348,9 +348,10 @@ def write_logger(folder: Path, t: Known | None = None) -> Path:
 def write_parts(folder: Path, t: Known | None = None) -> Path:
     """Times in parts, comments with two strokes."""
     t = t or known()
-    lines = ["// Update Rate: 10.0Hz", "\t".join(
-        ["PacketCounter", "UTC_Nano", "UTC_Year", "UTC_Month", "UTC_Day", "UTC_Hour", "UTC_Minute", "UTC_Second", "Latitude", "Longitude", "Altitude"]
-    )]  # fmt: skip
+    names = (
+        "PacketCounter UTC_Nano UTC_Year UTC_Month UTC_Day UTC_Hour UTC_Minute UTC_Second Latitude Longitude Altitude"
+    )
+    lines = ["// Update Rate: 10.0Hz", names.replace(" ", "\t")]
     for i, (stamp, (lat, lon, h)) in enumerate(zip(stamps("%Y %m %d %H %M %S", t, digits=9), t.llh, strict=True)):
         whole, _, nano = stamp.partition(".")
         lines.append("\t".join([str(i), nano, *whole.split(), f"{lat:.10f}", f"{lon:.10f}", f"{h:.4f}"]))
