@@ -1,217 +1,214 @@
-"""What a column of a table is, by its name, its unit and its first values.
-
-Names are compared without case, accents, punctuation and words that say only whose value it is (`Höhe [m]`, `GPS (Lat.)`,
-`UTC_Year`). A unit stands in brackets, at the end of the name, or in a line of its own below the names.
-"""
+"""Which column of a table is what: what drive.yaml names, else what the names say and the first values do not contradict."""
 
 from __future__ import annotations
 
 import re
-import unicodedata
+from collections import Counter
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from conetl.files.documents import shown
-from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.tables import ANGLES, PARTS, TIMES, Column
-from conetl.readers.trajectories.text import refusal
+from conetl.model.errors import InputError
+from conetl.readers.trajectories.names import column_of, is_dms, is_exact, is_short_sigma, role_of, unit_of
+from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
+from conetl.readers.trajectories.tables import PARTS, POSITIONS, QUATERNION, ROLES, TIMES, Column, degrees_of
+from conetl.readers.trajectories.text import floats, refusal
+from conetl.readers.trajectories.times import DateOrder, date_order
 
-_ALIASES = {
-    "time": "time timestamp timestamps stamp t utc utctime timeutc datetime utcdatetime capturedat unixtime unix "
-        "epoch posixtime zeit zeitstempel uhrzeit utczeit gpszeit datumzeit timeofday gpst jst "
-        "gpstime gpstimestamp gpsdatetime gpsutc tow gpstow sow gpssow secondsofweek timeofweek gpsseconds gpssecs "
-        "correctedtime localtime timelocal localdatetime localtimestamp ortszeit",
-    "date": "date utcdate datum tag gpsdate gpsdatum day",
-    "week": "week gpsweek weekno weeknumber gpswk wn",
-    "year": "year yyyy jahr", "month": "month monat", "hour": "hour hours hh stunde", "minute": "minute minutes min",
-    "second": "second seconds sec ss sekunde", "nanosecond": "nano nanosecond nanoseconds nanos",
-    "lat": "lat latitude breite breitengrad geobreite latitud phi latitudens latns",
-    "lon": "lon long lng longitude laenge laengengrad geolaenge longitud lambda longitudeew lonew",
-    "height": "height h hell ellh ellipsoidalheight ellipsoidheight heightellipsoidal heightaboveellipsoid hae alt altitude "
-        "hoehe ellhoehe ellipsoidischehoehe",
-    "height_msl": "hmsl heightmsl altmsl altitudemsl mslaltitude mslheight msl orthometricheight horth elevation ele "
-        "elev nhn hoehenhn hnhn",
-    "height_system": "altitudesystem heightsystem altsystem",
-    "easting": "easting east e rechtswert ostwert utmeast utme",
-    "northing": "northing north n hochwert nordwert utmnorth utmn",
-    "x": "x px posx positionx tx xecef",
-    "y": "y py posy positiony ty yecef",
-    "z": "z pz posz positionz tz zecef",
-    "roll": "roll rollangle rollwinkel",
-    "pitch": "pitch pitchangle nick nickwinkel",
-    "heading": "heading head hdg hdt trueheading azimuth azimut azi",
-    "yaw": "yaw",
-    "qw": "qw quatw orientationw",
-    "qx": "qx quatx orientationx",
-    "qy": "qy quaty orientationy",
-    "qz": "qz quatz orientationz",
-    "sigma_e": "sigmae sde se sdeast eastsd stde stdeast eaststd eaststddev sigmaeast easterror",
-    "sigma_n": "sigman sdn sn sdnorth northsd stdn stdnorth northstd northstddev sigmanorth northerror",
-    "sigma_u": "sigmau sdu su sh sdup sdheight heightsd stdu stdup stdheight upstd upstddev sigmaup sigmaheight "
-        "vacc verticalaccuracy stdvertical sdv verticalsd sdh sdvert",
-    "sigma_horizontal": "sigmahorizontal hacc horizontalaccuracy sdhoriz horizontalsd stdhorizontal accuracy posaccuracy "
-        "poshacc posu",
-    "sigma_roll": "sigmaroll rollsd rllsd sdroll stdroll rollstd rollaccuracy sr",
-    "sigma_pitch": "sigmapitch pitchsd ptchsd sdpitch stdpitch pitchstd pitchaccuracy sp",
-    "sigma_heading": "sigmaheading headingsd hdngsd sdheading stdheading headingstd headingaccuracy sigmayaw yawsd sdyaw "
-        "stdyaw yawstd shd",
-    "quality": "q", "sdx": "sdx", "sdy": "sdy", "sdz": "sdz", "sdxy": "sdxy", "sdyz": "sdyz", "sdzx": "sdzx",
-}  # fmt: skip
-_ROLE_OF = {alias: role for role, aliases in _ALIASES.items() for alias in aliases.split()}
-#: Words that say only whose value it is, and those of a receiver, which has no attitude.
-_QUALIFIERS = frozenset({"gps", "gnss", "ins", "imu", "utc", "pos", "position", "nav", "wgs84"})
-_SATELLITES = frozenset({"gps", "gnss", "pos"})
-_ATTITUDE = frozenset({"roll", "pitch", "heading", "yaw"})
-_DEGREES = {
-    "deg": 1.0, "degree": 1.0, "degrees": 1.0, "°": 1.0, "d": 1.0, "rad": 57.29577951308232, "radians": 57.29577951308232,
-    "arcmin": 1 / 60, "amin": 1 / 60, "arcsec": 1 / 3600, "asec": 1 / 3600,
-}  # fmt: skip
-_LENGTHS = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}
-_TIMES = {"s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"}
-_REFUSED = frozenset({"ft", "feet", "usft", "gon", "grad", "grads", "mil", "mils"})
-_NO_UNITS = frozenset({"utc", "gps", "wgs84", "msl", "", "-", "ellipsoidal", "gpst", "week", "weeks"})
-_UNITS = frozenset({*_DEGREES, *_LENGTHS, *_TIMES, *_REFUSED, *_NO_UNITS})
-_DMS = re.compile(r"(?:\+/-\s*)?(?:d\s*m\s*s|deg\s+min\s+sec|dms|d'\"?)", re.IGNORECASE)
-_BRACKET = re.compile(r"[\[(]([^\[\]()]*)[\])]")
-#: Characters of a column's name that may be known.
-_LONGEST_NAME = 60
-#: Names of u-blox's protocol, whose unit is mm, which other programs give in metres.
-_MM_OR_M = frozenset({"hacc", "vacc", "pacc"})
-_METRES_LIKE = 10.0
+MOST_COLUMNS = 1000
+_DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}|\d{6}|\d{8}", re.ASCII)
+_STAMP = re.compile(r"\d[-/.]\d.*\d:\d\d", re.ASCII)
+_WITH_UNIT = re.compile(r"(.*\S)\s*[\[(]([^\[\]()]*)[\])]")
+_OF_RTKLIB = frozenset({"quality", "sdx", "sdy", "sdz", "sdxy", "sdyz", "sdzx"})
+#: Letters and words of the hemispheres of an angle, and how a column of them is called.
+_SIDES = (
+    ("lat", frozenset({"N", "S", "NORTH", "SOUTH"}), re.compile(r"lat|hemi|\bn.?s\b", re.IGNORECASE)),
+    ("lon", frozenset({"E", "W", "O", "EAST", "WEST"}), re.compile(r"lon|lng|hemi|\be.?w\b", re.IGNORECASE)),
+)
 
 
-def _plain(text: str) -> str:
-    """Lower case, umlauts as two letters, other accents removed."""
-    text = text.lower().translate({ord("ä"): "ae", ord("ö"): "oe", ord("ü"): "ue", ord("ß"): "ss"})
-    return "".join(c for c in unicodedata.normalize("NFKD", text) if not unicodedata.combining(c))
+class Header(NamedTuple):
+    """The line that names the columns, and how its values are separated."""
+
+    line: int
+    """Index; -1 without a header."""
+    names: list[str]
+    units: list[str]
+    """Of each column; empty where they stand with the names, or are not stated."""
+    delimiter: str | None
+    """Of the values."""
+    first: int
+    """Index of the first record."""
+    rows: list[list[str]]
+    """The first records."""
+    roles: frozenset[str]
+
+    @property
+    def widths(self) -> list[int]:
+        """How many values each column has."""
+        return [3 if is_dms(unit) else 1 for unit in self.units or map(unit_of, self.names)]
+
+    @property
+    def starts(self) -> list[int]:
+        """Where the values of each column begin, in a record."""
+        return [sum(self.widths[:k]) for k in range(len(self.names))]
+
+    @property
+    def spare(self) -> int | None:
+        """How many values most records have more than columns, None without a record."""
+        lengths = Counter(map(len, self.rows))
+        return max(lengths, key=lambda n: lengths[n]) - sum(self.widths) if lengths else None
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it names a time and a position."""
+        found = {"height" if role == "height_msl" else role for role in self.roles}
+        timed = "time" in found or "date" in found
+        return timed and any(set(names[:2]) <= found for names in POSITIONS.values())
+
+    @property
+    def fit(self) -> tuple[bool, bool, int]:
+        """How well it explains the file."""
+        return self.is_complete, self.spare in {0, 1}, len(self.roles)
 
 
-def _squeezed(text: str) -> str:
-    return re.sub(r"[^a-z0-9]", "", _plain(text))
+def columns_of(path: Path, header: Header, settings: TrajectoryFile, kind: FormatName) -> dict[str, Column]:
+    """Columns by our name. Raises InputError where two may be one, or the settings name what is not there.
 
-
-def unit_of(name: str) -> str:
-    """The unit in the last brackets or after the last underscore or blank, as far as it is one."""
-    brackets = _BRACKET.findall(name)
-    words = re.split(r"[_ ]", name.strip())
-    word = (brackets[-1] if brackets else words[-1] if words[1:] else "").strip().lower()
-    in_brackets = brackets and _DMS.fullmatch(word)
-    return word if in_brackets or (word in _UNITS and (brackets or word != "d")) else ""
-
-
-@lru_cache(maxsize=10_000)
-def role_of(name: str) -> str | None:
-    """Our name of a column, None where it is unknown."""
-    if len(name) > _LONGEST_NAME:
-        return None
-    unit = unit_of(name)
-    base = re.sub(r"[\[(]\s*" + re.escape(unit) + r"\s*[\])]", "", name, flags=re.IGNORECASE)
-    whole = _squeezed(base)
-    short = whole.removesuffix(_squeezed(unit)) if unit and base == name else whole
-    words = re.split(r"[^a-z0-9]+", _plain(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", base)))
-    own = "".join(word for word in words if word not in _QUALIFIERS)
-    qualified = _ROLE_OF.get(own) if len(own) > 2 else None  # imu_x is no position
-    if qualified in _ATTITUDE and not _SATELLITES.isdisjoint(words):  # a course over ground
-        qualified = None
-    role = _ROLE_OF.get(whole) or qualified or _ROLE_OF.get(short)
-    return "height_msl" if role == "height" and unit == "msl" else role
-
-
-def is_exact(name: str) -> bool:
-    """Whether a name is one of ours without words that say whose value it is."""
-    return _QUALIFIERS.isdisjoint(re.split(r"[^a-z0-9]+", _plain(name)))
-
-
-def is_short_sigma(name: str) -> bool:
-    """Whether a name is one of two or three letters that a sigma may have beside others of its kind."""
-    return _squeezed(_BRACKET.sub("", name)) in {"sn", "se", "su", "sh", "sr", "sp", "shd"}
-
-
-def is_unit(text: str) -> bool:
-    """Whether a text is a unit, or that of no unit, in brackets or not."""
-    word = text.strip().strip("[]()").strip().lower()
-    return word in _UNITS or _DMS.fullmatch(word) is not None
-
-
-def _kind_of_unit(unit: str) -> str:
-    word = unit.strip().strip("[]()").strip().lower()
-    for kind, units in (("time", _TIMES), ("angle", _DEGREES), ("length", {**_LENGTHS, "ft": 1, "usft": 1, "feet": 1})):
-        if word in units:
-            return kind
-    return "angle" if _DMS.fullmatch(word) else "week" if word.startswith("week") else ""
-
-
-def _kind_of_role(role: str | None) -> str:
-    if role is None or role in {"date", "quality", "height_system", *PARTS} or role.startswith("q"):
-        return ""
-    return role if role in {"time", "week"} else "angle" if role in ANGLES else "length"
-
-
-def aligned(names: Sequence[tuple[str, float]], units: Sequence[tuple[str, float]]) -> list[str]:
-    """The unit of each column, empty where it has none: units of a line of their own, in the order of the columns.
-
-    names, units: with the positions of their middles in the lines. Some columns may have no unit: those of which a unit of the
-    expected kind is not missed, and of these those that no unit stands below. There are at most as many units as names.
+    kind: whose names and units they are.
     """
-    spare = len(names) - len(units)
-    # Cost of the first i names with the first i - k units, k of them without one; and whether the last one has one.
-    impossible: tuple[float, list[str]] = (float("inf"), [])
-    best: list[tuple[float, list[str]]] = [(0.0, []), *[impossible] * spare]
-    for i, (name, at) in enumerate(names):
-        kind = _kind_of_role(role_of(name))
-        after: list[tuple[float, list[str]]] = []
-        for k in range(spare + 1):
-            without = (best[k - 1][0] + 100.0 * bool(kind), [*best[k - 1][1], ""]) if k else impossible
-            having = impossible
-            if 0 <= i - k < len(units):
-                unit, below = units[i - k]
-                differs = kind not in {"", _kind_of_unit(unit)}
-                having = (best[k][0] + 100.0 * differs + min(abs(at - below), 50.0), [*best[k][1], unit])
-            after.append(min(without, having, key=lambda one: one[0]))
-        best = after
-    return best[spare][1]
-
-
-def column_of(
-    path: Path, role: str, at: int, name: str, unit: str, settings: TrajectoryFile, *, required: bool = False
-) -> Column:
-    """A column with the factor of its unit. Raises InputError for units that are not supported.
-
-    required: the file states all units; else what is not one of this column's is part of its name.
-    """
-    word = unit.strip().strip("[]()").strip().lower()
-    if role in TIMES or role in PARTS or _kind_of_role(role) == "":
-        return Column(at, name, unit=_TIMES.get(word))
-    if role in ANGLES and _DMS.fullmatch(word):
-        return Column(at, name, dms=True)
-    units = _DEGREES if role in ANGLES else _LENGTHS
-    if word in _REFUSED or (required and word not in units):
-        raise refusal(
-            path, f"column {shown(name)}: the unit {word[:40]} is not supported; write degrees, radians or metres"
-        )
-    unstated = "rad" if role in ANGLES and settings.angles == "radians" else ""
-    return Column(at, name, units.get(word or unstated, 1.0), unit=word or None)
-
-
-def require_unit(path: Path, role: str, column: Column, values: Sequence[float]) -> None:
-    """Raise InputError for a sigma that may be in mm or in metres: of a name of u-blox's protocol, without a unit."""
-    name = _squeezed(column.name)
-    if role.startswith("sigma") and column.unit is None and name in _MM_OR_M and values:
-        middle = sorted(values)[len(values) // 2]
-        if middle >= _METRES_LIKE or all(value == round(value) for value in values):
+    claims: dict[str, list[Column]] = {}
+    mapped = _mapped(path, header.names, settings)
+    are_short = sum(map(is_short_sigma, header.names)) > 2
+    for k, (name, at) in enumerate(zip(header.names, header.starts, strict=True)):
+        role, unit = mapped.get(name, (role_of(name), ""))
+        unit = unit or (header.units[k] if header.units else unit_of(name))
+        unmapped = name not in mapped and (role in settings.columns or (is_short_sigma(name) and not are_short))
+        if role is not None and not unmapped and (kind == "rtklib" or role not in _OF_RTKLIB):
+            required = kind == "inertial_explorer" and bool(header.units)
+            claims.setdefault(role, []).append(column_of(path, role, at, name, unit, settings, required=required))
+    for role, number in settings.columns.items():
+        if isinstance(number, int):
+            claims[role] = [column_of(path, role, number - 1, f"column {number}", "", settings)]
+    columns: dict[str, Column] = {}
+    for role, found in claims.items():
+        chosen = found if role == "date" and "year" in claims else _fitting(role, found, header.rows)
+        if len(chosen) > 1 and kind != "inertial_explorer":
             raise refusal(
                 path,
-                f"column {shown(column.name)}: is {middle:g} in mm, as receivers of u-blox give it, or in metres? Put "
-                f"trajectory: {{columns: {{{role}: '{column.name[:60]} [mm]'}}}}, or [m], into drive.yaml",
+                f"the columns {shown(chosen[0].name)} and {shown(chosen[1].name)} may both be the {role}; name one in "
+                f"drive.yaml, trajectory: {{columns: {{{role}: ...}}}}",
             )
+        if chosen:
+            columns[role] = chosen[0]
+    may_be_two = header.spare == 1 if header.names else header.delimiter is None
+    return _with_time(columns, header.rows, may_be_two)
 
 
-def scale_of(name: str) -> str:
-    """How a time is counted by the name of its column, see `TableLayout.scale`."""
-    plain = _squeezed(name)
-    if plain in {"gpst", "jst"}:
-        return {"gpst": "gps", "jst": "Asia/Tokyo"}[plain]
-    if "utc" in plain or "unix" in plain or "posix" in plain:
-        return "UTC"
-    return "local" if re.search("lo[ck]al|ortszeit", plain) else "?" if "gps" in plain else ""
+def _mapped(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str, tuple[str, str]]:
+    """Our name and the unit of columns that drive.yaml names, as `hAcc` or `hAcc [mm]`. Raises InputError."""
+    found = {}
+    for role, stated in settings.columns.items():
+        if role not in ROLES or (isinstance(stated, int) and not 1 <= stated <= MOST_COLUMNS):
+            problem = f"is unknown; known are {', '.join(ROLES)}" if role not in ROLES else f"is no column {stated}"
+            raise InputError(f"drive.yaml: trajectory.columns: {shown(role)} {problem}")
+        if isinstance(stated, int):
+            continue
+        match = None if stated in names else _WITH_UNIT.fullmatch(stated)
+        name, unit = match.groups() if match else (stated, "")
+        if name not in names:
+            raise refusal(
+                path,
+                f"has no column {shown(stated)}, which trajectory.columns names; its columns are {', '.join(names)[:200]}",
+            )
+        found[name] = role, unit
+    return found
+
+
+def values_of(rows: Sequence[list[str]], column: Column | None) -> list[str]:
+    """The first values of a column that are not empty."""
+    cells = [] if column is None else [row[column.at].strip() for row in rows if len(row) > column.at]
+    return [cell for cell in cells if cell]
+
+
+def _fitting(role: str, found: list[Column], rows: list[list[str]]) -> list[Column]:
+    """Of the columns that claim one name those that may be it, by their names and values; one where they are the same."""
+    if len(found) == 1 and role != "date":
+        return found
+    found = [column for column in found if is_exact(column.name)] or found
+    fitting = [column for column in found if not rows or _may_be(role, values_of(rows, column))]
+    found = fitting if fitting or role == "date" else found
+    numbers = [floats(values_of(rows, column)) * column.factor for column in found]
+    same = all(len(n) == len(numbers[0]) > 0 and np.allclose(n, numbers[0], atol=1e-6) for n in numbers)
+    return found[:1] if same else found
+
+
+def _may_be(role: str, values: list[str]) -> bool:
+    """Whether most of the first values of a column can be what its name says."""
+    if role == "date":
+        good = [_DATE.match(value) is not None for value in values]
+    elif role in TIMES:
+        good = [any(map(str.isdigit, value)) for value in values]
+    else:
+        good = [np.isfinite(degrees_of(v.replace(",", "."), "NS" if role == "lat" else "EW")) for v in values]
+        good = [a or bool(np.isfinite(b)) for a, b in zip(good, floats(values, comma=True).tolist(), strict=True)]
+    return 2 * sum(good) > len(good)
+
+
+def _with_time(columns: dict[str, Column], rows: list[list[str]], may_be_two: bool) -> dict[str, Column]:
+    """The columns with a time: of a date that has one, of parts, or (may_be_two) of two values under one name."""
+    if "time" not in columns and {"date", *PARTS} - {"nanosecond"} <= columns.keys():
+        return columns | {"time": columns["year"]}
+    columns = {role: column for role, column in columns.items() if role not in PARTS}
+    if "week" in columns:
+        columns.pop("date", None)
+    dates, times = values_of(rows, columns.get("date")), values_of(rows, columns.get("time"))
+    has_time = bool(dates) and all(map(_STAMP.search, dates)) and not (times and all(":" in value for value in times))
+    if has_time or ("date" in columns and "time" not in columns and may_be_two):
+        columns["time"] = columns.pop("date")
+    if not may_be_two or "time" not in columns or {"date", "week"} & columns.keys():
+        return columns
+    time = columns["time"]
+    pairs = [row[time.at : time.at + 2] for row in rows if len(row) > time.at + 1]
+    dated = sum(_DATE.fullmatch(a) is not None and ":" in b for a, b in pairs)
+    weeks = sum(re.fullmatch(r"\d{4}", a) is not None and "." in b for a, b in pairs)
+    if 2 * max(dated, weeks) <= len(pairs):
+        return columns
+    moved = {role: column._replace(at=column.at + (column.at >= time.at)) for role, column in columns.items()}
+    return moved | ({"date": time} if dated > weeks else {"week": time, "time": moved["time"]._replace(unit="s")})
+
+
+def sides_of(columns: dict[str, Column], header: Header) -> dict[str, Column]:
+    """The columns of the hemispheres, with nothing but their letters or words: called so, or each behind its angle."""
+    name_at = dict(zip(header.starts, header.names, strict=True))
+    called: dict[str, Column] = {}
+    behind: dict[str, Column] = {}
+    for role, letters, names in _SIDES:
+        for at in range(min(map(len, header.rows), default=0)):
+            values = {row[at].strip().upper() for row in header.rows} - {""}
+            if values and values <= letters:
+                if names.search(name_at.get(at, "")):
+                    called.setdefault(f"{role}_side", Column(at, name_at[at]))
+                if at == columns[role].at + (3 if columns[role].dms else 1):
+                    behind[f"{role}_side"] = Column(at, "")
+    return called | (behind if len(behind) == len(_SIDES) else {})
+
+
+def is_course(columns: dict[str, Column], rows: list[list[str]]) -> bool:
+    """Whether a heading is a course over ground: in whole degrees, without roll, pitch and a sigma."""
+    values = values_of(rows, columns.get("heading"))
+    attitude = columns.keys() & {"roll", "pitch", "sigma_heading", *QUATERNION}
+    return len(values) > 1 and not attitude and all(value.isdigit() for value in values)
+
+
+def order_of_dates(columns: dict[str, Column], header: Header, settings: TrajectoryFile) -> DateOrder | None:
+    """Of days and months. Raises ValueError where it cannot be known."""
+    column = columns.get("date", columns["time"])
+    unit = dict(zip(header.starts, header.units, strict=False)).get(column.at, "").lower()
+    if "dmy" in unit or "mdy" in unit:
+        return "dmy" if "dmy" in unit else "mdy"
+    texts = [] if "year" in columns else values_of(header.rows, column)
+    return date_order([text for text in texts if "date" in columns or "/" in text], settings.date)

@@ -22,7 +22,7 @@ from conetl.readers.trajectories.text import floats, head_bytes
 from conetl.readers.trajectories.times import TimeFormat, TimeReader, time_reader
 
 _PIECE = 50_000
-_LONGEST = 100
+_LONGEST, _MAX_BETWEEN = 100, 10_000_000
 _VALUES = frozenset({"ele", "time", "geoidheight"})
 
 
@@ -95,13 +95,17 @@ class _Points:
 
 
 def _records(path: Path, settings: TrajectoryFile, notes: list[str], *, add_geoid: bool) -> Iterator[Records]:
-    points, found = _Points(), 0
+    points, found, empty = _Points(), 0, 0
     read_times = time_reader(TimeFormat(settings.scale("UTC"), "stamp"))
     not_gpx = library_errors(f"{path}: this is not GPX", expat.ExpatError, LookupError)
     with not_gpx, input_errors(path), XmlFile(path) as file:
         try:
             while block := file.read():
+                before = found + len(points.rows)
                 points.parser.Parse(block, False)
+                empty = 0 if found + len(points.rows) > before else empty + len(block)
+                if empty > _MAX_BETWEEN:
+                    raise ValueError(f"{empty:,} bytes without a point of a track")
                 if len(points.rows) >= _PIECE:
                     found += len(points.rows)
                     yield _piece(points.rows, read_times, add_geoid)

@@ -19,11 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from conetl.model.arrays import Floats
-from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import LEVEL_SIGMA_RAD
-from conetl.readers.trajectories.text import head_bytes, line_blocks
+from conetl.readers.trajectories.text import head_bytes, line_blocks, refusal
 from conetl.readers.trajectories.times import DAY_NS, SECOND_NS, Times, decimal_ns
 
 SIGMAS_OF_QUALITY_M = {1: (5.0, 10.0), 2: (2.0, 4.0), 3: (5.0, 10.0), 4: (0.05, 0.1), 5: (0.5, 1.0), 9: (2.0, 4.0)}
@@ -31,6 +30,8 @@ SIGMAS_OF_QUALITY_M = {1: (5.0, 10.0), 2: (2.0, 4.0), 3: (5.0, 10.0), 4: (0.05, 
 They are multiplied by HDOP where it is above 1."""
 HEADING_SIGMA_DEG = 1.0
 """Sigma of HDT and THS, which state none: two antennas half a metre apart."""
+MAX_BETWEEN = 64 << 20
+"""Characters without a sentence, such as messages of another protocol, after which a file is not read on."""
 LATE_NS = 5 * SECOND_NS
 """Sentences come no later than this after those of later epochs; an earlier time of day is of another day, or after a gap."""
 SLOW_S = 0.4
@@ -71,10 +72,15 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     """The epochs of a log. Raises InputError where there is no date."""
     note = unchecked_note(path)
     log = _Log(unchecked=note is not None)
+    lost = 0
     for first, lines in line_blocks(path):
-        for number, line in enumerate(lines, first):
-            for match in _SENTENCE.finditer(line):
-                log.add(match, number)
+        block, number, at = "\n".join(lines), first, 0
+        lost += len(block)
+        for match in _SENTENCE.finditer(block):
+            number, at, lost = number + block.count("\n", at, match.start()), match.start(), 0
+            log.add(match, number)
+        if lost > MAX_BETWEEN:
+            raise refusal(path, f"line {first}: {lost:,} characters have no NMEA sentence: this is not a log of them")
     return Reading(_records(log, settings, path), notes=[note] if note else [])
 
 
@@ -203,8 +209,9 @@ def _times_ns(log: _Log, settings: TrajectoryFile, path: Path) -> Times:
     turns = np.cumsum((steps < -DAY_NS // 2).astype(np.int64) - (steps > DAY_NS - LATE_NS))
     if not (days != _UNDATED).any():
         if settings.date is None:
-            raise InputError(
-                f"{path}: no valid RMC or ZDA sentence gives the date: put trajectory: {{date: 2024-02-07}} (UTC) into drive.yaml"
+            raise refusal(
+                path,
+                "no valid RMC or ZDA sentence gives the date: put trajectory: {date: 2024-02-07} (UTC) into drive.yaml",
             )
         days[0] = (settings.date - date(1970, 1, 1)).days
     dated = np.maximum.accumulate(np.where(days != _UNDATED, numbers, -1))
@@ -217,7 +224,7 @@ def _records(log: _Log, settings: TrajectoryFile, path: Path) -> Iterator[Record
     epochs, fixes = log.fixes.rows()
     if not len(epochs):
         why = f"; {log.damaged:,} sentences have a wrong checksum or content" if log.damaged else ""
-        raise InputError(f"{path}: there is no GGA or GNS sentence with a time{why}")
+        raise refusal(path, f"there is no GGA or GNS sentence with a time{why}")
     count = len(log.times)
     times = _times_ns(log, settings, path)
     lat, lon, altitude, separation, quality, hdop, line = fixes.T

@@ -92,11 +92,10 @@ class TableLayout(NamedTuple):
 Adjust = Callable[[Mapping[str, Floats], Records], Records]
 Relayout = Callable[[list[str], int], TableLayout | None]
 #: What a line that names columns of a position has, in any of their languages.
-_MAY_NAME_COLUMNS = re.compile(r"lat|lon|breite|east|north|ecef|rechts|ostwert", re.IGNORECASE)
+_names_columns = re.compile(r"lat|lon|breite|east|north|ecef|rechts|ostwert", re.IGNORECASE).search
 _FIRST_OF_NUMBER = frozenset("0123456789+-. \t")
-#: Lines in a row that are no records, after which a file is not a log.
-_MOST_LOST = 200_000
-_HEADER_CONTEXT = 30
+#: Lines in a row without values, after which a file is not a log; lines with names in a file; records compared with each.
+_MOST_LOST, _MOST_HEADERS, _HEADER_CONTEXT = 200_000, 1000, 30
 
 
 def rows_of(
@@ -106,6 +105,7 @@ def rows_of(
 
     relayout: the layout that a line states for those below it, given lines from it on and its number; None where it states none.
     """
+    empty, headers = 0, 0
     for first, lines in line_blocks(path):
         numbers: list[int] = []
         rows: list[list[str]] = []
@@ -113,7 +113,13 @@ def rows_of(
             if number < layout.first_line:
                 continue
             stripped = line.strip("\t\r \0") if layout.delimiter is None else line.strip("\r \0")
-            if relayout and stripped[:1] not in _FIRST_OF_NUMBER and _MAY_NAME_COLUMNS.search(stripped):
+            if (
+                stripped[:1] not in _FIRST_OF_NUMBER
+                and relayout
+                and headers < _MOST_HEADERS
+                and _names_columns(stripped)
+            ):
+                headers += 1
                 new = relayout(lines[number - first :][:_HEADER_CONTEXT], number)
                 if new is not None:
                     if rows and new._replace(first_line=0) != layout._replace(first_line=0):
@@ -124,6 +130,9 @@ def rows_of(
             if stripped and not stripped.startswith(("#", "%")):
                 numbers.append(number)
                 rows.append(split_line(stripped, layout.delimiter))
+        empty = 0 if rows else empty + len(lines)
+        if empty > _MOST_LOST:
+            raise refusal(path, f"line {first}: {empty:,} lines in a row are empty or comments: this is not a log")
         if rows:
             yield layout, numbers, rows
 
@@ -143,6 +152,9 @@ def table_records(
     lost = 0
     for now, numbers, rows in rows_of(path, layout, relayout):
         width = 1 + max(column.at + (2 if column.dms else 0) for column in now.columns.values())
+        lost = lost + len(rows) if max(map(len, rows)) < width else 0
+        if lost > _MOST_LOST:
+            raise refusal(path, f"line {numbers[-1]}: {lost:,} lines in a row have too few values: this is not a log")
         short = {
             i: f"expected {width} or more values, found {len(row)}" for i, row in enumerate(rows) if len(row) < width
         }
@@ -155,11 +167,6 @@ def table_records(
             read_times = time_reader(now.clock or _clock(words, short, now, settings, path))
             before = now
         times, wrong = read_times(words, weeks)
-        lost = lost + len(rows) if len(wrong) == len(rows) else 0
-        if lost > _MOST_LOST:
-            raise refusal(
-                path, f"line {numbers[-1]}: {lost:,} lines in a row have no time: they are not records of a log"
-            )
         wrong = wrong | short
         values = {role: _numbers(role, rows, column, now) for role, column in now.columns.items() if role not in _TEXTS}
         if "nanosecond" in values:

@@ -16,7 +16,7 @@ MAX_TEXT_BYTES = 2 << 30
 """20 million records of 100 characters. A larger file is not opened."""
 MAX_LINE, LONGEST_LINE = 20_000, 1 << 20
 """Characters of a line that are read; a file with a longer one is refused."""
-_BLOCK = 4 << 20
+_BLOCK = 1 << 19
 _HEAD = 65_536
 
 
