@@ -12,11 +12,12 @@ import numpy as np
 
 from conetl.files.documents import shown
 from conetl.model.errors import InputError
+from conetl.readers.trajectories.dates import date_order
 from conetl.readers.trajectories.names import column_of, is_dms, is_exact, is_short_sigma, role_of, unit_of
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.tables import PARTS, POSITIONS, QUATERNION, ROLES, TIMES, Column, degrees_of
 from conetl.readers.trajectories.text import floats, refusal
-from conetl.readers.trajectories.times import DateOrder, date_order
+from conetl.readers.trajectories.times import DateOrder
 
 MOST_COLUMNS = 1000
 _DATE = re.compile(r"\d{1,4}([-/.])\d{1,2}\1\d{1,4}|\d{6}|\d{8}", re.ASCII)

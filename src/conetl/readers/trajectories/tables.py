@@ -17,17 +17,17 @@ import numpy as np
 
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
+from conetl.readers.trajectories.dates import with_colons, with_marks
 from conetl.readers.trajectories.recorded import Axes, Heights, Reading, Records, attitude, rotations_of_quaternions
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.text import floats, line_blocks, refusal, split_line
 from conetl.readers.trajectories.times import (
+    EARLIEST_NS,
     OFFSET,
     DateOrder,
     TimeFormat,
     common_clock,
     time_reader,
-    with_colons,
-    with_marks,
 )  # fmt: skip
 
 TIMES = ("time", "date", "week")
@@ -88,6 +88,15 @@ class TableLayout(NamedTuple):
     """Of days, months and years, where the file says so."""
     heights: Heights = "ellipsoidal"
 
+    @property
+    def width(self) -> int:
+        """How many values a record has at least."""
+        return 1 + max(column.at + (2 if column.dms else 0) for column in self.columns.values())
+
+    def is_like(self, other: TableLayout) -> bool:
+        """Whether records have the same columns."""
+        return self._replace(first_line=0) == other._replace(first_line=0)
+
 
 Adjust = Callable[[Mapping[str, Floats], Records], Records]
 Relayout = Callable[[list[str], int], TableLayout | None]
@@ -95,7 +104,7 @@ Relayout = Callable[[list[str], int], TableLayout | None]
 _names_columns = re.compile(r"lat|lon|breite|east|north|ecef|rechts|ostwert", re.IGNORECASE).search
 _FIRST_OF_NUMBER = frozenset("0123456789+-. \t")
 #: Lines in a row without values, after which a file is not a log; lines with names in a file; records compared with each.
-_MOST_LOST, _MOST_HEADERS, _HEADER_CONTEXT = 200_000, 1000, 30
+_MOST_LOST, _MOST_HEADERS, _HEADER_CONTEXT = 100_000, 1000, 30
 
 
 def rows_of(
@@ -105,7 +114,7 @@ def rows_of(
 
     relayout: the layout that a line states for those below it, given lines from it on and its number; None where it states none.
     """
-    empty, headers = 0, 0
+    empty, headers, width = 0, 0, layout.width
     for first, lines in line_blocks(path):
         numbers: list[int] = []
         rows: list[list[str]] = []
@@ -113,23 +122,19 @@ def rows_of(
             if number < layout.first_line:
                 continue
             stripped = line.strip("\t\r \0") if layout.delimiter is None else line.strip("\r \0")
-            if (
-                stripped[:1] not in _FIRST_OF_NUMBER
-                and relayout
-                and headers < _MOST_HEADERS
-                and _names_columns(stripped)
-            ):
+            is_text = stripped[:1] not in _FIRST_OF_NUMBER
+            if is_text and relayout and headers < _MOST_HEADERS and _names_columns(stripped[:1000]):
                 headers += 1
                 new = relayout(lines[number - first :][:_HEADER_CONTEXT], number)
                 if new is not None:
-                    if rows and new._replace(first_line=0) != layout._replace(first_line=0):
+                    if rows and not new.is_like(layout):
                         yield layout, numbers, rows
                         numbers, rows = [], []
-                    layout = new
+                    layout, width = new, new.width
                     continue
             if stripped and not stripped.startswith(("#", "%")):
                 numbers.append(number)
-                rows.append(split_line(stripped, layout.delimiter))
+                rows.append(split_line(stripped, layout.delimiter, width))
         empty = 0 if rows else empty + len(lines)
         if empty > _MOST_LOST:
             raise refusal(path, f"line {first}: {empty:,} lines in a row are empty or comments: this is not a log")
@@ -149,24 +154,26 @@ def table_records(
     adjust: what a format does besides, given the values of all columns (N,) by our name; relayout: see `rows_of`.
     """
     before: TableLayout | None = None
-    lost = 0
-    for now, numbers, rows in rows_of(path, layout, relayout):
-        width = 1 + max(column.at + (2 if column.dms else 0) for column in now.columns.values())
-        lost = lost + len(rows) if max(map(len, rows)) < width else 0
-        if lost > _MOST_LOST:
-            raise refusal(path, f"line {numbers[-1]}: {lost:,} lines in a row have too few values: this is not a log")
+    lost = 0.0
+    for now, numbers, found_rows in rows_of(path, layout, relayout):
+        width, none = now.width, [""] * now.width
         short = {
-            i: f"expected {width} or more values, found {len(row)}" for i, row in enumerate(rows) if len(row) < width
+            i: f"expected {width} or more values, found {len(row)}"
+            for i, row in enumerate(found_rows)
+            if len(row) < width
         }
-        for i in short:
-            rows[i] = [""] * width
+        rows = [none if i in short else row for i, row in enumerate(found_rows)]
         words = _time_words(rows, now)
         week = now.columns.get("week")
         weeks = None if week is None else [row[week.at] for row in rows]
-        if before is None or now._replace(first_line=0) != before._replace(first_line=0):
+        if before is None or not now.is_like(before):
             read_times = time_reader(now.clock or _clock(words, short, now, settings, path))
             before = now
         times, wrong = read_times(words, weeks)
+        # A clock that is not set yet is no damage.
+        lost = lost + len(rows) * (1.0 if len(wrong) == len(rows) else 0.1) if (times < EARLIEST_NS).all() else 0.0
+        if lost > _MOST_LOST:
+            raise refusal(path, f"line {numbers[-1]}: no line for long has a time since 2008: this is not a log")
         wrong = wrong | short
         values = {role: _numbers(role, rows, column, now) for role, column in now.columns.items() if role not in _TEXTS}
         if "nanosecond" in values:

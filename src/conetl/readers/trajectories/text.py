@@ -16,7 +16,7 @@ MAX_TEXT_BYTES = 2 << 30
 """20 million records of 100 characters. A larger file is not opened."""
 MAX_LINE, LONGEST_LINE = 20_000, 1 << 20
 """Characters of a line that are read; a file with a longer one is refused."""
-_BLOCK = 1 << 19
+_BLOCK = 1 << 17
 _HEAD = 65_536
 
 
@@ -71,12 +71,13 @@ def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
         yield number, [rest]
 
 
-def split_line(line: str, delimiter: str | None) -> list[str]:
-    """The values of a line; delimiter None: any white space. Quotes hold values with a delimiter, but not line breaks."""
-    if delimiter is None:
-        return line[:MAX_LINE].split()
-    if '"' not in line:
-        return line[:MAX_LINE].split(delimiter)
+def split_line(line: str, delimiter: str | None, most: int = -1) -> list[str]:
+    """The values of a line; delimiter None: any white space. Quotes hold values with a delimiter, but not line breaks.
+
+    most: of the values that are needed; what follows them may be one.
+    """
+    if delimiter is None or '"' not in line:
+        return line[:MAX_LINE].split(delimiter, most)
     try:
         return next(csv.reader([line[:MAX_LINE]], delimiter=delimiter), [])
     except csv.Error:
