@@ -257,7 +257,7 @@ def test_dates_and_times_in_two_columns(names: str, tmp_path: Path) -> None:
         (["time,lat,lon,alt", "33300,49,8,110"], {}, "does not state which"),
         (["time,lat,lon,alt", "33300,49,8,110"], {"date": date(2024, 2, 7)}, "GPS time, which"),
         (["time,lat,lon,alt", "07/02/2024 09:15:00,49,8,110"], {}, "two ways"),
-        (["time,lat,latitude,lon,alt", "1707297300,49,49,8,110"], {}, "may both be the lat"),
+        (["time,lat,latitude,lon,alt", "1707297300,49,48,8,110"], {}, "may both be the lat"),
         (["time,lat,lon,h_msl", "1707297300,49,8,110"], {}, "geoid"),
         (["time,lat,lon,h_msl", "1707297300,49,8,110"], {"heights": "EPSG:5773"}, "us_nga_egm96_15.tif"),
         (["time,lat,lon,h_msl", "1707297300,49,8,110"], {"heights": "nowhere.gtx"}, "nowhere.gtx"),
@@ -426,27 +426,58 @@ def test_a_local_file_has_no_crs(tmp_path: Path) -> None:
         read_trajectory(files.write_tum(tmp_path), TrajectoryFile(crs="EPSG:25832"))
 
 
-def test_a_yaw_that_is_a_heading_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "a.csv"
-    for heading, is_yaw in ((100.0, False), (100.0, True), (45.0, True)):
-        steps = (
-            1e-5
-            * np.arange(60)[:, None]
-            * [np.cos(np.radians(heading)), np.sin(np.radians(heading)) / np.cos(np.radians(49.0))]
-        )
-        angle = 90.0 - heading if is_yaw else heading
-        rows = [
-            f"{1707297300 + 0.1 * i:.1f},{49 + a:.9f},{8.4 + b:.9f},110,0,0,{angle}" for i, (a, b) in enumerate(steps)
-        ]
-        files.write(tmp_path, "a.csv", ["time,lat,lon,alt,roll,pitch,yaw", *rows])
-        if is_yaw:
-            assert read_trajectory(path).rotations is not None
-            continue
-        with pytest.raises(InputError, match="clockwise from north"):
-            read_trajectory(path)
-        mapped: dict[str, str | int] = {"heading": "yaw"}
-        rotations = read_trajectory(path, TrajectoryFile(columns=mapped)).rotations
-        assert rotations is not None and rotations[0, 0, 0] == pytest.approx(np.sin(np.radians(heading)))
+def write_yaw(folder: Path, course_deg: Any, *, as_heading: bool, offset_deg: float = 0.0) -> Path:
+    """A drive of 1 m steps in these directions (clockwise from north), with a yaw as in NED or ENU, and 1 degree of climb."""
+    course = np.radians(np.broadcast_to(course_deg, 60))
+    east, north = np.cumsum(np.sin(course)), np.cumsum(np.cos(course))
+    lat, lon = 49.0 + north / 111_195.0, 8.4 + east / (111_195.0 * np.cos(np.radians(49.0)))
+    heading = np.degrees(course) + offset_deg
+    angle = (heading if as_heading else 90.0 - heading + 540.0) % 360.0 - (0.0 if as_heading else 180.0)
+    pitch = 1.0 if as_heading else -1.0
+    rows = [
+        f"{1707297300 + 0.1 * i:.1f},{a:.9f},{b:.9f},110,2,{pitch},{c:.4f}"
+        for i, (a, b, c) in enumerate(zip(lat, lon, angle, strict=True))
+    ]
+    return files.write(folder, "a.csv", ["time,lat,lon,alt,roll,pitch,yaw", *rows])
+
+
+STRAIGHT = [0.0, 10.0, 60.0, 75.0, 90.0, 135.0, 180.0, 200.0, 270.0, 300.0, 350.0]
+
+
+@pytest.mark.parametrize("as_heading", [True, False])
+@pytest.mark.parametrize(
+    "course", [*STRAIGHT, *(at + 20.0 * np.sin(np.arange(60) / 10.0) for at in (0.0, 45.0, 130.0, 225.0))]
+)
+def test_a_yaw_counts_as_the_drive_path_shows(course: Any, as_heading: bool, tmp_path: Path) -> None:
+    found = read_trajectory(write_yaw(tmp_path, course, as_heading=as_heading))
+    assert found.rotations is not None
+    expected = np.column_stack([np.full(60, 2.0), np.ones(60), np.broadcast_to(course, 60)])
+    assert angle_rad(found.rotations, true_rotations(expected)) < 1e-5
+    assert [*found.notes] == (
+        [f"{tmp_path}/a.csv: compared with the drive path, the column 'yaw' counts clockwise from north (NED)"]
+        if as_heading
+        else []
+    )
+
+
+@pytest.mark.parametrize("as_heading", [True, False])
+@pytest.mark.parametrize(("course", "offset"), [(45.0, 0.0), (47.0, 0.0), (225.0, 0.0), (100.0, 30.0)])
+def test_a_yaw_whose_axes_the_drive_path_does_not_show_is_asked_for(
+    course: float, offset: float, as_heading: bool, tmp_path: Path
+) -> None:
+    path = write_yaw(tmp_path, course, as_heading=as_heading, offset_deg=offset)
+    with pytest.raises(
+        InputError, match=r"may count clockwise from north .* \{columns: \{heading: yaw\}\} or \{yaw: yaw\}"
+    ):
+        read_trajectory(path)
+    found = read_trajectory(path, TrajectoryFile(columns={"heading" if as_heading else "yaw": "yaw"})).rotations
+    assert found is not None
+    assert angle_rad(found, true_rotations(np.array([[2.0, 1.0, course + offset]]))) < 1e-5
+
+
+def test_a_yaw_that_is_stated_and_contradicts_the_drive_path_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"clockwise from north, as a heading does"):
+        read_trajectory(write_yaw(tmp_path, 100.0, as_heading=True), TrajectoryFile(columns={"yaw": "yaw"}))
 
 
 # --------------------------------------------------------------------------- on the map

@@ -320,6 +320,62 @@ def write_tsv(folder: Path, t: Known | None = None) -> Path:
     return write(folder, "drive.tsv", lines)
 
 
+def write_pospac(folder: Path, t: Known | None = None) -> Path:
+    """Names with commas above values with blanks, two heights, the date in the heading."""
+    t = t or known()
+    lines = [
+        "", "  POSPac export", f"  Date of Mission: {datetime.fromtimestamp(int(t.times_ns[0]) // 10**9, UTC):%Y-%m-%d}",
+        " TIME, DISTANCE, ORTHOMETRIC HEIGHT, LATITUDE, LONGITUDE, ELLIPSOID HEIGHT, ROLL, PITCH, HEADING, EAST SD, NORTH SD, "
+        "HEIGHT SD, ROLL SD, PITCH SD, HEADING SD", "", " (time in Sec, position in Meters, lat, long in Degrees)", "",
+    ]  # fmt: skip
+    for tow, (lat, lon, h), rph, sigma in zip(gps_time(t)[1], t.llh, t.rph, t.sigma, strict=True):
+        numbers = " ".join(f"{v:.10f}" for v in (h - GEOID_M, lat, lon, h, *rph, *sigma))
+        lines.append(f" {tow} 0.000 {numbers}")
+    return write(folder, "export.txt", lines)
+
+
+def write_logger(folder: Path, t: Known | None = None) -> Path:
+    """Hemispheres in columns of their own, a column TAG, date and time without marks."""
+    t = t or known()
+    lines = ["INDEX,TAG,DATE,TIME,LATITUDE,N/S,LONGITUDE,E/W,HEIGHT,SPEED"]
+    for i, (stamp, (lat, lon, h)) in enumerate(zip(stamps("%y%m%d,%H%M%S", t), t.llh, strict=True)):
+        lines.append(
+            f"{i},T,{stamp},{abs(lat):.10f},{'NS'[int(lat < 0)]},{abs(lon):.10f},{'EW'[int(lon < 0)]},{h:.4f},43"
+        )
+    return write(folder, "logger.csv", lines)
+
+
+def write_parts(folder: Path, t: Known | None = None) -> Path:
+    """Times in parts, comments with two strokes."""
+    t = t or known()
+    names = (
+        "PacketCounter UTC_Nano UTC_Year UTC_Month UTC_Day UTC_Hour UTC_Minute UTC_Second Latitude Longitude Altitude"
+    )
+    lines = ["// Update Rate: 10.0Hz", names.replace(" ", "\t")]
+    for i, (stamp, (lat, lon, h)) in enumerate(zip(stamps("%Y %m %d %H %M %S", t, digits=9), t.llh, strict=True)):
+        whole, _, nano = stamp.partition(".")
+        lines.append("\t".join([str(i), nano, *whole.split(), f"{lat:.10f}", f"{lon:.10f}", f"{h:.4f}"]))
+    return write(folder, "mti.txt", lines)
+
+
+def write_mixed_nmea(folder: Path, t: Known | None = None) -> Path:
+    """GNS, headings first, without checksums, between messages of another protocol."""
+    t = t or known()
+    path = folder / "log.ubx"
+    parts = []
+    for day, clock, (lat, lon, h), rph in zip(stamps("%d%m%y", t), stamps("%H%M%S", t), t.llh, t.rph, strict=True):
+        where = f"{minutes(lat, 2, 'NS')},{minutes(lon, 3, 'EW')}"
+        texts = [
+            f"$GPHDT,{rph[2]:.9f},T",
+            f"$PASHR,{clock},{rph[2]:.9f},T,{rph[0]:.9f},{rph[1]:.9f},,,,,1,1",
+            f"$GNRMC,{clock},A,{where},12.3,30.0,{day[:6]},,,R,V",
+            f"$GNGNS,{clock},{where},RN,17,0.7,{h - GEOID_M:.4f},{GEOID_M},1.0,0123",
+        ]
+        parts += [b"\xb5\x62\x01\x07\x04\x00\x00\n$\x00\xb5", *map(str.encode, texts)]
+    path.write_bytes(b"\r\n".join(parts) + b"\r\n")
+    return path
+
+
 class Sample(NamedTuple):
     """A format's file: how to write it, what its name is, and what the file does not say."""
 
@@ -348,5 +404,9 @@ SAMPLES: dict[str, Sample] = {
     "euroc": Sample(write_euroc, "euroc", has_sigma=False, is_local=True),
     "csv": Sample(write_csv, "table"),
     "csv_german": Sample(write_german, "table", TrajectoryFile(time="Europe/Berlin")),
+    "nmea_mixed": Sample(write_mixed_nmea, "nmea", has_sigma=False),
+    "pospac": Sample(write_pospac, "table"),
+    "logger": Sample(write_logger, "table", has_sigma=False, has_attitude=False),
+    "parts": Sample(write_parts, "table", has_sigma=False, has_attitude=False),
     "tsv_projected": Sample(write_tsv, "table", TrajectoryFile(crs="EPSG:25832"), has_sigma=False),
 }  # fmt: skip

@@ -224,6 +224,7 @@ def _add_trajectory(root: Path, proposal: Proposal) -> RecordedTrajectory | None
         return None
     kind = trajectory_format(path) or "table"
     proposal.found.append(_described(recorded, kind))
+    proposal.found.extend(recorded.notes)
     if kind == "table":
         proposal.found.extend(f"{recorded.name}: {text}" for key, text in _TAKEN.items() if key not in settings)
     stated_m = value_at(proposal.settings, "sigmas.horizontal_m")

@@ -42,7 +42,7 @@ from conetl.readers.drives.poses import placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stamps_of_images, stated_start, timed
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
-from conetl.readers.trajectories import find_trajectories, read_trajectory, unknown_heights
+from conetl.readers.trajectories import find_trajectories, read_trajectory, remarks_on
 from conetl.readers.trajectories.recorded import of_images
 
 NAME, TITLE = "video", "video or images with a trajectory file"
@@ -114,8 +114,8 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
             header.add_samples(root, source.relative_to(root).as_posix())
     trajectory = _trajectory_file(root, settings)
     header.add_samples(root, trajectory.relative_to(root).as_posix())
-    remark = unknown_heights(trajectory, settings.trajectory) if settings.sigmas.vertical_m is None else None
-    header.remarks += [remark] if remark else []
+    has_sigma = settings.sigmas.vertical_m is not None
+    header.remarks += remarks_on(trajectory, settings.trajectory, has_vertical_sigma=has_sigma)
     header.add_file(root, RIG_YAML)
     _rig(root, settings, ContentHash())
     if not sources[0].is_dir():

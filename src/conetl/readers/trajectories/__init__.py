@@ -6,23 +6,41 @@ All give a `RecordedTrajectory`. Poses at the exposures of a drive are made of i
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from conetl.model.errors import InputError
-from conetl.readers.trajectories import delimited, gpx, inertial_explorer, nmea, oxts, rtklib, sbet, tables
+from conetl.readers.trajectories import axes, delimited, gpx, nmea, oxts, rtklib, sbet, tables
 from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M, in_wgs84
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory, assembled
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
-from conetl.readers.trajectories.text import head_bytes, head_lines
+from conetl.readers.trajectories.text import head_bytes, head_lines, refusal
 
 READERS: dict[FormatName, Callable[[Path, TrajectoryFile], Reading]] = {
-    "rtklib": rtklib.read, "sbet": sbet.read, "inertial_explorer": inertial_explorer.read, "nmea": nmea.read, "gpx": gpx.read,
-    "oxts": oxts.read, "euroc": tables.read_euroc, "tum": tables.read_tum, "table": delimited.read,
+    "rtklib": rtklib.read, "sbet": sbet.read, "inertial_explorer": partial(delimited.read, kind="inertial_explorer"),
+    "nmea": nmea.read, "gpx": gpx.read, "oxts": oxts.read, "euroc": tables.read_euroc, "tum": tables.read_tum,
+    "table": delimited.read,
 }  # fmt: skip
 _SUFFIXES = frozenset(
-    {".pos", ".out", ".sbet", ".txt", ".nmea", ".nme", ".log", ".gpx", ".csv", ".tsv", ".tum", ".dat", ".ie"}
+    {
+        ".pos",
+        ".out",
+        ".sbet",
+        ".txt",
+        ".nmea",
+        ".nme",
+        ".log",
+        ".gpx",
+        ".csv",
+        ".tsv",
+        ".tum",
+        ".dat",
+        ".ie",
+        ".asc",
+        ".ubx",
+    }
 )
 _TABLE_SUFFIXES = frozenset({".csv", ".tsv"})
 _MOST_CANDIDATES = 500
@@ -38,69 +56,61 @@ def read_trajectory(
     """
     settings = settings or TrajectoryFile()
     if not path.exists():
-        raise InputError(
-            f"{path}: there is no such file; name the trajectory in drive.yaml (trajectory: {{file: ...}})"
-        )
+        raise refusal(path, "there is no such file; name the trajectory in drive.yaml (trajectory: {file: ...})")
     name = settings.format or ("table" if settings.columns else trajectory_format(path))
     if name is None and path.suffix.lower() in _TABLE_SUFFIXES:
         name = "table"  # whose reader says which columns it found
     if name is None:
-        raise InputError(
-            f"{path}: this is not a trajectory in a known format ({', '.join(READERS)}); name its columns in drive.yaml "
-            "(trajectory: columns) or export it as CSV with time, lat, lon, height"
+        raise refusal(
+            path,
+            f"this is not a trajectory in a known format ({', '.join(READERS)}); name its columns in drive.yaml "
+            "(trajectory: columns) or export it as CSV with time, lat, lon, height",
         )
     if path.is_dir() != (name == "oxts"):
-        raise InputError(
-            f"{path}: {'a folder' if path.is_dir() else 'a file'} cannot be a trajectory in the format {name}"
-        )
+        raise refusal(path, f"{'a folder' if path.is_dir() else 'a file'} cannot be a trajectory in the format {name}")
     reading = READERS[name](path, settings)
     is_local = reading.axes == "local"
     if is_local and (settings.crs or settings.heights):
-        raise InputError(
-            f"{path}: x, y, z of the format {name} are local: leave out trajectory.crs and heights in drive.yaml"
+        raise refusal(
+            path, f"x, y, z of the format {name} are local: leave out trajectory.crs and heights in drive.yaml"
         )
     pieces = reading.pieces if is_local else in_wgs84(reading, settings, path)
     with np.errstate(all="ignore"):  # damaged numbers become NaN, and their records bad
         found = assembled(path, pieces, is_local=is_local, between_ns=between_ns)
-    if reading.yaw_column is not None:
-        delimited.check_yaw(path, found, reading.yaw_column)
-    return found
+        return axes.resolved(path, found._replace(notes=tuple(reading.notes)), reading)
 
 
-def unknown_heights(path: Path, settings: TrajectoryFile) -> str | None:
-    """What to say of a file whose heights may be above the sea or the ellipsoid; None if it or the settings say which."""
-    if settings.heights is not None or settings.crs is not None or not path.is_file():
-        return None
-    if (settings.format or trajectory_format(path)) != "gpx" or gpx.states_geoid(path):
-        return None
-    return (
-        f"{path}: does not state whether its heights are above sea level or the ellipsoid: vertical sigma "
-        f"{UNSTATED_HEIGHT_SIGMA_M:g} m. Put into drive.yaml, below trajectory, heights: 'EPSG:5773' "
-        "(sea level, EGM96) or heights: ellipsoidal"
-    )
+def remarks_on(path: Path, settings: TrajectoryFile, *, has_vertical_sigma: bool = False) -> list[str]:
+    """What to say of a trajectory file before it is read: heights above the sea or the ellipsoid, a missing end or checksums."""
+    name = (settings.format or trajectory_format(path)) if path.is_file() else None
+    found = [gpx.cut_note(path) if name == "gpx" else nmea.unchecked_note(path) if name == "nmea" else None]
+    known = has_vertical_sigma or settings.heights is not None or settings.crs is not None
+    if name == "gpx" and not known and not gpx.states_geoid(path):
+        found.append(
+            f"{path}: does not state whether its heights are above sea level or the ellipsoid: vertical sigma "
+            f"{UNSTATED_HEIGHT_SIGMA_M:g} m. Put into drive.yaml, below trajectory, heights: 'EPSG:5773' "
+            "(sea level, EGM96) or heights: ellipsoidal"
+        )
+    return [note for note in found if note is not None]
 
 
 def trajectory_format(path: Path) -> FormatName | None:
     """Name of the format of a file or folder by its content, None for anything else. Raises InputError."""
     if path.is_dir():
         return "oxts" if oxts.looks_like(path) else None
-    head = head_bytes(path)
-    if b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return "sbet" if sbet.looks_like(path.stat().st_size, head) else None
+    head = head_bytes(path).rstrip(b"\0")  # space may be reserved behind a log
     lines = head_lines(path)
-    if rtklib.header_of(lines) is not None:
-        return "rtklib"
-    if nmea.looks_like(lines):
-        return "nmea"
     if "<gpx" in (text := "\n".join(lines)).lower() and text.lstrip("\ufeff \n\t").startswith("<"):
         return "gpx"
-    if inertial_explorer.looks_like(lines):
-        return "inertial_explorer"
+    if nmea.looks_like(lines, binary := b"\0" in head and not head.startswith((b"\xff\xfe", b"\xfe\xff"))):
+        return "nmea"
+    if binary:
+        return "sbet" if sbet.looks_like(path.stat().st_size, head_bytes(path)) else None
+    if rtklib.looks_like(lines):
+        return "rtklib"
     if tables.looks_like_euroc(lines):
         return "euroc"
-    if tables.looks_like_tum(lines):
-        return "tum"
-    return "table" if delimited.looks_like(lines) else None
+    return "tum" if tables.looks_like_tum(lines) else delimited.kind_of(lines)
 
 
 def find_trajectories(folder: Path) -> list[Path]:

@@ -8,6 +8,7 @@ Read with expat, point by point: gpxpy holds the whole document, and knows neith
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 from xml.parsers import expat
@@ -21,20 +22,30 @@ from conetl.readers.trajectories.text import floats, head_bytes
 from conetl.readers.trajectories.times import TimeFormat, TimeReader, time_reader
 
 _PIECE = 50_000
-_LONGEST = 100
+_LONGEST, _MAX_BETWEEN = 100, 10_000_000
 _VALUES = frozenset({"ele", "time", "geoidheight"})
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
-    """The points of a file. Raises InputError where it is not XML or has a document type."""
-    stated = states_geoid(path)
-    records = _records(path, settings, add_geoid=stated and settings.heights is None)
-    return Reading(records, heights="ellipsoidal" if stated else "unstated")
+    """The points of a file, of one that was cut those before. Raises InputError without a point, or with a document type."""
+    stated, notes = states_geoid(path), list[str]()
+    records = _records(path, settings, notes, add_geoid=stated and settings.heights is None)
+    return Reading(records, heights="ellipsoidal" if stated else "unstated", notes=notes)
 
 
 def states_geoid(path: Path) -> bool:
-    """Whether the points have the height of the geoid, so that `ele` is above it."""
-    return b"geoidheight>" in head_bytes(path).lower()
+    """Whether the first points have the height of the geoid, so that `ele` is above it."""
+    points = _Points()
+    with suppress(expat.ExpatError, LookupError, ValueError):
+        points.parser.Parse(head_bytes(path), False)
+    return bool(np.isfinite([row[3] for row in points.rows]).any())
+
+
+def cut_note(path: Path) -> str | None:
+    """What to say of a file whose end is missing."""
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - 1000))
+        return None if b"gpx>" in file.read().lower() else f"{path}: its end is missing; the whole points are used"
 
 
 _Row = tuple[float, float, float, float, str, int]
@@ -47,6 +58,7 @@ class _Points:
         self.rows: list[_Row] = []
         self.point: dict[str, str] | None = None
         self.key: str | None = None
+        self.inside = 0  # elements in the point around the text
         self.parser = expat.ParserCreate()
         self.parser.buffer_text = True
         self.parser.StartDoctypeDeclHandler = self.refuse
@@ -59,9 +71,12 @@ class _Points:
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         name = tag.rpartition(":")[2]
-        if name == "trkpt":
+        if self.point is not None:
+            self.inside += 1
+            # Elements of extensions may have the same names.
+            self.key = name if self.inside == 1 and name in _VALUES and name not in self.point else None
+        elif name == "trkpt":
             self.point = {key: attributes.get(key, "")[:_LONGEST] for key in ("lat", "lon")}
-        self.key = name if self.point is not None and name in _VALUES else None
 
     def text(self, text: str) -> None:
         if self.point is not None and self.key is not None:
@@ -69,23 +84,37 @@ class _Points:
 
     def end(self, tag: str) -> None:
         self.key = None
-        if tag.rpartition(":")[2] == "trkpt" and self.point is not None:
-            point, self.point = self.point, None
-            lat, lon, ele, geoid = floats([point.get(key, "") for key in ("lat", "lon", "ele", "geoidheight")]).tolist()
-            self.rows.append((lat, lon, ele, geoid, point.get("time", ""), self.parser.CurrentLineNumber))
+        if self.point is None:
+            return
+        if self.inside:
+            self.inside -= 1
+            return
+        point, self.point = self.point, None
+        lat, lon, ele, geoid = floats([point.get(key, "") for key in ("lat", "lon", "ele", "geoidheight")]).tolist()
+        self.rows.append((lat, lon, ele, geoid, point.get("time", ""), self.parser.CurrentLineNumber))
 
 
-def _records(path: Path, settings: TrajectoryFile, *, add_geoid: bool) -> Iterator[Records]:
-    points = _Points()
+def _records(path: Path, settings: TrajectoryFile, notes: list[str], *, add_geoid: bool) -> Iterator[Records]:
+    points, found, empty = _Points(), 0, 0
     read_times = time_reader(TimeFormat(settings.scale("UTC"), "stamp"))
     not_gpx = library_errors(f"{path}: this is not GPX", expat.ExpatError, LookupError)
     with not_gpx, input_errors(path), XmlFile(path) as file:
-        while block := file.read():
-            points.parser.Parse(block, False)
-            if len(points.rows) >= _PIECE:
-                yield _piece(points.rows, read_times, add_geoid)
-                points.rows = []
-        points.parser.Parse(b"", True)
+        try:
+            while block := file.read():
+                before = found + len(points.rows)
+                points.parser.Parse(block, False)
+                empty = 0 if found + len(points.rows) > before else empty + len(block)
+                if empty > _MAX_BETWEEN:
+                    raise ValueError(f"{empty:,} bytes without a point of a track")
+                if len(points.rows) >= _PIECE:
+                    found += len(points.rows)
+                    yield _piece(points.rows, read_times, add_geoid)
+                    points.rows = []
+            points.parser.Parse(b"", True)
+        except expat.ExpatError as error:
+            if not found + len(points.rows):
+                raise
+            notes.append(f"{path}: ends or is damaged in line {error.lineno}; the whole points before it are used")
     if points.rows:
         yield _piece(points.rows, read_times, add_geoid)
 

@@ -52,6 +52,8 @@ class RecordedTrajectory(NamedTuple):
     """(N, 6): east, north, up (m), roll, pitch, yaw (rad); NaN where the file states none."""
     bad: dict[int, str]
     """What is wrong with other records, by their time (UTC ns)."""
+    notes: tuple[str, ...] = ()
+    """What the user has to know, although the file can be read."""
 
 
 class Records(NamedTuple):
@@ -79,7 +81,11 @@ class Reading(NamedTuple):
     heights: Heights = "ellipsoidal"
     """What the file says of its heights."""
     yaw_column: str | None = None
-    """The column of a table whose yaw, by its name, counts counter-clockwise from east."""
+    """The column of a table with a yaw, which is read as counter-clockwise from east, pitch positive with the front down."""
+    yaw_is_stated: bool = False
+    """Whether the user says that it is so."""
+    notes: Sequence[str] = ()
+    """As in `RecordedTrajectory`; complete once the pieces are read."""
 
 
 def check_fix(lat_deg: float, lon_deg: float, height_m: float) -> None:

@@ -7,22 +7,32 @@ is a `heading`; with a `yaw` they are those of conetl's own trajectory.csv (docs
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
-from conetl.model.errors import InputError
+from conetl.readers.trajectories.dates import with_colons, with_marks
 from conetl.readers.trajectories.recorded import Axes, Heights, Reading, Records, attitude, rotations_of_quaternions
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.text import floats, line_blocks, split_line
-from conetl.readers.trajectories.times import OFFSET, TimeFormat, TimeReader, common_clock, time_reader
+from conetl.readers.trajectories.text import floats, line_blocks, refusal, split_line
+from conetl.readers.trajectories.times import (
+    EARLIEST_NS,
+    OFFSET,
+    DateOrder,
+    TimeFormat,
+    common_clock,
+    time_reader,
+)  # fmt: skip
 
 TIMES = ("time", "date", "week")
+PARTS = ("year", "month", "hour", "minute", "second", "nanosecond")
+"""Of a time; the day is the `date`."""
 POSITIONS: dict[Axes, tuple[str, str, str]] = {
     "geodetic": ("lat", "lon", "height"), "projected": ("easting", "northing", "height"), "geocentric": ("x", "y", "z"),
     "local": ("x", "y", "z"),
@@ -34,6 +44,8 @@ ROLES = (
     *QUATERNION,
     *SIGMAS, "sigma_horizontal", "quality",
 )  # fmt: skip
+#: Columns that are not numbers, or not on their own.
+_TEXTS = frozenset({*TIMES, *PARTS, "lat_side", "lon_side", "height_system"}) - {"nanosecond"}
 ANGLES = frozenset({"lat", "lon", "roll", "pitch", "heading", "yaw", "sigma_roll", "sigma_pitch", "sigma_heading"})
 LEVEL_SIGMA_RAD = float(np.radians(5.0))
 """Roll and pitch of a vehicle of which only the heading was recorded are 0 with this sigma: roads rise by up to 10 %."""
@@ -55,7 +67,7 @@ class Column(NamedTuple):
 
 
 class TableLayout(NamedTuple):
-    """Where the records of a file are, and what they consist of."""
+    """Where the records of a file are, and what they consist of: up to the next line that names columns."""
 
     columns: Mapping[str, Column]
     """By our names."""
@@ -72,51 +84,101 @@ class TableLayout(NamedTuple):
     offset, as it speaks of local time."""
     clock: TimeFormat | None = None
     """None: to be found from the first values of the time."""
-    order: Literal["dmy", "mdy"] | None = None
-    """`mdy` or `dmy`, where the file says so."""
+    order: DateOrder | None = None
+    """Of days, months and years, where the file says so."""
+    heights: Heights = "ellipsoidal"
+
+    @property
+    def width(self) -> int:
+        """How many values a record has at least."""
+        return 1 + max(column.at + (2 if column.dms else 0) for column in self.columns.values())
+
+    def is_like(self, other: TableLayout) -> bool:
+        """Whether records have the same columns."""
+        return self._replace(first_line=0) == other._replace(first_line=0)
 
 
-def rows_of(path: Path, layout: TableLayout) -> Iterator[tuple[list[int], list[list[str]]]]:
-    """Line numbers and values of consecutive pieces of a file, without comments and empty lines."""
+Adjust = Callable[[Mapping[str, Floats], Records], Records]
+Relayout = Callable[[list[str], int], TableLayout | None]
+#: What a line that names columns of a position has, in any of their languages.
+_names_columns = re.compile(r"lat|lon|breite|east|north|ecef|rechts|ostwert", re.IGNORECASE).search
+_FIRST_OF_NUMBER = frozenset("0123456789+-. \t")
+#: Lines in a row without values, after which a file is not a log; lines with names in a file; records compared with each.
+_MOST_LOST, _MOST_HEADERS, _HEADER_CONTEXT = 100_000, 1000, 30
+
+
+def rows_of(
+    path: Path, layout: TableLayout, relayout: Relayout | None = None
+) -> Iterator[tuple[TableLayout, list[int], list[list[str]]]]:
+    """Layout, line numbers and values of consecutive pieces of a file, without comments and empty lines.
+
+    relayout: the layout that a line states for those below it, given lines from it on and its number; None where it states none.
+    """
+    empty, headers, width = 0, 0, layout.width
     for first, lines in line_blocks(path):
         numbers: list[int] = []
         rows: list[list[str]] = []
         for number, line in enumerate(lines, first):
+            if number < layout.first_line:
+                continue
             stripped = line.strip("\t\r \0") if layout.delimiter is None else line.strip("\r \0")
-            if number >= layout.first_line and stripped and not stripped.startswith(("#", "%")):
+            is_text = stripped[:1] not in _FIRST_OF_NUMBER
+            if is_text and relayout and headers < _MOST_HEADERS and _names_columns(stripped[:1000]):
+                headers += 1
+                new = relayout(lines[number - first :][:_HEADER_CONTEXT], number)
+                if new is not None:
+                    if rows and not new.is_like(layout):
+                        yield layout, numbers, rows
+                        numbers, rows = [], []
+                    layout, width = new, new.width
+                    continue
+            if stripped and not stripped.startswith(("#", "%")):
                 numbers.append(number)
-                rows.append(split_line(stripped, layout.delimiter))
+                rows.append(split_line(stripped, layout.delimiter, width))
+        empty = 0 if rows else empty + len(lines)
+        if empty > _MOST_LOST:
+            raise refusal(path, f"line {first}: {empty:,} lines in a row are empty or comments: this is not a log")
         if rows:
-            yield numbers, rows
+            yield layout, numbers, rows
 
 
 def table_records(
-    path: Path, layout: TableLayout, settings: TrajectoryFile,
-    adjust: Callable[[Mapping[str, Floats], Records], Records] | None = None,
-) -> Iterator[Records]:  # fmt: skip
+    path: Path,
+    layout: TableLayout,
+    settings: TrajectoryFile,
+    adjust: Adjust | None = None,
+    relayout: Relayout | None = None,
+) -> Iterator[Records]:
     """The records of a file. Raises InputError where its times cannot be understood.
 
-    adjust: what a format does besides, given the values of all columns (N,) by our name.
+    adjust: what a format does besides, given the values of all columns (N,) by our name; relayout: see `rows_of`.
     """
-    width = 1 + max(column.at + (2 if column.dms else 0) for column in layout.columns.values())
-    read_times: TimeReader | None = None
-    for numbers, rows in rows_of(path, layout):
+    before: TableLayout | None = None
+    lost = 0.0
+    for now, numbers, found_rows in rows_of(path, layout, relayout):
+        width, none = now.width, [""] * now.width
         short = {
-            i: f"expected {width} or more values, found {len(row)}" for i, row in enumerate(rows) if len(row) < width
+            i: f"expected {width} or more values, found {len(row)}"
+            for i, row in enumerate(found_rows)
+            if len(row) < width
         }
-        for i in short:
-            rows[i] = [""] * width
-        words = _time_words(rows, layout)
-        week = layout.columns.get("week")
+        rows = [none if i in short else row for i, row in enumerate(found_rows)]
+        words = _time_words(rows, now)
+        week = now.columns.get("week")
         weeks = None if week is None else [row[week.at] for row in rows]
-        if read_times is None:
-            read_times = time_reader(layout.clock or _clock(words, short, layout, settings, path))
+        if before is None or not now.is_like(before):
+            read_times = time_reader(now.clock or _clock(words, short, now, settings, path))
+            before = now
         times, wrong = read_times(words, weeks)
+        # A clock that is not set yet is no damage.
+        lost = lost + len(rows) * (1.0 if len(wrong) == len(rows) else 0.1) if (times < EARLIEST_NS).all() else 0.0
+        if lost > _MOST_LOST:
+            raise refusal(path, f"line {numbers[-1]}: no line for long has a time since 2008: this is not a log")
         wrong = wrong | short
-        values = {
-            role: _numbers(rows, column, layout.comma) for role, column in layout.columns.items() if role not in TIMES
-        }
-        positions = np.column_stack([values[name] for name in POSITIONS[layout.axes]])
+        values = {role: _numbers(role, rows, column, now) for role, column in now.columns.items() if role not in _TEXTS}
+        if "nanosecond" in values:
+            times = times + np.nan_to_num(values["nanosecond"]).clip(-1e9, 1e9).astype(np.int64) * (times > 0)
+        positions = np.column_stack([values[name] for name in POSITIONS[now.axes]])
         sigma = sigmas_of(values, len(rows))
         rotations = rotations_of(values, sigma)
         found = Records(times, positions, rotations, sigma, wrong, (f"line {number}" for number in numbers))
@@ -138,34 +200,84 @@ def _clock(
         elif layout.scale == "local" and not (
             clock.kind == "unix" or all(OFFSET.search(word) for word in words if word)
         ):
-            raise InputError(
-                f"{path}: column {column.name!r}: the time zone of this local time is unknown. Put for example "
-                "trajectory: {time: Europe/Berlin} into drive.yaml"
+            raise refusal(
+                path,
+                f"column {column.name!r}: the time zone of this local time is unknown. Put for example "
+                "trajectory: {time: Europe/Berlin} into drive.yaml",
             )
         elif layout.scale == "?" or clock.kind == "day":
-            raise InputError(
-                f"{path}: column {column.name!r}: is this GPS time, which is some seconds ahead of UTC, or UTC? Put "
-                "trajectory: {time: gps} or {time: utc} into drive.yaml"
+            raise refusal(
+                path,
+                f"column {column.name!r}: is this GPS time, which is some seconds ahead of UTC, or UTC? Put "
+                "trajectory: {time: gps} or {time: utc} into drive.yaml",
             )
     return clock._replace(order=layout.order)
 
 
 def _time_words(rows: Sequence[list[str]], layout: TableLayout) -> list[str]:
     """The times as texts; a date of its own column is before them."""
-    words = [row[layout.columns["time"].at] for row in rows]
-    if "date" in layout.columns:
-        date = layout.columns["date"].at
-        words = [f"{row[date].strip()} {word.strip()}" if word else "" for row, word in zip(rows, words, strict=True)]
+    columns = layout.columns
+    if "year" in columns:
+        parts = [columns[name].at for name in ("year", "month", "date", "hour", "minute", "second")]
+        words = ["{}-{}-{} {}:{:0>2}:{:0>2}".format(*(row[at].strip() for at in parts)) for row in rows]
+        return [re.sub(r":(\d)([.,])", r":0\1\2", word) for word in words]
+    words = [row[columns["time"].at] for row in rows]
+    if "date" in columns:
+        at, order = columns["date"].at, layout.order
+        words = [
+            f"{with_marks(row[at], order)} {with_colons(word)}" if word else ""
+            for row, word in zip(rows, words, strict=True)
+        ]
     return [word.replace(",", ".") for word in words] if layout.comma else words
 
 
-def _numbers(rows: Sequence[list[str]], column: Column, comma: bool) -> Floats:
-    found = floats([row[column.at] for row in rows], comma=comma)
+def _numbers(role: str, rows: Sequence[list[str]], column: Column, layout: TableLayout) -> Floats:
+    words, comma = [row[column.at] for row in rows], layout.comma
+    found = floats(words, comma=comma)
     if column.dms:
         minutes, seconds = (floats([row[column.at + k] for row in rows], comma=comma) for k in (1, 2))
         # The sign of -0 degrees counts.
         found = np.copysign(np.abs(found) + minutes / 60.0 + seconds / 3600.0, found)
+    sides = _SIDES.get(role)
+    if sides is not None:
+        for i in np.flatnonzero(np.isnan(found)).tolist():
+            found[i] = degrees_of(words[i].replace(",", ".") if comma else words[i], sides)
+        if (side := layout.columns.get(f"{role}_side")) is not None:
+            found = np.array([_on_side(a, row[side.at], sides) for a, row in zip(found.tolist(), rows, strict=True)])
     return found * column.factor if column.factor != 1.0 else found
+
+
+def _on_side(angle: float, side: str, sides: str) -> float:
+    """An angle with the hemisphere of its own column: a letter, a word or a sign; NaN where they contradict each other."""
+    letter = side.strip()[:1].upper()
+    negative = letter in {sides[1], "-"}
+    if not (negative or letter in {sides[0], "+"}) or (angle < 0 and not negative):
+        return np.nan
+    return -abs(angle) if negative else angle
+
+
+_SIDES = {"lat": "NS", "lon": "EW"}
+_ANGLE = re.compile(
+    r"\s*([A-Z+-]?)\s*(\d{1,3}(?:\.\d*)?)\s*(?:[°º:d]\s*(?:(\d{1,2}(?:\.\d*)?)\s*(?:['′’:m]\s*(?:(\d{1,2}(?:\.\d*)?)\s*"
+    r"(?:\"|″|”|''|s)?)?)?)?)?\s*([A-Z]?)\s*",
+    re.IGNORECASE,
+)
+
+
+def degrees_of(text: str, sides: str) -> float:
+    """Degrees of a text such as 49.0019S, w 8.4296 or 49° 0' 6.86" N; NaN where it is none.
+
+    sides: the letters of the positive and of the negative hemisphere.
+    """
+    match = _ANGLE.fullmatch(text[:60])
+    if match is None:
+        return np.nan
+    before, degrees, minutes, seconds, after = match.groups(default="")
+    sign = "".join({before, after} - {""}).upper()
+    value = float(degrees) + float(minutes or 0) / 60.0 + float(seconds or 0) / 3600.0
+    if float(minutes or 0) >= 60 or float(seconds or 0) >= 60 or sign not in {"", "+", "-", *sides}:
+        return np.nan
+    return -value if sign in {"-", sides[1]} else value
 
 
 def sigmas_of(values: Mapping[str, Floats], count: int) -> Floats:
@@ -213,17 +325,19 @@ def require(columns: dict[str, Column], path: Path, header: Sequence[str]) -> tu
         names = POSITIONS[axes]
         if names[0] in columns and names[1] in columns:
             if names[2] not in columns:
-                raise InputError(
-                    f"{path}: has no column for {names[2]!r}; its columns are {shown_header}. Name it in drive.yaml, for example "
-                    f"trajectory: {{columns: {{{names[2]}: H}}}}"
+                raise refusal(
+                    path,
+                    f"has no column for {names[2]!r}; its columns are {shown_header}. Name it in drive.yaml, for example "
+                    f"trajectory: {{columns: {{{names[2]}: H}}}}",
                 )
             if "time" not in columns:
                 missing = "a column for a time"
                 break
             return axes, heights
-    raise InputError(
-        f"{path}: expected {missing}, found {shown_header}. Name them in drive.yaml, for example "
-        "trajectory: {columns: {time: Zeit, lat: B, lon: L, height: H}}"
+    raise refusal(
+        path,
+        f"expected {missing}, found {shown_header}. Name them in drive.yaml, for example "
+        "trajectory: {columns: {time: Zeit, lat: B, lon: L, height: H}}",
     )
 
 

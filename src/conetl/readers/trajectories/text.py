@@ -12,11 +12,11 @@ from conetl.files.documents import input_errors
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
-MAX_TEXT_BYTES = 8 << 30
-"""20 million records of 400 characters."""
-MAX_LINE = 20_000
-"""Characters of a line; a longer one is not a record of a trajectory."""
-_BLOCK = 4 << 20
+MAX_TEXT_BYTES = 2 << 30
+"""20 million records of 100 characters. A larger file is not opened."""
+MAX_LINE, LONGEST_LINE = 20_000, 1 << 20
+"""Characters of a line that are read; a file with a longer one is refused."""
+_BLOCK = 1 << 17
 _HEAD = 65_536
 
 
@@ -44,7 +44,12 @@ def head_lines(path: Path) -> list[str]:
     head = head_bytes(path)
     text = head.decode(encoding_of(head), errors="replace")
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    return lines[:-1] if len(head) == _HEAD else lines
+    return lines[:-1] if len(head) == _HEAD and lines[1:] else lines
+
+
+def refusal(path: object, text: str) -> InputError:
+    """The error of a trajectory that cannot be used, in one line without control characters. text: may quote the file."""
+    return InputError("".join(c if c.isprintable() else ascii(c)[1:-1] for c in f"{path}: {text}"))
 
 
 def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
@@ -54,20 +59,25 @@ def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
     with input_errors(path), path.open(encoding=encoding, errors="replace") as file:
         while block := file.read(_BLOCK):
             *lines, rest = (rest + block).split("\n")
-            rest = rest[: MAX_LINE + 1]
+            ended = len(rest) > LONGEST_LINE
+            if ended and len(rest := rest.rstrip("\0")) > LONGEST_LINE:
+                raise refusal(path, f"line {number + len(lines)} has more than {LONGEST_LINE:,} characters: not a log")
             if lines:
                 yield number, lines
                 number += len(lines)
+            if ended:  # by the space that was reserved for a log
+                break
     if rest:
         yield number, [rest]
 
 
-def split_line(line: str, delimiter: str | None) -> list[str]:
-    """The values of a line; delimiter None: any white space. Quotes hold values with a delimiter, but not line breaks."""
-    if delimiter is None:
-        return line[:MAX_LINE].split()
-    if '"' not in line:
-        return line[:MAX_LINE].split(delimiter)
+def split_line(line: str, delimiter: str | None, most: int = -1) -> list[str]:
+    """The values of a line; delimiter None: any white space. Quotes hold values with a delimiter, but not line breaks.
+
+    most: of the values that are needed; what follows them may be one.
+    """
+    if delimiter is None or '"' not in line:
+        return line[:MAX_LINE].split(delimiter, most)
     try:
         return next(csv.reader([line[:MAX_LINE]], delimiter=delimiter), [])
     except csv.Error:

@@ -28,6 +28,7 @@ from conetl.model.errors import InputError
 from conetl.readers.trajectories.settings import TrajectoryFile
 
 Times = NDArray[np.int64]
+DateOrder = Literal["ymd", "dmy", "mdy"]
 
 SECOND_NS = 1_000_000_000
 DAY_NS = 86_400 * SECOND_NS
@@ -135,7 +136,7 @@ def gps_to_utc(gps_ns: Times) -> Times:
     return np.asarray(gps_ns - SECOND_NS * leaps, dtype=np.int64)
 
 
-def parse_timestamp(text: str, zone: str = "UTC", order: Literal["dmy", "mdy"] | None = None) -> int:
+def parse_timestamp(text: str, zone: str = "UTC", order: DateOrder | None = None) -> int:
     """UTC nanoseconds since 1970 of a text such as `2011-09-26 13:04:32.345808896`, with an offset (Z, +01:00) or in a time zone.
 
     Years first with -, / or . between; years last with points (26.09.2011), else only where `order` says what is the month.
@@ -207,7 +208,7 @@ class TimeFormat(NamedTuple):
     week: int | None = None
     """GPS week of times without a week column; counted from 1980-01-06 without rollover."""
     day: date | None = None
-    order: Literal["dmy", "mdy"] | None = None
+    order: DateOrder | None = None
 
     @property
     def start_ns(self) -> int:
