@@ -17,6 +17,8 @@ MAX_TEXT_BYTES = 8 << 30
 MAX_LINE = 20_000
 """Characters of a line; a longer one is not a record of a trajectory."""
 _BLOCK = 4 << 20
+_EMPTY_BLOCKS = 8
+"""So many pieces of a file without the end of a line are no text: a hole, or an attack."""
 _HEAD = 65_536
 
 
@@ -50,11 +52,16 @@ def head_lines(path: Path) -> list[str]:
 def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
     """Number of the first line, from 1, and lines of consecutive pieces of a file, too long ones cut. Raises InputError."""
     encoding = encoding_of(head_bytes(path))
-    number, rest = 1, ""
+    number, rest, empty = 1, "", 0
     with input_errors(path), path.open(encoding=encoding, errors="replace") as file:
         while block := file.read(_BLOCK):
             *lines, rest = (rest + block).split("\n")
             rest = rest[: MAX_LINE + 1]
+            empty = 0 if lines else empty + 1
+            if empty == _EMPTY_BLOCKS:
+                raise InputError(
+                    f"{path}: line {number:,} has no end within {_EMPTY_BLOCKS * _BLOCK:,} characters: no text"
+                )
             if lines:
                 yield number, lines
                 number += len(lines)
