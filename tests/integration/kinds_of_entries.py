@@ -1,4 +1,4 @@
-"""A folder with forty kinds of entries, as they arrive in a drop folder: drives, good or not, and everything that is none."""
+"""A folder with forty kinds of entries, as they arrive in a drop folder: drives, good or not, and everything else."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def backfill(
     """Ingest all drives below a folder that are not on the map yet, one run per drive.
 
     Prints the plan first: which drives, why, how long it will take, and what in the folder is no drive. If it was interrupted,
-    run it again to continue and to retry failed drives. Exit code 1: something needs a person (on hold, no drive). Exit code 2:
+    run it again to continue and to retry failed drives. Exit code 1: something needs attention (a drive on hold, an entry that is no drive). Exit code 2:
     some drives would fail again. Exit code 3: all failures may be temporary (a service, a disk, a crash). The other drives are on
     the map.
     """
