@@ -138,7 +138,7 @@ def show_entries(plan: Plan) -> None:
     rows = [
         {"entry": as_markdown(line.header.path), "state": line.action, "why": as_markdown(line.reason)}
         for line in plan.lines
-        if line.action != "skip" or line.needs_person
+        if line.action != "skip" or line.needs_attention
     ]
     if rows:
         artifacts.create_table_artifact(rows, key="entries", description=f"Below {as_markdown(plan.root)}")

@@ -24,7 +24,7 @@ from conetl.files.names import minutes, printable
 from conetl.files.storage import as_path
 from conetl.model.health import HeldDrive, HoldEvent
 from conetl.model.params import IngestParams
-from conetl.pipeline.backfill_plan import Plan, PlanLine, people_text, plan_drives, write_plan
+from conetl.pipeline.backfill_plan import Plan, PlanLine, attention_text, plan_drives, write_plan
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.ingest import new_receipt
 from conetl.pipeline.publish import catch_up_all
@@ -154,9 +154,8 @@ def backfill(
                 reanalyse=reanalyse,
             )
         if not plan.has_news:  # started for what was pending
-            if plan.for_person:
-                return needs_attention(SOME_ON_HOLD, f"no new drives; {people_text(plan)}")
-            return Completed(name="NothingNew", message=f"no new drives; {len(plan.lines)} need no ingest")
+            message = f"no new drives; {len(plan.lines)} entries need no ingest{attention_text(plan)}"
+            return Completed(name="NeedsAttention" if plan.open_lines else "NothingNew", message=message)
         return _run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where)
 
 
@@ -304,12 +303,12 @@ def _end(standing: Standing) -> State[Any]:
         f"{standing.seconds:.0f} s"
     )
     if standing.strays:
-        message += f"; {people_text(standing.plan)}"
+        message += attention_text(standing.plan)
     if failed:
         return needs_attention(SOME_FAILED, f"{message}. {failed[0].drive_id}: {failed[0].reason}")
     if standing.held:
         return needs_attention(SOME_ON_HOLD, f"{message}. {standing.held[0].drive_id}: {standing.held[0].reason}")
-    if standing.plan.for_person:
+    if standing.plan.open_lines:
         return needs_attention(NOT_RECOGNISED, message)
     _log.info(message)
     return Completed(message=message)

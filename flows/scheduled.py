@@ -19,7 +19,7 @@ from conetl.db.schema import run_audits
 from conetl.exports import FORMATS
 from conetl.files.names import as_markdown, printable
 from conetl.model.params import IngestParams
-from conetl.pipeline.backfill_plan import drop_folder_rows, people_text, plan_drives
+from conetl.pipeline.backfill_plan import attention_text, drop_folder_rows, plan_drives
 from conetl.pipeline.entries import find_entries
 from conetl.pipeline.nightly_publication import REPORT, write_publication
 from conetl.pipeline.publish import catch_up_all
@@ -150,11 +150,11 @@ def ingest_drop_folder(
         rename_run(f"drop folder: {len(new)} queued, {len(refused)} not recognised")
     if new or refused or arriving:
         show_entries(plan)
-    message = f"queued: {len(new)}; still arriving in {printable(inbox)}: {arriving}; waiting for a person: {people_text(plan)}"
+    message = f"queued: {len(new)}; still arriving in {printable(inbox)}: {arriving}{attention_text(plan)}"
     if refused:
         return needs_attention("NotRecognised", message)
     if waiting and (note := dispatch.missing_workers()):
         return needs_attention("NoWorkers", f"{message}; {note}")
     if new:
         return Completed(message=message)
-    return Completed(name="WaitsForAPerson" if plan.for_person else "NothingNew", message=message)
+    return Completed(name="NeedsAttention" if plan.open_lines else "NothingNew", message=message)

@@ -88,8 +88,8 @@ def planned(office: Office) -> dict[str, str]:
         if found[name][0] != want.action or want.why not in found[name][1] or want.command not in found[name][2]
     }
     assert wrong == {}
-    assert {name for name, line in lines.items() if line["needs_person"]} == office.person
-    assert said["plan"]["need_a_person"] == len(office.person)
+    assert {name for name, line in lines.items() if line["needs_attention"]} == office.person
+    assert said["plan"]["need_attention"] == len(office.person)
     assert "root:x" not in json.dumps(said)
     return {name: line["drive_id"] for name, line in lines.items()}
 
@@ -105,11 +105,11 @@ def dropped(office: Office, monkeypatch: pytest.MonkeyPatch) -> None:
     state = ingest_drop_folder(office.root, return_state=True)
     assert (state.type, state.name) == ("FAILED", "NotRecognised")
     assert len(queued) == len(office.good)
-    assert "still arriving" in state.message and ": 1;" in state.message
+    assert "still arriving" in state.message and ": 1; need attention: " in state.message
     initial = sum(want.action == "needs init" for want in office.expected.values())
     assert f"{initial} needs init" in state.message
     again = ingest_drop_folder(office.root, return_state=True)
-    assert (again.type, again.name) == ("COMPLETED", "WaitsForAPerson")
+    assert (again.type, again.name) == ("COMPLETED", "NeedsAttention")
     assert "not recognised" in again.message
     with closing(connect(office.environment["CONETL_DATABASE_URL"])) as conn:
         receipts = execute(conn, "select drive_path, drive_id from conetl.receipt where state = 'failed'")

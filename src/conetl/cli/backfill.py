@@ -57,7 +57,7 @@ def backfill(
     """Ingest all drives below a folder that are not on the map yet, one run per drive.
 
     Prints the plan first: which drives, why, how long it will take, and what in the folder is no drive. If it was interrupted,
-    run it again to continue and to retry failed drives. Exit code 1: something needs attention (a drive on hold, an entry that is no drive). Exit code 2:
+    run it again to continue and to retry failed drives. Exit code 1: a drive is on hold, or an entry is no drive. Exit code 2:
     some drives would fail again. Exit code 3: all failures may be temporary (a service, a disk, a crash). The other drives are on
     the map.
     """
@@ -79,7 +79,7 @@ def backfill(
     if dry_run or not (plan.has_news or pending):
         if as_json:
             ui.print_json(facts)
-        raise typer.Exit(EXIT_NEEDS_ATTENTION if plan.for_person else EXIT_DONE)
+        raise typer.Exit(EXIT_NEEDS_ATTENTION if plan.open_lines else EXIT_DONE)
     with ExitStack() as running:
         with ui.spinner("Starting Prefect"):
             from flows import backfill as flow
@@ -153,7 +153,7 @@ def _print_summary(standing: Standing) -> None:
 
 def _exit_code(standing: Standing) -> int:
     if not (failed := standing.failed):  # a committed drive has a reason if too many of its records were rejected
-        person = standing.held or standing.plan.for_person or any(one.reason for one in standing.ended)
+        person = standing.held or standing.plan.open_lines or any(one.reason for one in standing.ended)
         return EXIT_NEEDS_ATTENTION if person else EXIT_DONE
     return EXIT_SERVICE_MISSING if all(receipt.may_pass for receipt in failed) else EXIT_BAD_INPUT
 

@@ -52,7 +52,7 @@ class PlanLine:
     """How often work on it was started before."""
     command: str = ""
     """What a person can do, as a line for a shell."""
-    needs_person: bool = False
+    needs_attention: bool = False
     is_reported: bool = False
     """An earlier run has written its receipt, and nothing has changed."""
 
@@ -109,9 +109,9 @@ class Plan:
         return bool(self.todo or self.refused or self.strays)
 
     @property
-    def for_person(self) -> list[PlanLine]:
-        """What waits for a person, also since earlier runs."""
-        return [line for line in self.lines if line.needs_person]
+    def open_lines(self) -> list[PlanLine]:
+        """What needs attention, also since earlier runs."""
+        return [line for line in self.lines if line.needs_attention]
 
     @property
     def frame_pairs(self) -> int:
@@ -321,7 +321,7 @@ def plan_as_dict(plan: Plan, parallel: int) -> dict[str, Any]:
         "not_usable": plan.count("refuse"),
         "needs_init": plan.count("needs init"),
         "not_recognised": plan.count("not recognised"),
-        "need_a_person": len(plan.for_person),
+        "need_attention": len(plan.open_lines),
         "nothing_to_do": plan.count("skip"),
         "frame_pairs": plan.frame_pairs,
         "pairs_per_second": plan.pairs_per_second,
@@ -337,7 +337,7 @@ def plan_as_dict(plan: Plan, parallel: int) -> dict[str, Any]:
                 "action": line.action,
                 "why": line.why,
                 "command": line.command or None,
-                "needs_person": line.needs_person,
+                "needs_attention": line.needs_attention,
             }
             for line in plan.lines
         ],
@@ -361,14 +361,14 @@ def reason_counts(plan: Plan) -> list[tuple[str, int]]:
     return counted.most_common()
 
 
-def people_text(plan: Plan) -> str:
-    """What waits for a person, for the state of a run: how many of each kind, and the first with its reason."""
-    if not (lines := plan.for_person):
-        return "nothing waits for a person"
+def attention_text(plan: Plan) -> str:
+    """What needs attention, for the state of a run: how many of each kind, and the first with its reason; empty without any."""
+    if not (lines := plan.open_lines):
+        return ""
     lines.sort(key=lambda line: line.is_reported)
     kinds = Counter(line.action if line.is_stray else "failed or on hold" for line in lines)
     counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
-    return f"{counts}. {lines[0].header.drive_id}: {lines[0].reason}"
+    return f"; need attention: {counts}. {lines[0].header.drive_id}: {lines[0].reason}"
 
 
 def drop_folder_rows(settings: Settings) -> list[dict[str, Any]]:
