@@ -96,7 +96,7 @@ def test_pgbouncer_is_accepted_in_session_mode_only(mode: str, database_url: str
 
 
 class Pooled:
-    """A connection through a pooler: the process id that the client is told, and that of the server."""
+    """A connection through a pooler: its process id at the server."""
 
     def __init__(self, server_pid: int) -> None:
         self.server_pid = server_pid
