@@ -126,7 +126,6 @@ def say(text: object = "", *, bold: str = "") -> None:
 
 
 def _labelled(label: str, style: str, text: object) -> Text:
-    """A text after a label in another style."""
     return Text.assemble((printable(label, lines=True), style), printable(str(text), lines=True))
 
 
@@ -205,11 +204,8 @@ def _read(record: Any, value: str | Callable[[Any], object]) -> object:
 
 
 _NOT_PASSED = {
-    Verdict.HOLD: "On hold",
-    Verdict.NOTE: "Note",
-    Verdict.WIDENED: "Widened",
-    Verdict.CORRECTED: "Corrected",
-}
+    Verdict.HOLD: "On hold", Verdict.NOTE: "Note", Verdict.WIDENED: "Widened", Verdict.CORRECTED: "Corrected",
+}  # fmt: skip
 
 
 def print_checks(checks: Sequence[HealthCheck]) -> None:
@@ -276,12 +272,9 @@ def progress_bar(description: str, unit: str) -> Iterator[Callable[..., None]]:
     It appears with the first update, and leaves nothing behind. unit: what is counted, for example "images".
     """
     columns = (
-        TextColumn("{task.description}", markup=False),
-        BarColumn(),
-        TextColumn("{task.fields[counts]}"),
-        TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.fields[counts]}"), TimeElapsedColumn(),
         TimeRemainingColumn(),
-    )
+    )  # fmt: skip
     with Progress(*columns, console=err, disable=not err.is_terminal, transient=True, redirect_stdout=False) as bars:
         task = bars.add_task(description, total=None, visible=False, counts="")
 
