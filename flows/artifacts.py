@@ -24,6 +24,7 @@ from conetl.model.ingest_report import ChangeLine, CommitReport
 from conetl.model.rig import SIDES
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_pair_image
+from conetl.pipeline.backfill_plan import Plan
 from conetl.pipeline.commit import CommittedDrive
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import Progress, step
@@ -132,19 +133,32 @@ def send_events(report: CommitReport, vanished: Sequence[dict[str, Any]]) -> Non
     EventsWorker.drain_all(timeout=_PATIENCE_S, at_exit=False)  # a thread sends them
 
 
-def send_not_recognised(receipt: Receipt) -> None:
-    """The event of a folder that cannot be read as a drive."""
-    emit_event(
-        "conetl.drive.not_recognised",
-        resource={
-            "prefect.resource.id": f"conetl.map.{receipt.map_name}.folder.{receipt.header_sha256}",
-            "prefect.resource.name": receipt.drive_id,
-            "conetl.map": receipt.map_name,
-        },
-        payload={"drive": receipt.drive_path, "reason": receipt.reason},
-        id=uuid5(_NAMESPACE, str(receipt.attempt_id)),
-    )
-    EventsWorker.drain_all(timeout=_PATIENCE_S, at_exit=False)
+def show_entries(plan: Plan) -> None:
+    """A table of everything below the folder of a plan that is not simply done."""
+    rows = [
+        {"entry": as_markdown(line.header.path), "state": line.action, "why": as_markdown(line.reason)}
+        for line in plan.lines
+        if line.action != "skip" or line.needs_attention
+    ]
+    if rows:
+        artifacts.create_table_artifact(rows, key="entries", description=f"Below {as_markdown(plan.root)}")
+
+
+def send_not_recognised(receipts: Sequence[Receipt]) -> None:
+    """An event for each file or folder that cannot be read as a drive."""
+    for receipt in receipts:
+        emit_event(
+            "conetl.drive.not_recognised",
+            resource={
+                "prefect.resource.id": f"conetl.map.{receipt.map_name}.folder.{receipt.header_sha256}",
+                "prefect.resource.name": receipt.drive_id,
+                "conetl.map": receipt.map_name,
+            },
+            payload={"drive": receipt.drive_path, "reason": receipt.reason},
+            id=uuid5(_NAMESPACE, str(receipt.attempt_id)),
+        )
+    if receipts:
+        EventsWorker.drain_all(timeout=_PATIENCE_S, at_exit=False)
 
 
 def _show_files(committed: CommittedDrive, files: PublishedFiles, settings: Settings) -> None:

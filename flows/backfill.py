@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -24,13 +24,13 @@ from conetl.files.names import minutes, printable
 from conetl.files.storage import as_path
 from conetl.model.health import HeldDrive, HoldEvent
 from conetl.model.params import IngestParams
-from conetl.pipeline.backfill_plan import Plan, PlanLine, plan_drives, write_plan
+from conetl.pipeline.backfill_plan import Plan, PlanLine, attention_text, plan_drives, write_plan
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.ingest import new_receipt
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import Settings, read_settings
 from flows import dispatch
-from flows.artifacts import batch_progress, send_events, send_not_recognised
+from flows.artifacts import batch_progress, send_events, send_not_recognised, show_entries
 from flows.runs import BACKFILL_QUEUE, MapName, MapSrid, alive, needs_attention
 
 _log = logging.getLogger(__name__)
@@ -38,7 +38,7 @@ _log = logging.getLogger(__name__)
 TRIES = 2
 _POLL_S = 1.0
 #: Ends of a batch of which a drive needs attention: Prefect's dashboard counts what failed.
-SOME_FAILED, SOME_ON_HOLD = "SomeFailed", "SomeOnHold"
+SOME_FAILED, SOME_ON_HOLD, NOT_RECOGNISED = "SomeFailed", "SomeOnHold", "NotRecognised"
 Parallel = Annotated[int | None, Field(ge=1, le=1000)]
 Watcher = Callable[["Standing"], None]
 
@@ -60,10 +60,12 @@ class Standing:
     """Holds and releases since the batch began, in order."""
     note: str = ""
     """What a person has to correct while the batch waits."""
+    strays: list[Receipt] = field(default_factory=list)
+    """Of what is no drive, or not yet."""
 
     @property
     def todo(self) -> int:
-        return len(self.plan.todo)
+        return len(self.plan.todo) + len(self.plan.refused)
 
     @property
     def seconds(self) -> float:
@@ -151,8 +153,9 @@ def backfill(
                 recheck=recheck,
                 reanalyse=reanalyse,
             )
-        if not plan.todo:  # started for what was pending
-            return Completed(name="NothingNew", message=f"no new drives; {len(plan.lines)} need no ingest")
+        if not plan.has_news:  # started for what was pending
+            message = f"no new drives; {len(plan.lines)} entries need no ingest{attention_text(plan)}"
+            return Completed(name="NeedsAttention" if plan.open_lines else "NothingNew", message=message)
         return _run_batch(database, plan, settings, params, map_srid=map_srid, max_parallel=max_parallel, where=where)
 
 
@@ -177,15 +180,15 @@ def _run_batch(
         held_before = {drive.changeset_id for drive in held_drives(conn, map_name=settings.map_name)}
         known_events = set(hold_events(conn, map_name=settings.map_name))
     waiting: deque[tuple[PlanLine, int]] = deque((line, 1) for line in plan.todo)
+    standing.ended += refuse(database, plan.refused, plan, settings)
+    standing.strays += refuse(database, plan.strays, plan, settings)
+    show_entries(plan)
     _tell(standing, board)
     try:
         while waiting or standing.running:
             while waiting and len(standing.running) < parallel:
                 line, number = waiting.popleft()
-                if line.action == "refuse":
-                    standing.ended.append(refuse(database, line, plan, settings))
-                else:
-                    standing.running.append(_start(line, number, standing, settings, params, map_srid))
+                standing.running.append(_start(line, number, standing, settings, params, map_srid))
                 _tell(standing, board)
             with database.connection() as conn:
                 landed = _landed(conn, standing.running, plan, settings)
@@ -261,14 +264,16 @@ def _landed(
     return landed
 
 
-def refuse(database: MapDatabase, line: PlanLine, plan: Plan, settings: Settings) -> Receipt:
-    """The receipt of a folder that cannot be a drive, which is also sent as an event."""
-    begun = new_receipt(line.header, settings, plan.analysis.sha256, uuid4(), flow_run.id)
-    receipt = replace(begun, state="failed", reason=line.why, may_pass=line.header.problem_may_pass)
-    with database.connection() as conn:
-        write_receipt(conn, receipt, settings.receipts_folder)
-    send_not_recognised(receipt)
-    return receipt
+def refuse(database: MapDatabase, lines: Iterable[PlanLine], plan: Plan, settings: Settings) -> list[Receipt]:
+    """The receipts of what cannot be ingested; each is also sent as an event."""
+    receipts = []
+    for line in lines:
+        begun = new_receipt(line.header, settings, plan.analysis.sha256, uuid4(), flow_run.id)
+        receipts.append(replace(begun, state="failed", reason=line.reason, may_pass=line.header.problem_may_pass))
+        with database.connection() as conn:
+            write_receipt(conn, receipts[-1], settings.receipts_folder)
+    send_not_recognised(receipts)
+    return receipts
 
 
 _watchers: list[Watcher] = []
@@ -297,10 +302,14 @@ def _end(standing: Standing) -> State[Any]:
         f"{on_hold}{standing.done} on the map, {len(failed)} failed, {standing.plan.count('skip')} had nothing to do; "
         f"{standing.seconds:.0f} s"
     )
+    if standing.strays:
+        message += attention_text(standing.plan)
     if failed:
         return needs_attention(SOME_FAILED, f"{message}. {failed[0].drive_id}: {failed[0].reason}")
     if standing.held:
         return needs_attention(SOME_ON_HOLD, f"{message}. {standing.held[0].drive_id}: {standing.held[0].reason}")
+    if standing.plan.open_lines:
+        return needs_attention(NOT_RECOGNISED, message)
     _log.info(message)
     return Completed(message=message)
 

@@ -2,10 +2,9 @@
 
 A drive is complete when its folder holds a file named COMPLETE, or when nothing in it has changed for `drop_quiet_minutes`
 (CONETL_DROP_QUIET_MINUTES, default 10), by the time of the inode change, which copying tools cannot set back. Each complete one
-is ingested once.
+is ingested once; everything else in the folder has a row with the reason.
 """
 
-import time
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
@@ -18,15 +17,15 @@ from pydantic import Field
 from conetl.db.map.map_store import find_map
 from conetl.db.schema import run_audits
 from conetl.exports import FORMATS
-from conetl.files.names import as_markdown
+from conetl.files.names import as_markdown, printable
 from conetl.model.params import IngestParams
-from conetl.pipeline.backfill_plan import plan_drives
+from conetl.pipeline.backfill_plan import attention_text, drop_folder_rows, plan_drives
+from conetl.pipeline.entries import find_entries
 from conetl.pipeline.nightly_publication import REPORT, write_publication
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import read_settings
-from conetl.readers.drives.header import MARKER, find_drives, quiet_since
 from flows import dispatch
-from flows.artifacts import send_events
+from flows.artifacts import send_events, show_entries
 from flows.backfill import refuse
 from flows.runs import MapName, MapSrid, alive, needs_attention, recover_runs, rename_run
 
@@ -55,7 +54,9 @@ def publish_map(
         if info is None:
             return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
         wanted = list(FORMATS) if formats is None else formats
-        published, manifests, night = write_publication(conn, info, wanted, folder or settings.exports_folder, as_of)
+        published, manifests, night = write_publication(
+            conn, info, wanted, folder or settings.exports_folder, as_of, drop_folder_rows(settings)
+        )
     create_table_artifact(
         [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
         key="publication",
@@ -115,7 +116,7 @@ def ingest_drop_folder(
     map_srid: MapSrid = None,
     params: IngestParams = IngestParams(),  # noqa: B008 -- frozen
 ) -> State[Any]:
-    """Queue new drives for the workers. One that failed is skipped until it changes, or a person runs a backfill.
+    """Queue new drives for the workers; report the rest. What failed is skipped until it changes, or a person runs a backfill.
 
     Args:
         folder: Folder in which drives arrive; default: CONETL_DROP_FOLDER of the worker.
@@ -130,11 +131,10 @@ def ingest_drop_folder(
     quiet_s = 60.0 * (settings.drop_quiet_minutes if quiet_minutes is None else quiet_minutes)
     with alive(settings) as database:
         catch_up_all(settings, database, send_events)
-        complete, arriving = split_by_completeness(inbox, quiet_s)
+        entries = find_entries(inbox, may_be_drive=False, quiet_s=quiet_s, settings=settings)
         with database.connection() as conn:
-            plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, folders=complete)
-        _show_arriving(arriving, quiet_s)
-        refused = [refuse(database, line, plan, settings) for line in plan.lines if line.action == "refuse"]
+            plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, entries=entries)
+        refused = refuse(database, [*plan.refused, *plan.strays], plan, settings)
         # Once for each start of work, whatever became of that run; in the order of recording.
         waiting = {
             f"{settings.map_name} {line.header.header_sha256} {plan.analysis.sha256} {line.starts}": line.header
@@ -145,36 +145,16 @@ def ingest_drop_folder(
         new = {key: header for key, header in waiting.items() if key not in started}
         for key, header in new.items():
             dispatch.start_on_worker(header, settings, params, map_srid, key)
+    arriving = sum(entry.kind == "arriving" for entry in entries)
     if new or refused:
         rename_run(f"drop folder: {len(new)} queued, {len(refused)} not recognised")
-    message = f"queued: {len(new)}; not recognised: {len(refused)}; still arriving in {inbox}: {len(arriving)}"
+    if new or refused or arriving:
+        show_entries(plan)
+    message = f"queued: {len(new)}; still arriving in {printable(inbox)}: {arriving}{attention_text(plan)}"
     if refused:
-        return needs_attention("NotRecognised", f"{message}. {refused[0].drive_id}: {refused[0].reason}")
+        return needs_attention("NotRecognised", message)
     if waiting and (note := dispatch.missing_workers()):
         return needs_attention("NoWorkers", f"{message}; {note}")
-    return Completed(name=None if new else "NothingNew", message=message)
-
-
-def _show_arriving(arriving: list[tuple[Path, float]], quiet_s: float) -> None:
-    if arriving:
-        rows = [
-            {"drive": as_markdown(path.name), "unchanged for s": round(quiet, 1), "needed s": quiet_s}
-            for path, quiet in arriving
-        ]
-        create_table_artifact(
-            rows, key="arriving", description=f"Still arriving: no file {MARKER}, and changed too recently"
-        )
-
-
-def split_by_completeness(inbox: Path, quiet_s: float) -> tuple[list[Path], list[tuple[Path, float]]]:
-    """Complete drives; and those that still arrive, with the seconds since their last change. Raises InputError."""
-    complete: list[Path] = []
-    arriving: list[tuple[Path, float]] = []
-    for folder in find_drives(inbox):
-        changed_at = quiet_since(folder)
-        quiet = None if changed_at is None else time.time() - changed_at
-        if quiet is None or quiet >= quiet_s:
-            complete.append(folder)
-        else:
-            arriving.append((folder, quiet))
-    return complete, arriving
+    if new:
+        return Completed(message=message)
+    return Completed(name="NeedsAttention" if plan.open_lines else "NothingNew", message=message)

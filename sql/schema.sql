@@ -25,18 +25,37 @@ select sha256 from conetl.schema_functions order by applied_at desc limit 1;
 -- Record from which files the views and functions were made. Parameters: sha256 (hex).
 insert into conetl.schema_functions (sha256) values (%(sha256)s);
 
--- name: search_path
--- Let the session find conetl's tables and PostGIS's functions, in whichever schema PostGIS is installed.
-select set_config(
-    'search_path',
-    'conetl, public' || coalesce((
-        select string_agg(distinct ', ' || quote_ident(n.nspname), '')
-        from pg_extension e
-        join pg_namespace n on n.oid = e.extnamespace
-        where e.extname in ('postgis', 'btree_gist') and n.nspname <> 'public'
-    ), ''),
-    false
-) as search_path;
+-- name: session
+-- Settings of a session that would change numbers, times or texts if a server, a database or a user had others; and the
+-- search path, so that it finds conetl's tables and PostGIS's functions, in whichever schema PostGIS is installed. Columns:
+-- server_pid; search_path; settings (their number).
+select
+    pg_backend_pid() as server_pid,
+    set_config(
+        'search_path',
+        'conetl, public' || coalesce((
+            select string_agg(distinct ', ' || quote_ident(n.nspname), '')
+            from pg_extension e
+            join pg_namespace n on n.oid = e.extnamespace
+            where e.extname in ('postgis', 'btree_gist') and n.nspname <> 'public'
+        ), ''),
+        false
+    ) as search_path,
+    (
+        select count(set_config(wanted.name, wanted.value, false))
+        from (
+            values
+            ('extra_float_digits', '1'), -- all digits
+            ('timezone', 'UTC'),
+            ('datestyle', 'ISO, MDY'),
+            ('intervalstyle', 'postgres'),
+            ('bytea_output', 'hex'),
+            ('standard_conforming_strings', 'on'),
+            ('array_nulls', 'on'),
+            ('transform_null_equals', 'off'),
+            ('default_transaction_isolation', 'read committed')
+        ) as wanted (name, value)
+    ) as settings;
 
 -- name: status
 -- Facts about the server and the database; postgis_version is null where it is not installed.

@@ -10,13 +10,18 @@ from uuid import uuid4
 
 import pytest
 
-from conetl.db.connection import connect, execute, load_sql
+from conetl.db.connection import connect, execute, load_sql, transaction
+from conetl.db.map.archive import delete_map, rename_map
+from conetl.db.map.map_store import insert_map
 from conetl.db.receipt_store import Receipt, try_lock, write_receipt
+from conetl.model.errors import MapMismatchError
+from conetl.pipeline import ingest as ingesting
 from conetl.pipeline.maps.decisions import decide_location, revert
 from conetl.pipeline.settings import Settings
 from tests.command import free_port
 from tests.conftest import filled_template
 from tests.integration.drives_of_days import failed_audits, merge, survey
+from tests.integration.small_drives import SAMPLES, cut_drive
 
 #: Tables of the schema that a dump does not have: bookkeeping, the map itself, and what is shown while a drive is recorded.
 NOT_DUMPED = {"schema_migration", "schema_functions", "map", "watched_drive", "provisional_feature"}
@@ -125,6 +130,31 @@ def test_a_map_that_a_drive_is_ingested_into_keeps_its_name(conetl, conn, databa
     left.rename(left.with_name("south"))
     assert "already exists" in conetl("map", "rename", "north", "south", code=2)
     conetl("map", "rename", "north", "old")  # the process of the drive is gone
+
+
+@pytest.mark.parametrize("change", ["rename", "delete"])
+def test_a_map_that_is_gone_at_the_end_of_an_ingest_is_not_made_anew(change, conn, database_url, tmp_path, monkeypatch):
+    """Neither is the drive written into a map of another name that the same id had."""
+    drive = cut_drive(SAMPLES[0], tmp_path / "drive")
+    with transaction(conn, "a map"):
+        insert_map(conn, "east", 32632)
+    true = ingesting.analyse
+
+    def analyse(*arguments, **options):
+        with closing(connect(database_url)) as other:
+            if change == "rename":
+                rename_map(other, "east", "west")
+            else:
+                delete_map(other, "east", tmp_path / "east.zip")
+        return true(*arguments, **options)
+
+    monkeypatch.setattr(ingesting, "analyse", analyse)
+    settings = Settings(home=tmp_path / "home", database_url=database_url, map_name="east", workers=1)
+    with pytest.raises(MapMismatchError, match="map east was renamed or deleted during the ingest"):
+        ingesting.ingest(drive, settings=settings, map_srid=32632)
+    names = [row["map_name"] for row in execute(conn, "select map_name from conetl.map order by 1")]
+    assert names == ["north", "south", *(["west"] if change == "rename" else [])]
+    assert execute(conn, "select * from conetl.drive where drive_id = 'drive'") == []
 
 
 def test_a_renamed_map_goes_on_and_its_name_is_free_again(conetl, conn):

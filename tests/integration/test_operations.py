@@ -400,7 +400,7 @@ def test_a_folder_that_is_no_drive_notifies_a_person_once(desk: Desk) -> None:
         shutil.copytree(SAMPLES[0], folder)
         (folder / "drive.yaml").write_text("rigg: rig.yaml\n")
         (folder / "COMPLETE").touch()
-        for name in ("NotRecognised", "NothingNew"):
+        for name in ("NotRecognised", "NeedsAttention"):
             run = desk.ended(desk.start(DROP_FOLDER, {}))
             assert run["state_name"] == name, run["state"]["message"]
         heard = [told.get(timeout=60), told.get(timeout=60)]

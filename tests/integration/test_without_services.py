@@ -59,7 +59,9 @@ def _backfill(
 
 def _plan(root: Path, home: Path, database_url: str, *options: str) -> dict[str, dict[str, object]]:
     """What a backfill would do, by drive id; in this process, since it needs no Prefect."""
-    said = json.loads(command_line(home, database_url)("backfill", root, "--here", "--dry-run", "--json", *options))
+    said = json.loads(
+        command_line(home, database_url)("backfill", root, "--here", "--dry-run", "--json", *options, code=1)
+    )
     return {line["drive_id"]: line for line in said["plan"]["lines"]}
 
 

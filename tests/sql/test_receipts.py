@@ -19,10 +19,10 @@ from conetl.db.map.map_store import list_changesets
 from conetl.db.receipt_store import Receipt, end_crashed, held_locks, holding, latest_receipts, run_lock, write_receipt
 from conetl.model.errors import InputError
 from conetl.model.params import IngestParams
-from conetl.pipeline import backfill_plan as planning
-from conetl.pipeline import chunks
+from conetl.pipeline import chunks, entries
 from conetl.pipeline.backfill_plan import Plan, plan_as_dict, plan_drives
 from conetl.pipeline.chunks import analysis_of
+from conetl.pipeline.entries import Entry
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
 
@@ -54,8 +54,10 @@ def plan(conn: Any, monkeypatch: pytest.MonkeyPatch) -> Any:
 
     def make(drives: list[DriveHeader], **options: Any) -> Plan:
         by_path = {drive.path: drive for drive in drives}
-        monkeypatch.setattr(planning, "read_header", by_path.__getitem__)
-        return plan_drives(conn, ROOT, settings=Settings(), params=IngestParams(), folders=list(by_path), **options)
+        monkeypatch.setattr(entries, "read_header", by_path.__getitem__)
+        return plan_drives(
+            conn, ROOT, settings=Settings(), params=IngestParams(), entries=map(Entry, by_path), **options
+        )
 
     return make
 

@@ -56,9 +56,10 @@ def backfill(
 ) -> None:
     """Ingest all drives below a folder that are not on the map yet, one run per drive.
 
-    Prints the plan first: which drives, why, and how long it will take. If it was interrupted, run it again to continue and to
-    retry failed drives. Exit code 2: some drives would fail again. Exit code 3: all failures may be temporary (a service, a
-    disk, a crash). The other drives are on the map.
+    Prints the plan first: which drives, why, how long it will take, and what in the folder is no drive. If it was interrupted,
+    run it again to continue and to retry failed drives. Exit code 1: a drive is on hold, or an entry is no drive. Exit code 2:
+    some drives would fail again. Exit code 3: all failures may be temporary (a service, a disk, a crash). The other drives are on
+    the map.
     """
     settings = read_settings(map_name)
     parameters = read_params(params, category, settings)
@@ -71,13 +72,14 @@ def backfill(
             conn, root, settings=settings, params=parameters, since=begin, until=end, recheck=recheck, reanalyse=reanalyse,
         )  # fmt: skip
         pending = pending_changesets(conn, map_name=settings.map_name, quiet=QUIET)
-    facts: dict[str, Any] = {"held": [], "hold_events": [], "plan": plan_as_dict(plan, max_parallel or 1), "drives": []}
+    facts: dict[str, Any] = {"held": [], "hold_events": [], "plan": plan_as_dict(plan, max_parallel or 1)}
+    facts |= {"drives": [], "not_drives": []}
     if not as_json:
         _print_plan(plan, max_parallel or 1)
-    if dry_run or not (plan.todo or pending):
+    if dry_run or not (plan.has_news or pending):
         if as_json:
             ui.print_json(facts)
-        return
+        raise typer.Exit(EXIT_NEEDS_ATTENTION if plan.open_lines else EXIT_DONE)
     with ExitStack() as running:
         with ui.spinner("Starting Prefect"):
             from flows import backfill as flow
@@ -92,7 +94,7 @@ def backfill(
             nonlocal standing, printed, noted
             bar.update(task, completed=now.percent, description=now.sentence)
             if now.note != noted:
-                ui.err.print(f"conetl: {now.note}", markup=False, soft_wrap=True)
+                ui.err.print(f"conetl: {now.note}", soft_wrap=True)
             for receipt in [] if as_json else now.ended[printed:]:
                 bar.stop()
                 _print_receipt(receipt)
@@ -105,12 +107,13 @@ def backfill(
             map_name=settings.map_name, map_srid=map_srid, params=parameters, recheck=recheck,
             reanalyse=reanalyse, where="here" if here else "auto", return_state=True,
         )  # fmt: skip
-        if state.name not in (flow.SOME_FAILED, flow.SOME_ON_HOLD):
+        if state.name not in (flow.SOME_FAILED, flow.SOME_ON_HOLD, flow.NOT_RECOGNISED):
             state.result()
     difference = _difference(settings, plan) if reanalyse else {}
     if as_json:
         drives = [_receipt_as_dict(receipt) for receipt in standing.ended]
-        facts |= {"held": standing.held, "hold_events": standing.hold_events, "drives": drives}
+        strays = [_receipt_as_dict(receipt) for receipt in standing.strays]
+        facts |= {"held": standing.held, "hold_events": standing.hold_events, "drives": drives, "not_drives": strays}
         ui.print_json(facts | ({"difference": difference} if reanalyse else {}))
     else:
         _print_summary(standing)
@@ -130,12 +133,17 @@ def _difference(settings: Settings, plan: Plan) -> dict[DeltaKind, int]:
 def _print_summary(standing: Standing) -> None:
     """What became of the drives of a batch, those on hold first."""
     ui.say()
+    for receipt in standing.strays:
+        _print_receipt(receipt)
     ui.print_held(standing.held, standing.plan.map_name)
     ui.print_hold_events(standing.hold_events)
     failed = standing.failed
     may_pass = sum(receipt.may_pass for receipt in failed)
     on_hold = f"on hold: {len(standing.held)}; " if standing.held else ""
-    ui.say(f"On map {standing.plan.map_name}: {ui.counted(standing.done, 'drive')}; {on_hold}failed: {len(failed)}.")
+    strays = f"; no drive: {len(standing.strays)}" if standing.strays else ""
+    ui.say(
+        f"On map {standing.plan.map_name}: {ui.counted(standing.done, 'drive')}; {on_hold}failed: {len(failed)}{strays}."
+    )
     if may_pass:
         ui.say(f"The failure of {ui.counted(may_pass, 'drive')} may be temporary: run the same command again to retry.")
     if may_pass < len(failed):
@@ -145,7 +153,8 @@ def _print_summary(standing: Standing) -> None:
 
 def _exit_code(standing: Standing) -> int:
     if not (failed := standing.failed):  # a committed drive has a reason if too many of its records were rejected
-        return EXIT_NEEDS_ATTENTION if standing.held or any(one.reason for one in standing.ended) else EXIT_DONE
+        person = standing.held or standing.plan.open_lines or any(one.reason for one in standing.ended)
+        return EXIT_NEEDS_ATTENTION if person else EXIT_DONE
     return EXIT_SERVICE_MISSING if all(receipt.may_pass for receipt in failed) else EXIT_BAD_INPUT
 
 
@@ -167,7 +176,9 @@ def _print_plan(plan: Plan, parallel: int) -> None:
 
     span = " to ".join(f"{t:%Y-%m-%d %H:%M}" if t else "..." for t in (plan.since, plan.until))
     recorded = f", recorded {span}" if plan.since or plan.until else ""
-    drives = ui.counted(len(plan.lines), "drive")
+    drives = ui.counted(sum(not line.is_stray for line in plan.lines), "drive")
+    strays = sum(line.is_stray for line in plan.lines)
+    drives += f", and {strays} entries that are none," if strays else ""
     ui.say(f"{drives} below {plan.root}{recorded}; map {plan.map_name}; planned in {plan.seconds:.1f} s.")
     if not plan.lines:
         return
@@ -183,8 +194,8 @@ def _print_plan(plan: Plan, parallel: int) -> None:
     columns: ui.Columns = {
         "drive": lambda line: line.header.drive_id[:60],
         "recorded (UTC)": lambda line: f"{at:%Y-%m-%d %H:%M}" if (at := line.header.captured_from) else "?",
-        "plan": lambda line: _ACTIONS[line.action],
-        "why": lambda line: line.why,
+        "plan": lambda line: _ACTIONS.get(line.action, line.action),
+        "why": lambda line: line.reason.removeprefix(f"{line.action}: "),
         "pairs": lambda line: line.header.frame_pairs,
     }
     ui.print_records("", columns, plan.lines[:_SHOWN], numbers_from=4)

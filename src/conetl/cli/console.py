@@ -21,11 +21,12 @@ from uuid import UUID
 import typer
 from rich.console import Console
 from rich.logging import RichHandler
-from rich.markup import escape
 from rich.measure import Measurement
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
+from conetl.files.names import printable
 from conetl.model.errors import ConetlError, InputError
 from conetl.model.feature_classes import LANE_MARKING, noun_of
 from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, hold_remedy
@@ -80,11 +81,30 @@ KnownOption = Annotated[
 #: Heading of a column -> attribute of the record (of a row of the database: column), or function of the record.
 Columns = Mapping[str, str | Callable[[Any], object]]
 _ANY_WIDTH = 100_000
+
+
+class _Console(Console):
+    """Prints texts as they are: no markup, no emoji for :0:, and no character that moves a terminal's cursor."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(emoji=False, highlight=False, markup=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        return super().render_str(printable(text, lines=True), **options)
+
+
+class _Formatter(logging.Formatter):
+    """The same of the log."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return printable(super().format(record), lines=True)
+
+
 #: Columns of text, wherever they are.
 _TEXT_COLUMNS = frozenset({"class", "paint", "pattern"})
-out = Console(highlight=False, soft_wrap=True)
+out = _Console(soft_wrap=True)
 #: Progress and messages go to standard error: standard output is for results.
-err = Console(stderr=True, highlight=False)
+err = _Console(stderr=True)
 
 
 def start_logging(verbosity: int) -> None:
@@ -95,16 +115,18 @@ def start_logging(verbosity: int) -> None:
     log = logging.getLogger("conetl")
     log.handlers = [logging.NullHandler()]
     handler = RichHandler(console=err, show_path=verbosity > 1) if err.is_terminal else logging.StreamHandler()
-    handler.setFormatter(
-        logging.Formatter("%(message)s" if err.is_terminal else "%(asctime)s %(levelname)s %(message)s")
-    )
+    handler.setFormatter(_Formatter("%(message)s" if err.is_terminal else "%(asctime)s %(levelname)s %(message)s"))
     logging.getLogger("conetl" if verbosity else "conetl.db").handlers = [handler]
     log.setLevel((logging.WARNING, logging.INFO, logging.DEBUG)[min(verbosity, 2)])
 
 
-def say(text: object = "") -> None:
-    """One line on standard output, without markup."""
-    out.print(text, markup=False)
+def say(text: object = "", *, bold: str = "") -> None:
+    """One line on standard output, `bold` first."""
+    out.print(_labelled(bold, "bold", text) if bold else text)
+
+
+def _labelled(label: str, style: str, text: object) -> Text:
+    return Text.assemble((printable(label, lines=True), style), printable(str(text), lines=True))
 
 
 def print_json(value: Any) -> None:
@@ -131,13 +153,13 @@ def answer(as_json: bool, value: Any, text: str) -> None:
 
 def complain(error: ConetlError | str) -> None:
     """One error on standard error."""
-    err.print(f"[bold red]conetl:[/] {escape(str(error))}", soft_wrap=True)
+    err.print(_labelled("conetl:", "bold red", f" {error}"), soft_wrap=True)
 
 
 def note(*texts: str) -> None:
     """Remarks on standard error, a line each."""
     for text in texts:
-        err.print(f"[yellow]conetl: note:[/] {escape(text)}", soft_wrap=True)
+        err.print(_labelled("conetl: note:", "yellow", f" {text}"), soft_wrap=True)
 
 
 def note_unmeasured(card: Any) -> None:
@@ -162,11 +184,11 @@ def print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[obje
         is_text = index < numbers_from or columns[index] in _TEXT_COLUMNS
         table.add_column(columns[index], justify="left" if is_text else "right", no_wrap=True)
     for row in cells:
-        table.add_row(*(escape(row[index]) for index in filled))
+        table.add_row(*(row[index] for index in filled))
     # As wide as necessary: a line may wrap in a terminal, but no number is ever cut off.
     # In a dumb terminal rich ignores a width without a height.
-    wide = Console(highlight=False, width=_ANY_WIDTH, height=1)
-    Console(highlight=False, width=Measurement.get(wide, wide.options, table).maximum, height=1).print(table)
+    wide = _Console(width=_ANY_WIDTH, height=1)
+    _Console(width=Measurement.get(wide, wide.options, table).maximum, height=1).print(table)
 
 
 def print_records(title: str, columns: Columns, records: Iterable[object], *, numbers_from: int = 1) -> None:
@@ -182,18 +204,15 @@ def _read(record: Any, value: str | Callable[[Any], object]) -> object:
 
 
 _NOT_PASSED = {
-    Verdict.HOLD: "On hold",
-    Verdict.NOTE: "Note",
-    Verdict.WIDENED: "Widened",
-    Verdict.CORRECTED: "Corrected",
-}
+    Verdict.HOLD: "On hold", Verdict.NOTE: "Note", Verdict.WIDENED: "Widened", Verdict.CORRECTED: "Corrected",
+}  # fmt: skip
 
 
 def print_checks(checks: Sequence[HealthCheck]) -> None:
     """The health checks of a recording that did not pass, a line each."""
     for check in checks:
         if verdict := _NOT_PASSED.get(check.verdict):
-            out.print(f"[bold]{verdict}[/], {escape(check.name)}: {escape(check.detail)}")
+            say(f", {check.name}: {check.detail}", bold=verdict)
 
 
 def print_all_checks(checks: Sequence[HealthCheck]) -> None:
@@ -253,12 +272,9 @@ def progress_bar(description: str, unit: str) -> Iterator[Callable[..., None]]:
     It appears with the first update, and leaves nothing behind. unit: what is counted, for example "images".
     """
     columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.fields[counts]}"),
-        TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False), BarColumn(), TextColumn("{task.fields[counts]}"), TimeElapsedColumn(),
         TimeRemainingColumn(),
-    )
+    )  # fmt: skip
     with Progress(*columns, console=err, disable=not err.is_terminal, transient=True, redirect_stdout=False) as bars:
         task = bars.add_task(description, total=None, visible=False, counts="")
 
@@ -285,8 +301,8 @@ def spinner(text: str) -> Iterator[Callable[[str], object]]:
     if not err.is_terminal:
         yield lambda _text: None
         return
-    with err.status(text) as status:
-        yield status.update
+    with err.status(Text(printable(text))) as status:
+        yield lambda now: status.update(Text(printable(now)))
 
 
 def counted(count: int, noun: str, ending: str = "s") -> str:

@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from conetl.cli.console import JsonOption, MapOption, out, print_json, print_table, say
+from conetl.cli.console import JsonOption, MapOption, print_json, print_table, say
 from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
 from conetl.cli.map.base_layers import import_one, print_imported
@@ -47,7 +47,7 @@ def demo(
         raise InputError(f"{samples}: contains no sample drives; run this in a clone of conetl, or give their folder")
     settings = read_settings(map_name or "demo")
     if not as_json:
-        out.print(f"Ingesting {len(drives)} sample drives, one after the other.\n")
+        say(f"Ingesting {len(drives)} sample drives, one after the other.\n")
     reports, exit_code = ingest_drives(
         drives, settings, IngestParams(), map_srid=None, show=(lambda _: None) if as_json else print_report
     )
@@ -83,8 +83,9 @@ def demo(
             }
         )
         return
-    out.print(
-        "[bold]Cones compared with the ground truth[/], in metres (position: foot; range: from the nearest point of the path)"
+    say(
+        ", in metres (position: foot; range: from the nearest point of the path)",
+        bold="Cones compared with the ground truth",
     )
     print_table("", truth.TABLE_3_COLUMNS, truth.table_3_rows(lines, missing="not on the map"), numbers_from=2)
     found = [line for line in lines if line.feature is not None]
@@ -94,8 +95,8 @@ def demo(
         if found
         else f"None of the {len(lines)} cones is on the map."
     )
-    out.print("\n[bold]Results[/]")
+    say(bold="\nResults")
     say(f"  {export}: the map (open it in QGIS)")
     say(f"  {settings.reports_folder}: plan view and report of each drive, with images of its changes")
-    out.print("\n[bold]Next steps[/]")
+    say(bold="\nNext steps")
     say(_NEXT_STEPS)

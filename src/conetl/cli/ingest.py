@@ -201,7 +201,7 @@ def print_report(report: IngestReport) -> None:
     kinds = [kind for kind in DeltaKind if kind in _USUAL or report.counts[kind]]
     counts = ", ".join(f"{report.counts[kind]} {kind_label(kind)}" for kind in kinds)
     lines = kinds_text(report.line_counts)
-    drive = f"[bold]{report.drive_id}[/] ({report.captured_from:%Y-%m-%d %H:%M} UTC)"
+    at = f" ({report.captured_from:%Y-%m-%d %H:%M} UTC)"
     if report.is_known:
         known = f"already on the map since {report.committed_at:%Y-%m-%d %H:%M} UTC"
         if report.counts_on_map:
@@ -210,35 +210,36 @@ def print_report(report: IngestReport) -> None:
             state = ", but on hold (see `conetl drive held`)"
         else:
             state = f", but not in effect: {report.not_counted}"
-        ui.out.print(f"{drive}: nothing to do, {known}{state}.")
+        ui.say(f"{at}: nothing to do, {known}{state}.", bold=report.drive_id)
         return
     print_features("changes by a drive", [_row_of(line) for line in report.changes], numbers_from=2)
     failed = ", ".join(check.name for check in hold_checks(report.health))
     changed = counts if report.on_hold is None else f"on hold ({failed}), the map is unchanged"
     noun = "object" if {change.category for change in report.changes} - {CONE} else "cone"
     left = _left_out(0 if report.on_hold else report.tracks - sum(report.counts[kind] for kind in _OBSERVED))
-    ui.out.print(
-        f"{drive}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
-        f"{report.detections} detections, {report.matches} stereo matches, {ui.counted(report.tracks, noun)}{left}."
+    ui.say(
+        f"{at}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
+        f"{report.detections} detections, {report.matches} stereo matches, {ui.counted(report.tracks, noun)}{left}.",
+        bold=report.drive_id,
     )
     if lines or (LANE_MARKING in report.categories and report.on_hold is None):
         found = ui.counted(report.markings, "lane marking") if report.markings or lines else "No lane markings found"
         # Their stretches are counted, not they themselves: how many were left out is known only where all were.
         left = _left_out(report.markings if report.line_counts.keys().isdisjoint(_OBSERVED) else 0)
-        ui.out.print(f"{found}{left}; {f'stretches of them: {lines}' if lines else 'none changed on the map'}.")
+        ui.say(f"{found}{left}; {f'stretches of them: {lines}' if lines else 'none changed on the map'}.")
     if report.trajectory:
-        ui.out.print(f"Trajectory: {report.trajectory}.")
+        ui.say(f"Trajectory: {report.trajectory}.")
     if report.rejections:
         reasons = ui.counted_by_reason(report.rejections.items())
-        ui.out.print(f"Rejected records: {sum(report.rejections.values())} ({reasons}).")
+        ui.say(f"Rejected records: {sum(report.rejections.values())} ({reasons}).")
     ui.print_checks([check for check in report.health if check.verdict is not Verdict.HOLD])
     if report.replayed_drives:
         later = ui.counted(report.replayed_drives, "later drive")
-        ui.out.print(f"{later} over the same roads recomputed.")
+        ui.say(f"{later} over the same roads recomputed.")
     for change in report.hold_changes:
         if change.sentence not in report.remarks:
             ui.say(change.sentence)
-    ui.out.print()
+    ui.say()
 
 
 def _left_out(count: int) -> str:

@@ -1,4 +1,4 @@
-"""`conetl report`: quality reports of a drive or of a night, one HTML file each, from the database alone."""
+"""`conetl report`: quality reports of a drive or of a night, one HTML file each, from the database and the drop folder."""
 
 from __future__ import annotations
 
@@ -50,25 +50,32 @@ def night(
 ) -> None:
     """Write a report of all drives processed in a period: committed, on hold, failed and why, changes, worst drives, map size.
 
-    Drives on hold come first, including those of earlier days. Exit code 1: at least one drive is on hold, or failed.
+    Drives on hold come first, including those of earlier days. What is in the drop folder and no drive, or still arriving, has a
+    row too. Exit code 1: at least one drive is on hold, or failed, or something is no drive.
     """
+    from conetl.pipeline.backfill_plan import drop_folder_rows
     from conetl.reports.night_page import write_night_page
 
     settings = read_settings(map_name)
     begin, end = _period(day, since, until)
     path = output or settings.reports_folder / f"night-{end:%Y%m%dT%H%M%SZ}.html"
     with open_map(map_name) as (conn, _):
-        facts = write_night_page(conn, path, map_name=settings.map_name, since=begin, until=end)
+        facts = write_night_page(
+            conn, path, map_name=settings.map_name, since=begin, until=end, drop_folder=drop_folder_rows(settings)
+        )
     if not as_json:
         ui.print_held(facts.held, facts.map_name)
         ui.print_hold_events(facts.hold_events)
         maps = sum(row["kind"] == "import" for row in facts.drives)
         drives = ui.counted(len(facts.drives) - maps, "drive") if facts.drives else "No drives"
         drives += f" and {ui.counted(maps, 'imported map')}" if maps else ""
-        failed = f", {len(facts.failures)} failed" if facts.failures else ""
+        columns: ui.Columns = {"entry": "drive_id", "state": "state", "why": "reason"}
+        ui.print_records("Not on the map", columns, [*facts.failures, *facts.waiting], numbers_from=len(columns))
+        failed = f", {len(facts.failures)} failed or no drive" if facts.failures else ""
+        failed += f", {len(facts.waiting)} still arriving" if facts.waiting else ""
         hint = "" if facts.drives or failed else " Drives are listed by the time of processing, not of recording."
         ui.say(f"{drives} processed from {begin:%Y-%m-%d %H:%M} to {end:%Y-%m-%d %H:%M} UTC{failed}.{hint}")
-    counts = {"drives": len(facts.drives), "failed": len(facts.failures)}
+    counts = {"drives": len(facts.drives), "failed": len(facts.failures), "entries": facts.entries}
     rows = {"held": facts.held, "hold_events": facts.hold_events}
     _print_written(as_json, path, {"since": begin, "until": end, **counts, **rows})
     if facts.held or facts.failed:

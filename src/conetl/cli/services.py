@@ -57,7 +57,8 @@ def up(
     view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the web view, on 127.0.0.1.")] = 8791,
     decisions: DecisionsOption = False,
     group: Annotated[
-        str | None, typer.Option(help="Operating system group that may read results, reports and exports.")
+        str | None,
+        typer.Option(help="Operating system group that may read results, reports and exports, nothing else."),
     ] = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,

@@ -95,7 +95,7 @@ def decision_writer(settings: Settings, url: str, *, on_request: bool, token_fil
         token_file = make_secret(settings.home / WRITER_TOKEN)
     if token_file is not None:
         token = read_secret(token_file)
-        err.print(f"Decisions are enabled; the writer token is in {token_file.resolve()}", markup=False, soft_wrap=True)
+        err.print(f"Decisions are enabled; the writer token is in {token_file.resolve()}", soft_wrap=True)
     elif settings.writer_token is not None:
         token = validated_secret(settings.writer_token, "CONETL_WRITER_TOKEN")
     else:

@@ -169,4 +169,4 @@ def _print_progress(report: WatchReport) -> None:
         middle, high, _ = figures[_PARTS[0]]
         shown = f", {_PARTS[0]} p50 {1000 * middle:.0f} ms, p95 {1000 * high:.0f} ms"
     line = f"frame pair {report.pairs[-1].frame_index}: {ui.counted(len(report.standing), 'cone')}{shown}"
-    ui.err.print(line, end="\r" if ui.err.is_terminal else "\n", markup=False)
+    ui.err.print(line, end="\r" if ui.err.is_terminal else "\n")

@@ -9,7 +9,7 @@ import re
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from functools import cache
@@ -46,9 +46,10 @@ CLIENT_KEEPALIVES = {
 }
 #: How long a statement waits for a lock of another session.
 LOCK_TIMEOUT_S = 600.0
-#: Times in UTC; and the server's side of the keepalives, by which it frees the locks of a machine that is gone.
+#: Of the start of a session; others are set by schema.session. The server's side of the keepalives, by which it frees the locks
+#: of a machine that is gone.
 SESSION_OPTIONS = (
-    f"-c timezone=UTC -c lock_timeout={LOCK_TIMEOUT_S * 1000:.0f} -c tcp_keepalives_idle={_IDLE_S} "
+    f"-c lock_timeout={LOCK_TIMEOUT_S * 1000:.0f} -c tcp_keepalives_idle={_IDLE_S} "
     f"-c tcp_keepalives_interval={_INTERVAL_S} -c tcp_keepalives_count={_COUNT} -c tcp_user_timeout={_GONE_MS}"
 )
 #: Sent at once; psycopg2's own 8 kB cost a Python call for every few rows.
@@ -58,6 +59,8 @@ CopyBlock: TypeAlias = tuple[str, BytesIO]
 _NAME = re.compile(r"^-- name: (\w+)\n", re.MULTILINE)
 #: A list of columns of `model/columns.py` or `sql/columns.sql`, and the alias of the table that has them.
 _COLUMNS = re.compile(r"\{\{(\w+) columns(?: of (\w+))?\}\}")
+#: So many connections take the sessions that a pooler in transaction mode has at hand.
+_POOLED_SESSIONS = 3
 REPORT_AFTER_S = 5.0
 REPORT_EVERY_S = 60.0
 _OTHER_USER = (
@@ -94,8 +97,9 @@ def connect(url: str) -> Connection:
         named = psycopg2.extensions.parse_dsn(url)
         keepalives = {name: value for name, value in CLIENT_KEEPALIVES.items() if name not in named}
         conn = psycopg2.connect(
-            url, connect_timeout=CONNECT_TIMEOUT_S, application_name="conetl", options=SESSION_OPTIONS, **keepalives
-        )
+            url, connect_timeout=CONNECT_TIMEOUT_S, application_name="conetl", client_encoding="UTF8", options=SESSION_OPTIONS,
+            **keepalives,
+        )  # fmt: skip
     except (psycopg2.Error, UnicodeError) as error:
         remedy = "Start it (`conetl db up` for the private one) or correct CONETL_DATABASE_URL."
         if "FATAL: " in str(error):  # a server answered; psycopg2 has no error code of it
@@ -106,11 +110,28 @@ def connect(url: str) -> Connection:
     psycopg2.extras.register_uuid(conn_or_curs=conn)
     with database_errors("The connection could not be prepared"):
         conn.autocommit = True
-        query(conn, "schema.search_path")
+        [session] = query(conn, "schema.session")
+        if session["server_pid"] != conn.info.backend_pid:  # a pooler invents its own
+            _require_own_session(url, session["server_pid"])
         conn.autocommit = False
     _sessions[conn] = _Session(url)
     _watch_of(os.getpid())
     return conn
+
+
+def _require_own_session(url: str, server_pid: int) -> None:
+    """Raise DatabaseError if a pooler lends a session of the server for a transaction only, so that others get it meanwhile.
+
+    server_pid: of the server's process of an idle connection.
+    """
+    with ExitStack() as others:
+        for _ in range(_POOLED_SESSIONS):
+            other = others.enter_context(closing(psycopg2.connect(url, connect_timeout=CONNECT_TIMEOUT_S)))
+            if execute(other, "select pg_backend_pid() as pid")[0]["pid"] == server_pid:  # its transaction stays open
+                raise DatabaseError(
+                    f"{_without_password(url)} leads through a connection pooler in transaction mode, which breaks the locks of "
+                    "sessions: set pool_mode = session for this database (pgbouncer), or connect to the server itself."
+                )
 
 
 @dataclass

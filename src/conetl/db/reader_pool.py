@@ -29,7 +29,6 @@ _KEYWORDS = (
 )  # fmt: skip
 _SESSION = {
     "application_name": "conetl ogc",
-    "TimeZone": "UTC",
     "jit": "off",
     "plan_cache_mode": "force_generic_plan",  # planning is a fifth of a page; a query for a whole map is another statement
 }
@@ -155,7 +154,7 @@ class AsyncReaderPool:
             return self._pool
 
     async def _prepare(self, conn: asyncpg.Connection) -> None:
-        await conn.execute(db.load_sql("schema.search_path"))
+        await conn.execute(db.load_sql("schema.session"))
         await conn.fetch(db.load_sql("schema.reader_session").replace("%(timeout)s", "$1"), STATEMENT_TIMEOUT)
         for name in ("json", "jsonb"):
             await conn.set_type_codec(name, encoder=json.dumps, decoder=json.loads, schema="pg_catalog")

@@ -86,7 +86,7 @@ def write_receipt(conn: Connection, receipt: Receipt, folder: Path) -> None:
 
     File names may contain any bytes, also within reasons, so texts are stored in printable form.
     """
-    parameters = {k: printable(v) if isinstance(v, str) else v for k, v in asdict(receipt).items()}
+    parameters = {k: printable(v, lines=True) if isinstance(v, str) else v for k, v in asdict(receipt).items()}
     with transaction(conn, f"The receipt of drive {receipt.drive_id} cannot be written"):
         query(conn, "receipts.insert_receipt", **parameters)
         written = latest_receipts(conn, map_name=receipt.map_name, headers=[receipt.header_sha256])

@@ -9,7 +9,7 @@ import json
 import reprlib
 from codecs import BOM_UTF16_BE, BOM_UTF16_LE, IncrementalDecoder, getincrementaldecoder
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
 from io import FileIO
 from pathlib import Path
@@ -25,6 +25,8 @@ Model = TypeVar("Model", bound=BaseModel)
 #: The largest rig or parameter file is a hundredth of it.
 MAX_YAML_BYTES = 256_000
 MAX_JSON_BYTES = 5_000_000
+#: Of a file with one line for each frame pair of a drive; more lines than these take seconds to read.
+MAX_TABLE_BYTES, MAX_TABLE_LINES = 32_000_000, 200_000
 MAX_DEPTH = 40
 _XML_BLOCK = 4_000_000
 #: Largest text of a map or its lines, of which some readers hold all.
@@ -163,7 +165,8 @@ def library_errors(problem: str, *kinds: type[Exception], hint: str = "") -> Ite
 
 def read_bytes(path: Path, max_bytes: int = MAX_JSON_BYTES) -> bytes:
     """Bytes of a small file. Raises InputError if it is larger than the limit, or cannot be read."""
-    with input_errors(path), path.open("rb") as file:
+    local = isinstance(path, Path)  # errors of an object's storage are its reader's
+    with input_errors(path) if local else nullcontext(), path.open("rb") as file:
         content = file.read(max_bytes + 1)
     if len(content) > max_bytes:
         raise InputError(f"{path}: expected at most {max_bytes:,} bytes")
@@ -188,6 +191,14 @@ def encoding_of(blocks: Iterable[bytes]) -> str:
             decoder, found = getincrementaldecoder("cp1252")(), "cp1252"
             decoder.decode(block)
     return found
+
+
+def read_table_bytes(path: Path) -> bytes:
+    """Bytes of a file with one line for each frame pair. Raises InputError if it is too large, or cannot be read."""
+    content = read_bytes(path, MAX_TABLE_BYTES)
+    if content.count(b"\n") > MAX_TABLE_LINES:
+        raise InputError(f"{path}: expected at most {MAX_TABLE_LINES:,} lines, one for each frame pair")
+    return content
 
 
 def read_limited(path: Path, max_bytes: int = MAX_JSON_BYTES) -> str:

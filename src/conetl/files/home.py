@@ -15,6 +15,8 @@ from pydantic import SecretStr
 from conetl.model.errors import InputError, write_error
 
 FOLDERS = ("exports", "images", "inbox", "logs", "plans", "prefect", "receipts", "results")
+#: What `share_home` shares; the others hold secrets (the log of the view its token), or images and drives of others.
+SHARED = ("exports", "results")
 PREFECT_LOGIN, VIEW_TOKEN, WRITER_TOKEN = "prefect_login", "view_token", "writer_token"
 SECRETS = (PREFECT_LOGIN, VIEW_TOKEN, WRITER_TOKEN)
 MIN_SECRET_LENGTH = 16
@@ -25,8 +27,8 @@ def make_home(home: Path) -> None:
     """Create the home folder and its folders, and take away what other users may do in them. Raises InputError.
 
     A home folder of root lets other users pass through (mode 0711), since PostgreSQL does not run as root. A folder that was
-    there before keeps its own mode: it may hold more than conetl's. A group keeps its rights where `share_home` gave them,
-    which the set-group-ID bit shows.
+    there before keeps its own mode: it may hold more than conetl's. A group keeps its rights to what `share_home` shared, as
+    the set-group-ID bit shows.
     """
     try:
         if not home.is_dir():
@@ -35,7 +37,8 @@ def make_home(home: Path) -> None:
         for folder in (home / name for name in FOLDERS):
             folder.mkdir(mode=0o700, exist_ok=True)
             info = folder.stat()
-            closed = info.st_mode & ~(_OTHERS if info.st_mode & stat.S_ISGID else _OTHERS | _GROUP)
+            is_shared = folder.name in SHARED and info.st_mode & stat.S_ISGID
+            closed = info.st_mode & ~(_OTHERS if is_shared else _OTHERS | _GROUP)
             if closed != info.st_mode and info.st_uid == os.geteuid():
                 folder.chmod(stat.S_IMODE(closed))
     except OSError as error:
@@ -45,15 +48,19 @@ def make_home(home: Path) -> None:
 
 
 def share_home(home: Path, group: str) -> None:
-    """Let a group of the operating system read the home folder: results, reports and exports, but no secrets and no database.
+    """Let a group of the operating system read results, reports and exports (`SHARED`), and pass through the home folder to them.
 
     Raises InputError if there is no such group or this user may not give files to it.
     """
     make_home(home)
     try:
         gid = grp.getgrnam(group).gr_gid
-        _share(home, gid)
-        for name in FOLDERS:
+        shutil.chown(home, group=gid)
+        mode = stat.S_IMODE(home.stat().st_mode)
+        home.chmod(
+            (mode & ~0o2060 if mode & stat.S_ISGID else mode) | 0o010
+        )  # an earlier version shared its list of names
+        for name in SHARED:
             for folder, _, files in os.walk(home / name):
                 _share(Path(folder), gid)
                 for file in files:
@@ -65,14 +72,16 @@ def share_home(home: Path, group: str) -> None:
 
 
 def home_access(home: Path) -> str:
-    """Who may read the home folder: `owner only`, `owner and group NAME` or `everybody`."""
-    folders = [folder.stat() for folder in (home / name for name in FOLDERS) if folder.is_dir()]
-    files = [file.stat() for file in (home / name for name in SECRETS) if file.is_file()]
-    passage = home.is_dir() and home.stat().st_mode & _OTHERS
-    if passage and any(entry.st_mode & _OTHERS for entry in (*folders, *files)):
-        return "everybody"
-    groups = {entry.st_gid for entry in folders if entry.st_mode & _GROUP}
-    return f"owner and group {', '.join(sorted(map(_group_name, groups)))}" if groups else "owner only"
+    """Who may read what is in the home folder: `owner only`, `owner and group NAME (folders)` or `everybody (names)`."""
+    found = {path.name: path.stat() for path in sorted(home.iterdir())} if home.is_dir() else {}
+    open_to_all = [name for name, entry in found.items() if entry.st_mode & _OTHERS]
+    if open_to_all and home.stat().st_mode & _OTHERS:
+        return f"everybody ({', '.join(open_to_all)})"
+    shared = {
+        name: entry.st_gid for name, entry in found.items() if entry.st_mode & _GROUP and stat.S_ISDIR(entry.st_mode)
+    }
+    groups = ", ".join(sorted({_group_name(gid) for gid in shared.values()}))
+    return f"owner and group {groups} ({', '.join(shared)})" if shared else "owner only"
 
 
 def make_secret(path: Path, prefix: str = "") -> Path:
@@ -133,7 +142,7 @@ def _group_name(gid: int) -> str:
 
 
 def _share(path: Path, gid: int) -> None:
-    if path.name in SECRETS or path.is_symlink():
+    if path.is_symlink():
         return
     shutil.chown(path, group=gid)
     path.chmod(stat.S_IMODE(path.stat().st_mode) | (0o2050 if path.is_dir() else 0o040))

@@ -9,31 +9,42 @@ from conetl.model.errors import InputError
 
 #: Characters that have a meaning within a line of Markdown, GitHub's included.
 _MARKDOWN = re.compile(r"([\\`*_~<>\[\]()!|&:@]|(?<=www)\.)")
+#: Of terminals, and those that change the direction or the lines of the text around them.
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
+_CONTROL_BUT_LINES = re.compile(f"(?![\t\n]){_CONTROL.pattern}")
 
 
-def printable(text: str | Path) -> str:
-    """Text that is valid in UTF-8 and PostgreSQL: other bytes of a name become \\xfc, as `ls` and Python write them."""
+def printable(text: str | Path, *, lines: bool = False) -> str:
+    """Text that is valid in UTF-8 and PostgreSQL and moves no cursor: other bytes of a name, and control characters, become
+    \\xfc, as `ls` and Python write them. lines: tabs and ends of lines stay."""
     text = str(text)
     try:
         raw = text.encode(errors="surrogateescape")
     except UnicodeEncodeError:  # a lone surrogate, as YAML may contain
         raw = text.encode(errors="surrogatepass")
-    return raw.decode(errors="backslashreplace").replace("\0", "\\x00")
+    shown = raw.decode(errors="backslashreplace")
+    return (_CONTROL_BUT_LINES if lines else _CONTROL).sub(_escaped, shown)
+
+
+def _escaped(found: re.Match[str]) -> str:
+    return found[0].encode("unicode_escape").decode()
 
 
 def as_markdown(text: str | Path) -> str:
     """Any text, such as a drive's id, as a line of Markdown that shows it as it is: no HTML, image, link, code or cell."""
-    return _MARKDOWN.sub(r"\\\1", " ".join(printable(text).split()))
+    return _MARKDOWN.sub(r"\\\1", " ".join(printable(text, lines=True).split()))
 
 
 def require_utf8(folder: Path) -> None:
     """Raise InputError where the path of a drive, or of a link's target, is not UTF-8: the map stores it as text."""
     for path in (folder.absolute(), folder.resolve()):
-        if printable(path) != str(path):
+        try:
+            str(path).encode()
+        except UnicodeEncodeError:
             raise InputError(
                 f"{printable(path)}: the name is not UTF-8, and neither the database nor Parquet files can store it; rename the "
                 "folder (convmv does it for whole trees)"
-            )
+            ) from None
 
 
 def file_name_part(text: str, most_bytes: int = 200) -> str:

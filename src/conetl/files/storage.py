@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import os
 import re
 import stat
 import threading
@@ -78,6 +79,32 @@ def is_present(path: Path) -> bool:
         if error.errno in _NO_SUCH_FILE:
             return False
         raise
+
+
+def links_of(drive: Path) -> Iterator[Path]:
+    """The symbolic links in a drive's folder, those in folders that they lead to, and those of the files beside the drive.
+
+    The latter are the calibration and the settings of a bag, which are read too. Nothing of an object's path.
+    """
+    if is_remote(drive):
+        return
+    real = drive.resolve()
+    for folder in {drive.absolute().parent, real.parent}:
+        beside = {*folder.glob("calib_*.txt"), *(folder / f"{real.stem}.{name}" for name in ("drive.yaml", "rig.yaml"))}
+        yield from (path for path in beside if path.is_symlink())
+    folders, seen = [drive] if drive.is_dir() else [], {real}
+    while folders:
+        with suppress(OSError), os.scandir(folders.pop()) as listed:  # what cannot be listed is not read either
+            for entry in listed:
+                path = Path(entry.path)
+                if entry.is_symlink():
+                    yield path
+                    with suppress(OSError):
+                        if path.is_dir() and (target := path.resolve()) not in seen:
+                            seen.add(target)
+                            folders.append(path)
+                elif entry.is_dir():
+                    folders.append(path)
 
 
 @contextmanager

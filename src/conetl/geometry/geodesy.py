@@ -339,7 +339,7 @@ def _height_transformer(source_srid: int, srid: int, vertical_srid: int | None) 
         what, code = ("positions in", srid) if vertical_srid is None else ("heights of", vertical_srid)
         raise InputError(
             f"{what} EPSG:{code} ({_known(code).name}) need the grid {missing[0]}, which is not installed: "
-            f"put it into {get_user_data_dir()} (`projsync --file {missing[0]}` does)"
+            f"put it into {get_user_data_dir()} (`pyproj sync --file {missing[0]}` does)"
         )
     if not group.transformers:
         raise InputError(f"PROJ has no transformation from EPSG:{source_srid} to {_named_crs(srid, vertical_srid)}")

@@ -1,4 +1,4 @@
-"""The plan of a backfill: which drives to ingest, why, the expected duration, and which are already on the map.
+"""The plan of a backfill: which drives to ingest, why, the expected duration, which are already on the map, and what is no drive.
 
 A drive is identified by its header (`readers/drives/header.py`), so no image is read. The exact content is compared when the
 drive is ingested; a drive that turns out to be on the map changes nothing.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Literal
@@ -26,25 +26,46 @@ from conetl.model.errors import InputError
 from conetl.model.health import HeldDrive
 from conetl.model.params import IngestParams
 from conetl.pipeline.chunks import Analysis, analysis_of
+from conetl.pipeline.entries import Entry, find_entries, quoted
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives.header import DriveHeader, find_drives, read_header
+from conetl.readers.drives.header import DriveHeader
+from conetl.reports.night_page import NO_DRIVE
 
 #: After this many starts, scheduled runs do not try again.
 MAX_ATTEMPTS = 3
 #: For so long a run whose process died is started again by the deployment `recover`; afterwards its drive is planned anew.
 RECOVERED_FOR = timedelta(hours=1)
-Action = Literal["ingest", "wait", "skip", "refuse"]
+#: Of what is no drive; the reason of its receipt begins with it.
+STRAYS = tuple(start.rstrip(":") for start in NO_DRIVE)
+Action = Literal["ingest", "wait", "skip", "refuse", "needs init", "not recognised"]
+_ON_HOLD = "on hold since"
 
 
 @dataclass(frozen=True)
 class PlanLine:
-    """What to do with one drive. `wait`: another process ingests it; `refuse`: the folder cannot be a drive."""
+    """What to do with one entry. `wait`: another process ingests it, or it is arriving; `refuse`: the drive cannot be used."""
 
     header: DriveHeader
     action: Action
     why: str
     starts: int = 0
     """How often work on it was started before."""
+    command: str = ""
+    """What a person can do, as a line for a shell."""
+    needs_attention: bool = False
+    is_reported: bool = False
+    """An earlier run has written its receipt, and nothing has changed."""
+
+    @property
+    def is_stray(self) -> bool:
+        """It is no drive, or not yet."""
+        return self.action in STRAYS
+
+    @property
+    def reason(self) -> str:
+        """What it is, why, and the command."""
+        text = f"{self.action}: {self.why}" if self.is_stray else self.why
+        return f"{text}: {self.command}" if self.command and self.command not in text else text
 
 
 @dataclass(frozen=True)
@@ -69,7 +90,28 @@ class Plan:
     @property
     def todo(self) -> list[PlanLine]:
         """The drives to process; those that another process ingests come last."""
-        return sorted((line for line in self.lines if line.action != "skip"), key=lambda line: line.action == "wait")
+        lines = [line for line in self.lines if line.action in ("ingest", "wait")]
+        return sorted(lines, key=lambda line: line.action == "wait")
+
+    @property
+    def refused(self) -> list[PlanLine]:
+        """Drives that cannot be used."""
+        return [line for line in self.lines if line.action == "refuse"]
+
+    @property
+    def strays(self) -> list[PlanLine]:
+        """What is no drive and was not reported before."""
+        return [line for line in self.lines if line.is_stray and not line.is_reported]
+
+    @property
+    def has_news(self) -> bool:
+        """Something is to be done, or to be reported."""
+        return bool(self.todo or self.refused or self.strays)
+
+    @property
+    def open_lines(self) -> list[PlanLine]:
+        """What needs attention, also since earlier runs."""
+        return [line for line in self.lines if line.needs_attention]
 
     @property
     def frame_pairs(self) -> int:
@@ -91,21 +133,24 @@ def plan_drives(
     once: bool = False,
     recheck: bool = False,
     reanalyse: bool = False,
-    folders: Iterable[Path] | None = None,
+    entries: Iterable[Entry] | None = None,
 ) -> Plan:
-    """Plan the drives below `root` that were recorded in [since, until).
+    """Plan everything below `root`: the drives that were recorded in [since, until), and what is no drive.
 
-    once: skip drives that failed for good or crashed repeatedly until they change (for schedules). recheck: also compare the
-    content of drives whose header is known. reanalyse: also drives that another version of conetl analysed.
-    folders: drive folders, if they are known already. Raises InputError if `since` is not before `until`, or `root` is missing.
+    once: skip what failed for good or crashed repeatedly until it changes (for schedules). recheck: also compare the content of
+    drives whose header is known. reanalyse: also drives that another version of conetl analysed. entries: what is below `root`,
+    if it is known already. Raises InputError if `since` is not before `until`, or `root` is missing.
     """
     if since is not None and until is not None and until <= since:
         raise InputError(
             f"--until ({until:%Y-%m-%d %H:%M} UTC) must be later than --since ({since:%Y-%m-%d %H:%M} UTC)"
         )
     started = time.monotonic()
-    headers = [read_header(folder) for folder in (find_drives(root) if folders is None else folders)]
-    headers = [o for o in headers if _is_within(o, since, until)]
+    if entries is None:
+        entries = find_entries(root, settings=settings)
+    found = [(entry, _header(entry, settings)) for entry in entries]
+    found = [(entry, header) for entry, header in found if _is_within(header, since, until)]
+    headers = [header for _, header in found]
     analysis = analysis_of(params, settings)
     receipts = latest_receipts(conn, map_name=settings.map_name, headers=[o.header_sha256 for o in headers])
     locked = held_locks(conn, [receipt.drive_lock for receipt in receipts.values() if receipt.state == "started"])
@@ -117,9 +162,14 @@ def plan_drives(
     folders_of = headers_by_changeset(conn, map_name=settings.map_name)
     lines: list[PlanLine] = []
     seen: dict[str, Path] = {}
-    for header in sorted(headers, key=lambda o: (o.captured_from_ns or 0, str(o.path))):
+    order = {"hidden": 2, "drive": 1}
+    for entry, header in sorted(
+        found, key=lambda o: (order.get(o[0].kind, 0), o[1].captured_from_ns or 0, str(o[1].path))
+    ):
         receipt = receipts.get(header.header_sha256)
-        if header.header_sha256 in seen:
+        if entry.kind in ("arriving", "hidden"):
+            action, why = "wait" if entry.kind == "arriving" else "skip", entry.why
+        elif header.header_sha256 in seen:
             action, why = "skip", f"the same recording as {printable(seen[header.header_sha256])}"
         else:
             action, why = _decide_action(
@@ -128,7 +178,7 @@ def plan_drives(
                 reanalyse=reanalyse,
             )  # fmt: skip
         seen.setdefault(header.header_sha256, header.path)
-        lines.append(PlanLine(header, action, why, receipt.attempts if receipt else 0))  # type: ignore[arg-type]
+        lines.append(_line(entry, header, action, why, receipt))
     return Plan(
         root=root,
         map_name=settings.map_name,
@@ -140,6 +190,30 @@ def plan_drives(
         made_at=datetime.now(UTC),
         seconds=time.monotonic() - started,
     )
+
+
+def _header(entry: Entry, settings: Settings) -> DriveHeader:
+    """The header of an entry. A drive with a link that must not be followed is not opened."""
+    try:
+        if entry.kind == "drive":
+            settings.require_readable(entry.path, links=True)
+    except InputError as error:
+        return replace(entry, kind="not recognised", why=str(error)).header()
+    return entry.header()
+
+
+def _line(entry: Entry, header: DriveHeader, action: str, why: str, receipt: Receipt | None) -> PlanLine:
+    """The line of an entry, with what a person can do."""
+    shown, command = quoted(header.path), entry.command
+    failed = action == "skip" and receipt is not None and receipt.state in ("failed", "crashed")
+    if entry.kind in STRAYS:
+        action, why = entry.kind, entry.why
+    elif action == "refuse":
+        command = f"conetl inspect {shown}"
+    elif entry.kind == "drive":
+        command = "conetl drive held" if why.startswith(_ON_HOLD) else f"conetl ingest {shown}" if failed else ""
+    person = failed or why.startswith(_ON_HOLD) or action in ("refuse", *STRAYS)
+    return PlanLine(header, action, why, receipt.attempts if receipt else 0, command, person, failed)  # type: ignore[arg-type]
 
 
 def _decide_action(
@@ -206,7 +280,7 @@ def _present_state(drive: CommittedChangeset, on_hold: Mapping[int, HeldDrive]) 
     """What became of a drive that is stored."""
     no = drive.changeset_no
     if no in on_hold:
-        return f"on hold since {_when(on_hold[no].since)} (changeset {no}; see `conetl drive held`)"
+        return f"{_ON_HOLD} {_when(on_hold[no].since)} (changeset {no}; see `conetl drive held`)"
     if not drive.counts:
         return f"not in effect: changeset {no} was reverted or replaced (see `conetl map decisions`)"
     return f"on the map since {_when(drive.committed_at)} (changeset {no})"
@@ -240,10 +314,14 @@ def plan_as_dict(plan: Plan, parallel: int) -> dict[str, Any]:
         "model_sha256": plan.analysis.model_sha256,
         "made_at": plan.made_at.isoformat(),
         "planned_in_s": round(plan.seconds, 3),
-        "drives": len(plan.lines),
+        "entries": len(plan.lines),
+        "drives": sum(not line.is_stray for line in plan.lines),
         "to_ingest": plan.count("ingest"),
         "waiting_for_others": plan.count("wait"),
         "not_usable": plan.count("refuse"),
+        "needs_init": plan.count("needs init"),
+        "not_recognised": plan.count("not recognised"),
+        "need_attention": len(plan.open_lines),
         "nothing_to_do": plan.count("skip"),
         "frame_pairs": plan.frame_pairs,
         "pairs_per_second": plan.pairs_per_second,
@@ -258,6 +336,8 @@ def plan_as_dict(plan: Plan, parallel: int) -> dict[str, Any]:
                 "header_sha256": line.header.header_sha256,
                 "action": line.action,
                 "why": line.why,
+                "command": line.command or None,
+                "needs_attention": line.needs_attention,
             }
             for line in plan.lines
         ],
@@ -273,8 +353,36 @@ def write_plan(plan: Plan, parallel: int, folder: Path) -> Path:
 
 def reason_counts(plan: Plan) -> list[tuple[str, int]]:
     """Number of drives for each action and kind of reason, the most frequent first."""
-    words = {"ingest": "to ingest", "wait": "ingested by others", "skip": "nothing to do", "refuse": "not usable"}
+    words: dict[str, str] = {"ingest": "to ingest", "wait": "waiting", "skip": "nothing to do", "refuse": "not usable"}
     counted = Counter(
-        f"{words[line.action]}: {line.why.split(':')[0].split(' on ')[0].split(' since ')[0]}" for line in plan.lines
+        f"{words.get(line.action, line.action)}: {line.why.split(':')[0].split(' on ')[0].split(' since ')[0]}"
+        for line in plan.lines
     )
     return counted.most_common()
+
+
+def attention_text(plan: Plan) -> str:
+    """What needs attention, for the state of a run: how many of each kind, and the first with its reason; empty without any."""
+    if not (lines := plan.open_lines):
+        return ""
+    lines.sort(key=lambda line: line.is_reported)
+    kinds = Counter(line.action if line.is_stray else "failed or on hold" for line in lines)
+    counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
+    return f"; need attention: {counts}. {lines[0].header.drive_id}: {lines[0].reason}"
+
+
+def drop_folder_rows(settings: Settings) -> list[dict[str, Any]]:
+    """What is in the drop folder and no drive, or still arriving, as rows of a report: drive_id, drive_path, state, reason."""
+    if not settings.inbox.is_dir():
+        return []
+    entries = find_entries(
+        settings.inbox, may_be_drive=False, quiet_s=60.0 * settings.drop_quiet_minutes,
+        settings=settings,
+    )  # fmt: skip
+    rows = []
+    for entry in entries:
+        if entry.kind not in ("drive", "hidden"):
+            line = _line(entry, entry.header(), entry.kind, entry.why, None)
+            shown = {"drive_id": line.header.drive_id, "drive_path": line.header.shown_path}
+            rows.append(shown | {"state": entry.kind, "reason": line.reason})
+    return rows

@@ -94,11 +94,13 @@ def commit(
     settings: Settings | None = None,
     database: MapDatabase | None = None,
     run: RunInfo | None = None,
+    map_id: int | None = None,
 ) -> CommittedDrive:
     """Compare the tracks of a drive with the map and commit all differences, or none.
 
     settings: database and name of the map; default: CONETL_* of the environment. database: one that is already open. run: stored
-    with the changeset. If the drive is on the map, the status is "no changes". Raises MapMismatchError, DatabaseError.
+    with the changeset. map_id: of the map when the work began; one that was renamed or deleted since is missed. If the drive is
+    on the map, the status is "no changes". Raises MapMismatchError, DatabaseError.
     """
     settings = settings or read_settings()
     drive, records, params = analysed.drive, analysed.records, analysed.params
@@ -118,6 +120,7 @@ def commit(
                 evidence=read_model_card(settings.model_path).evidence,
                 run=run,
                 hold=hold_checks(health),
+                map_id=map_id,
             )
         if isinstance(merged, CommittedChangeset):
             return CommittedDrive(merged, analysed, (), _report_of_known(conn, merged, drive, settings.map_name))

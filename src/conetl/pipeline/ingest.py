@@ -97,7 +97,9 @@ def ingest(
         analysed = analyse(drive, params, rejections=rejections, settings=settings, executor=steps, progress=progress)
         refuse_same_images(analysed.records, settings, db)
         try:
-            committed: CommittedDrive = steps.run(commit, analysed, settings, db, run_info(analysed, flow_run_id))
+            committed: CommittedDrive = steps.run(
+                commit, analysed, settings, db, run_info(analysed, flow_run_id), info.map_id if info else None
+            )
         except Exception:  # the commit may have succeeded although the answer of the database or Prefect was lost
             if (known := already_committed(drive, changeset, settings, db)) is None:
                 raise

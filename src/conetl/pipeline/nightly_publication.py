@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -30,12 +31,18 @@ REPORTED = timedelta(days=1)
 
 
 def write_publication(
-    conn: Connection, info: MapInfo, formats: list[str], folder: Path, as_of: datetime | None = None
+    conn: Connection,
+    info: MapInfo,
+    formats: list[str],
+    folder: Path,
+    as_of: datetime | None = None,
+    drop_folder: Sequence[dict[str, Any]] = (),
 ) -> tuple[Path, list[dict[str, Any]], NightFacts]:
     """Write a map as of `as_of` (None: latest) in `formats` to a new folder in `folder`; that folder, the manifests of its files,
     and the facts of the report.
 
-    info: the map as it is now: what is committed from now on is left out of every file alike. Raises InputError for an unknown
+    info: the map as it is now: what is committed from now on is left out of every file alike. drop_folder: as for
+    `reports.night_page.read_night`. Raises InputError for an unknown
     format, or a folder that cannot be written.
     """
     unknown = [name for name in formats if name not in FORMATS]
@@ -55,7 +62,9 @@ def write_publication(
             for wanted in dict.fromkeys(formats)
         ]
         now = datetime.now(UTC)
-        facts = write_night_page(conn, unfinished / REPORT, map_name=info.map_name, since=now - REPORTED, until=now)
+        facts = write_night_page(
+            conn, unfinished / REPORT, map_name=info.map_name, since=now - REPORTED, until=now, drop_folder=drop_folder
+        )
         held = [drive.model_dump(mode="json") for drive in facts.held]
         content = {"map": info.map_name, "report": REPORT, "held": held, "files": manifests}
         (unfinished / "publication.json").write_text(json.dumps(content, indent=2) + "\n")

@@ -84,13 +84,14 @@ def merge_drive(
     evidence: DetectorEvidence | None = None,
     run: RunInfo | None = None,
     hold: Sequence[HealthCheck] = (),
+    map_id: int | None = None,
 ) -> MergeResult | CommittedChangeset:
     """Compare a drive with the map as the drives recorded before it left it, and commit the differences.
 
     changeset: without deltas; they are computed here. Later drives around it are compared again. evidence: measured response of
     the detector (None: not measured), which gives the weight of a missed cone. hold: the checks for which the recording must not
-    count; it is stored and changes nothing until a person accepts it. If the drive is already on the map, the result is its
-    changeset, and nothing is merged.
+    count; it is stored and changes nothing until a person accepts it. map_id: of the map when the work began (`map_for`). If the
+    drive is already on the map, the result is its changeset, and nothing is merged.
     """
     drive, reach_m = records.drive, influence_m(params)
     figures = AbsenceFigures(
@@ -101,7 +102,7 @@ def merge_drive(
     )
     add = partial(
         add_drive, conn, drive, changeset.idempotency_key, map_name=map_name, reconcile=params.reconcile, influence_m=reach_m,
-        figures=figures,
+        figures=figures, map_id=map_id,
     )  # fmt: skip
 
     def is_in_doubt(found: store.Neighbourhood) -> bool:

@@ -15,8 +15,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 
 from conetl.files.documents import expectation
 from conetl.files.home import PREFECT_LOGIN, make_secret, read_secret
-from conetl.files.names import file_name_part
-from conetl.files.storage import as_path, is_remote
+from conetl.files.names import file_name_part, printable
+from conetl.files.storage import as_path, is_remote, links_of
 from conetl.model.errors import InputError
 from conetl.model.map_records import MAP_NAME
 
@@ -94,15 +94,22 @@ class Settings(BaseSettings):
         """QA reports of this map."""
         return self.exports_folder / "reports" / self.map_name
 
-    def require_readable(self, path: Path) -> None:
-        """Raise InputError for a drive or folder of drives outside of `drive_roots`; links are followed first."""
+    def require_readable(self, path: Path, *, links: bool = False) -> None:
+        """Raise InputError for a drive or folder of drives outside of `drive_roots`; links are followed first.
+
+        links: also for one of whose links one leads there; to be called where the drive is read, right before that.
+        """
         roots = [as_path(root.strip()) for root in self.drive_roots.split(",") if root.strip()]
-        real, *real_roots = (item if is_remote(item) else item.resolve() for item in (path, *roots))
-        if roots and (".." in real.parts or not any(root == real or root in real.parents for root in real_roots)):
-            raise InputError(
-                f"{path} lies outside of the folders that workers may read ({', '.join(map(str, roots))}): set "
-                "CONETL_DRIVE_ROOTS for `conetl up`, or ingest it with `conetl ingest` or `conetl backfill --here`"
-            )
+        if not roots:
+            return
+        real_roots = [root if is_remote(root) else root.resolve() for root in roots]
+        for found in (path, *(links_of(path) if links else ())):
+            real = found if is_remote(found) else found.resolve()
+            if ".." in real.parts or not any(root == real or root in real.parents for root in real_roots):
+                raise InputError(
+                    f"{printable(found)} lies outside of the folders that workers may read ({', '.join(map(str, roots))}): set "
+                    "CONETL_DRIVE_ROOTS for `conetl up`, or ingest it with `conetl ingest` or `conetl backfill --here`"
+                )
 
     def drive_report_path(self, drive_id: str, changeset_no: int) -> Path:
         """Path of the QA report of a drive."""

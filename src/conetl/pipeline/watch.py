@@ -30,8 +30,8 @@ from conetl.model.rejections import RejectionReason
 from conetl.perception.images import ImageFileError
 from conetl.pipeline import live_pair as live
 from conetl.pipeline.database import open_maps
+from conetl.pipeline.entries import MARKER
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives.header import MARKER
 from conetl.readers.drives.pairs import PairError
 from conetl.readers.recording import BEHIND, ArrivingDrive, ArrivingPair, open_arriving
 

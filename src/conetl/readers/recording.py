@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+from conetl.files.documents import MAX_TABLE_BYTES
 from conetl.files.storage import is_present
 from conetl.model.drive import FramePair, Pose
 from conetl.model.errors import InputError
@@ -27,7 +28,7 @@ from conetl.readers.drives.pairs import ContentHash, PairError, first_size
 from conetl.readers.drives.plain import TRAJECTORY, Rows, pose_of_row, read_plain_rig, time_of_row
 from conetl.readers.drives.poses import checked_srid
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.trajectories.oxts import FIELD_COUNT, OxtsRecord, parse_oxts
+from conetl.readers.trajectories.oxts import FIELD_COUNT, MAX_RECORD_BYTES, OxtsRecord, parse_oxts
 from conetl.readers.trajectories.times import clock_problem, parse_timestamp
 
 #: Number of a pair without a row so far: it comes last.
@@ -197,7 +198,8 @@ class GrowingFile:
                 if found.st_ino != self._inode or found.st_size < self._offset:
                     self._lines, self._offset, self._inode = [], 0, found.st_ino
                 file.seek(self._offset)
-                *whole, rest = file.read().split(b"\n")  # what follows the last newline may be half a line
+                # What follows the last newline may be half a line.
+                *whole, rest = file.read(MAX_TABLE_BYTES).split(b"\n")
                 self._offset = file.tell() - len(rest)
         except FileNotFoundError:
             return
@@ -261,7 +263,8 @@ class ArrivingKitti(_Arriving):
         path = self.root / name
         if not is_present(path):
             return None
-        text = path.read_text(encoding="utf-8", errors="replace")
+        with path.open("rb") as file:
+            text = file.read(MAX_RECORD_BYTES).decode(errors="replace")
         if len(text.split()) < FIELD_COUNT:
             return None
         try:

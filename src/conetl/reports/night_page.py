@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
@@ -24,6 +26,8 @@ from conetl.reports.map_picture import PlanContent, draw_plan
 #: Rows of a table; the rest is counted.
 _MAX_ROWS = 400
 _WORST = 8
+#: With what the reason of a receipt begins that is of no drive (`pipeline/backfill_plan.py`).
+NO_DRIVE = ("needs init:", "not recognised:")
 Row = dict[str, Any]
 
 
@@ -42,6 +46,10 @@ class NightFacts:
     hold_events: list[HoldEvent]
     """Holds and releases in the period, in order."""
     failures: list[Row]
+    """Of drives, and of what is no drive: last receipts, and entries of the drop folder that have none. The state is failed,
+    crashed, started (not finished), needs init or not recognised."""
+    waiting: list[Row]
+    """What is still arriving in the drop folder now: drive_id, drive_path, reason."""
     changes: list[Row]
     """Of point objects, confirmations excluded; at most `_MAX_ROWS`, each with the `total` and how many are `gone`."""
     srid: int
@@ -58,13 +66,39 @@ class NightFacts:
         """Failures that are not of a drive that may still be running."""
         return [row for row in self.failures if row["state"] != "started"]
 
+    @property
+    def entries(self) -> list[Row]:
+        """Every drive and every other entry, a row each: drive_id, state and reason; those that wait for a person first."""
+        known = {
+            drive.changeset_no: f"{drive.reason} {hold_remedy(drive.changeset_no, self.map_name)}"
+            for drive in self.held
+        }
+        held = [
+            {"drive_id": drive.drive_id, "state": "held", "reason": known[drive.changeset_no]} for drive in self.held
+        ]
+        done = [
+            {"drive_id": row["drive_id"], "state": "committed" if row["counts"] else "not in effect", "reason": ""}
+            for row in self.drives
+            if row["changeset_no"] not in known
+        ]
+        others = [
+            {name: row[name] for name in ("drive_id", "drive_path", "state", "reason")}
+            for row in (*self.failures, *self.waiting)
+        ]
+        return [*held, *others, *done]
+
     def size_at(self, instant: datetime) -> int:
         """Cones on the map just before an instant."""
         return next((count for at, count in reversed(self.sizes) if at < instant), 0)
 
 
-def read_night(conn: Connection, *, map_name: str, since: datetime, until: datetime) -> NightFacts:
-    """Facts of a period; read-only. Raises InputError for an unknown map or an empty period."""
+def read_night(
+    conn: Connection, *, map_name: str, since: datetime, until: datetime, drop_folder: Sequence[Row] = ()
+) -> NightFacts:
+    """Facts of a period; read-only. drop_folder: what is in it and no drive, as `entries.as_rows`.
+
+    Raises InputError for an unknown map or an empty period.
+    """
     if until <= since:
         raise InputError(f"the report would end ({until:%Y-%m-%d %H:%M}) before it begins ({since:%Y-%m-%d %H:%M})")
     srid = require_map(conn, map_name).srid
@@ -81,7 +115,14 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
         events = hold_events(conn, map_name=map_name, since=since, until=until)
         conn.rollback()
     # What failed earlier is listed until it is repaired, or its folder removed.
-    failures = [row for row in failures if row["at"] >= since or Path(row["drive_path"]).exists()]
+    failures = [row for row in failures if row["at"] >= since or os.path.lexists(row["drive_path"])]
+    for row in failures:
+        row["state"] = row["reason"].partition(":")[0] if row["reason"].startswith(NO_DRIVE) else row["state"]
+    reported = {(row["drive_path"], row["drive_id"]) for row in failures}
+    unseen = {"frame_pairs": None, "attempts": 0, "at": None, "host": ""}
+    new = [row for row in drop_folder if (row["drive_path"], row["drive_id"]) not in reported]
+    waiting = [row for row in new if row["state"] == "arriving"]
+    failures += [row | unseen for row in new if row["state"] != "arriving"]
     for row in drives:
         row.update(vars(changeset := changesets[row["changeset_id"]]))
         row["captured_at"] = utc_from_ns(changeset.captured_from_ns)
@@ -91,13 +132,26 @@ def read_night(conn: Connection, *, map_name: str, since: datetime, until: datet
     paths_m = [path.xy_m for path in read_paths(conn, map_name=map_name) if path.drive_id in names]
     counts = [(row["at"], int(row["standing"])) for row in sizes]
     return NightFacts(
-        map_name, since, until, drives, held, events, failures, changes, srid, paths_m, rejections, markings, counts
+        map_name,
+        since,
+        until,
+        drives,
+        held,
+        events,
+        failures,
+        waiting,
+        changes,
+        srid,
+        paths_m,
+        rejections,
+        markings,
+        counts,
     )
 
 
-def write_night_page(conn: Connection, path: Path, *, map_name: str, since: datetime, until: datetime) -> NightFacts:
-    """Write the page. Returns its facts. Raises InputError as `read_night`, and where the file cannot be written."""
-    facts = read_night(conn, map_name=map_name, since=since, until=until)
+def write_night_page(conn: Connection, path: Path, **asked: Any) -> NightFacts:
+    """Write the page; asked: as for `read_night`. Returns its facts. Raises InputError, also where the file cannot be written."""
+    facts = read_night(conn, **asked)
     write_page(path, night_page(facts))
     return facts
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import logging
 from datetime import UTC, datetime
 
 import pytest
@@ -11,7 +12,9 @@ from rich.console import Console
 
 from conetl.cli import console
 from conetl.cli.console import parse_instant, parse_span, print_table
+from conetl.files.names import printable
 from conetl.model.errors import InputError
+from conetl.model.health import HealthCheck, Verdict
 
 #: One day in all forms of ISO 8601 (extended and basic, also by its week); the spaces are a user's.
 DAYS = ("2026-03-02", "20260302", "2026-W10-1", "2026W101", " 2026-03-02 ")
@@ -90,3 +93,23 @@ def test_no_cell_is_cut_off_in_a_terminal_that_does_not_know_its_width(
     monkeypatch.setenv("TERM", "dumb")
     print_table("", ("name", "value"), [("a" * 70, "b" * 70)])
     assert "b" * 70 in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "text", ["root:x:0:0", "[red]a[/]", "0:v:0", "[/b]", "a\x1b[31m\x1b]0;t\x07b", "\u202egpj.exe"]
+)
+def test_texts_of_others_are_printed_as_they_are(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """No emoji, no markup, nothing that a terminal obeys."""
+    shown = printable(text)
+    console.say(text)
+    console.say(text, bold=text)
+    console.complain(text)
+    console.note(text)
+    console.print_table(text, (text,), [(text,)])
+    console.print_checks([HealthCheck(name=text, verdict=Verdict.NOTE, value=None, detail=text)])
+    console.start_logging(1)
+    logging.getLogger("conetl").warning("%s", text)
+    said = capsys.readouterr()
+    assert said.out.replace(" ", "").count(shown.replace(" ", "")) == 8
+    assert said.err.count(shown) >= 3
+    assert "\x1b" not in said.out + said.err

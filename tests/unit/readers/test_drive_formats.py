@@ -24,8 +24,9 @@ from conetl.model.drive import Drive
 from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import Rejection
 from conetl.model.rejections import RejectionReason as R
+from conetl.pipeline.entries import Entry, find_entries
 from conetl.readers.drives import FORMATS, find_format, read_drive
-from conetl.readers.drives.header import find_drives, read_header
+from conetl.readers.drives.header import read_header
 from conetl.readers.rigs import write_rig_yaml
 from tests.unit.readers.drive_formats import (
     WRITERS,
@@ -343,7 +344,7 @@ def test_a_euroc_row_must_stay_inside_the_drive(tmp_path: Path) -> None:
 def test_every_format_has_a_header(name: str, tmp_path: Path) -> None:
     path = WRITERS[name](tmp_path / "day" / "run", FRAMES, RIG)
     if path.is_dir():
-        assert list(find_drives(tmp_path)) == [path]
+        assert find_entries(tmp_path) == [Entry(path)]
     found = read_header(path)
     assert (found.problem, found.drive_id, found.frame_pairs) == (None, "run", len(FRAMES))
     assert (found.captured_from_ns, found.captured_to_ns) == (FRAMES[0].stamp_ns, FRAMES[-1].stamp_ns)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import pytest
 
 from conetl.model.errors import InputError
 from conetl.readers.drives import read_drive
-from conetl.readers.drives.header import find_drives, quiet_since, read_header
+from conetl.readers.drives.header import read_header
 from tests.folders import SAMPLE
 
 
@@ -90,17 +89,6 @@ def test_an_unusable_calibration_is_the_problem(drive: Path) -> None:
     assert delivered.header_sha256 not in (before.header_sha256, missing.header_sha256)
 
 
-def test_drives_are_found_in_folders_by_day(drive: Path, tmp_path: Path) -> None:
-    shutil.copytree(drive, tmp_path / "archive" / "2026" / "03" / "another")
-    shutil.copytree(drive, tmp_path / "archive" / ".arriving" / "hidden")
-    (tmp_path / "archive" / "notes").mkdir()
-    found = [path.name for path in find_drives(tmp_path / "archive")]
-    assert sorted(found) == ["another", "drive"]
-    assert list(find_drives(drive)) == [drive]
-    with pytest.raises(InputError, match="no such folder"):
-        list(find_drives(tmp_path / "nowhere"))
-
-
 def test_a_relative_path_is_the_drive_itself(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Plan, job and reader must identify the same drive, or it is ingested again and again. Links: `test_drive_formats.py`."""
     direct = read_header(drive)
@@ -118,20 +106,8 @@ def test_a_calibration_beside_the_link_is_found_by_plan_and_reader(drive: Path, 
         path.rename(day / path.name)
     (day / "linked").symlink_to(drive)
     assert read_header(drive).problem is not None
-    for [found] in (find_drives(day), find_drives(day / "linked")):
-        assert read_header(found).problem is None
-        assert read_drive(found, headers_only=True)[0].drive_id == "drive"
-
-
-def test_a_drive_is_quiet_since_its_last_change(drive: Path) -> None:
-    """Copying tools set times back; the inode's own time stays that of the arrival."""
-    for path in (*drive.rglob("*"), drive):
-        os.utime(path, (0, 0))
-    changed_at = quiet_since(drive)
-    assert changed_at is not None
-    assert abs(time.time() - changed_at) < 3600
-    (drive / "COMPLETE").touch()
-    assert quiet_since(drive) is None
+    assert read_header(day / "linked").problem is None
+    assert read_drive(day / "linked", headers_only=True)[0].drive_id == "drive"
 
 
 def failing(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, inside: Path, error: OSError) -> None:
@@ -146,57 +122,14 @@ def failing(monkeypatch: pytest.MonkeyPatch, owner: Any, name: str, inside: Path
     monkeypatch.setattr(owner, name, fail)
 
 
-@pytest.mark.parametrize("code", [errno.EACCES, errno.ENOENT])
-@pytest.mark.parametrize("what", ["listing", "everything in it"])
-def test_an_unreadable_folder_is_reported_and_stops_no_other(
-    drive: Path, code: int, what: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """lost+found of root, or a folder that was renamed since its parent was listed."""
-    closed = drive.parent / "lost+found"
-    closed.mkdir()
-    error = OSError(code, os.strerror(code), str(closed))
-    failing(monkeypatch, os, "scandir", closed, error)
-    if what != "listing" and code == errno.EACCES:
-        failing(monkeypatch, Path, "stat", closed / "anything", error)
-        monkeypatch.setattr(Path, "is_file", lambda path: Path.exists(path) and not Path.is_dir(path))
-    found = list(find_drives(drive.parent))
-    assert found == [drive, closed]
-    header = read_header(closed)
-    assert os.strerror(code) in (header.problem or "")
-    assert header.drive_id == "lost+found"
-    assert read_header(drive).problem is None
-    other = drive.parent / "other" / "lost+found"
-    other.mkdir(parents=True)
-    failing(monkeypatch, os, "scandir", other, error)
-    assert read_header(other).header_sha256 != header.header_sha256
-
-
 def test_an_unreadable_file_is_the_problem(drive: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     error = PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(drive / "image_03" / "data"))
     failing(monkeypatch, Path, "iterdir", drive / "image_03" / "data", error)
     assert "Permission denied" in (read_header(drive).problem or "")
 
 
-def test_a_circular_link_stops_nothing(drive: Path) -> None:
-    (drive.parent / "round").symlink_to("round")
-    round_, found = sorted(find_drives(drive.parent), reverse=True)
-    assert found == drive
-    assert read_header(round_).problem is not None
-
-
-def test_a_folder_that_is_gone_or_closed_is_not_quiet_for_an_error(
-    drive: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    gone = quiet_since(drive.parent / "gone")
-    assert gone is not None
-    assert abs(time.time() - gone) < 60, "still arriving, under another name"
-    failing(monkeypatch, Path, "exists", drive / "COMPLETE", PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
-    assert quiet_since(drive) is not None
-
-
 def test_a_name_that_is_not_utf8_is_rejected_with_a_printable_message(drive: Path) -> None:
     odd = drive.rename(drive.parent / os.fsdecode(b"M\xfcnchen"))
-    assert list(find_drives(drive.parent)) == [odd]
     header = read_header(odd)
     assert header.drive_id == "M\\xfcnchen"
     assert header.shown_path == f"{drive.parent}/M\\xfcnchen"
@@ -209,8 +142,6 @@ def test_a_name_that_is_not_utf8_is_rejected_with_a_printable_message(drive: Pat
     link = drive.parent / "linked"
     link.symlink_to(odd)
     assert "not UTF-8" in (read_header(link).problem or "")
-    with pytest.raises(InputError, match="not UTF-8"):
-        list(find_drives(odd))
 
 
 def test_an_id_is_escaped_for_the_database(drive: Path) -> None:

@@ -13,8 +13,9 @@ from rosbags.rosbag1.reader import Reader
 
 from conetl.model.drive import Drive
 from conetl.model.errors import DriveFolderError
+from conetl.pipeline.entries import Entry, find_entries
 from conetl.readers.drives import find_format, read_drive, ros_bag
-from conetl.readers.drives.header import find_drives, read_header
+from conetl.readers.drives.header import read_header
 from tests.unit.readers.drive_formats import SIGMAS, georeference, sample_frames, sample_rig, write_ros1_bag
 
 FRAMES, RIG = sample_frames()[:4], sample_rig()
@@ -37,7 +38,7 @@ def test_a_folder_with_one_bag_is_a_drive(tmp_path: Path) -> None:
     file = write_ros1_bag(tmp_path / "day" / "run" / "2026-03-02-10-00-00", FRAMES, RIG, odometry=True)
     folder = file.parent
     (folder / "drive.yaml").write_text(georeference(FRAMES) + SIGMAS)
-    assert (find_format(folder), list(find_drives(tmp_path))) == (ros_bag, [folder])
+    assert (find_format(folder), find_entries(tmp_path)) == (ros_bag, [Entry(folder)])
     assert (read_header(folder).problem, read_header(folder).frame_pairs) == (None, len(FRAMES))
     drive = read(folder)
     assert (drive.drive_id, len(drive.frame_pairs)) == ("run", len(FRAMES))

@@ -123,17 +123,27 @@ def test_a_home_folder_is_closed_and_shared_only_on_purpose(tmp_path: Path) -> N
     (home / "exports").mkdir(parents=True)
     (home / "exports" / "report.html").write_text("street")
     (home / "exports").chmod(0o755)
-    assert homes.home_access(home) == "everybody"
+    assert homes.home_access(home) == "everybody (exports)"
     homes.make_home(home)
     assert homes.home_access(home) == "owner only"
+    (home / "postgres").mkdir(mode=0o755)
+    assert homes.home_access(home) == "everybody (postgres)", "every folder is looked at"
+    (home / "postgres").chmod(0o700)
     assert {stat.S_IMODE((home / name).stat().st_mode) for name in homes.FOLDERS} == {0o700}
     homes.make_secret(home / homes.VIEW_TOKEN)
     group = grp.getgrgid(os.getegid()).gr_name
+    (home / "logs").chmod(0o2750)  # both shared by an earlier version
+    home.chmod(0o2750)
+    (home / "logs" / "view.log").write_text("http://127.0.0.1:8791/?token=secret")
     homes.share_home(home, group)
     homes.make_home(home)  # as every later command does
-    assert homes.home_access(home) == f"owner and group {group}"
-    assert stat.S_IMODE((home / "exports").stat().st_mode) == 0o2750
-    assert stat.S_IMODE((home / homes.VIEW_TOKEN).stat().st_mode) == 0o600
+    assert homes.home_access(home) == f"owner and group {group} (exports, results)"
+    modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in home.iterdir()}
+    shared = {name for name, mode in modes.items() if mode & 0o070}
+    assert shared == {"exports", "results"} == set(homes.SHARED)
+    assert modes["exports"] == 0o2750 and modes[homes.VIEW_TOKEN] == 0o600
+    assert stat.S_IMODE((home / "exports" / "report.html").stat().st_mode) & 0o070 == 0o040
+    assert stat.S_IMODE(home.stat().st_mode) & 0o070 == 0o010, "names of other files are not listed"
     with pytest.raises(InputError, match="no group"):
         homes.share_home(home, "no-such-group")
 

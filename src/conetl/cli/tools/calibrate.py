@@ -145,7 +145,7 @@ def _pairs_of_videos(videos: list[Path], layout: Layout | None, offset_s: float 
             pairs, found_s = pairs_in_videos(opened, offset_s, on_frame=update)
         except ImageFileError as error:
             raise InputError(str(error)) from error
-    err.print(f"{len(pairs)} frame pairs; time offset of the right video {found_s:+.2f} s", markup=False)
+    err.print(f"{len(pairs)} frame pairs; time offset of the right video {found_s:+.2f} s")
     return pairs
 
 

@@ -106,7 +106,7 @@ def evaluate(
     if as_json:
         ui.print_json({"drives": answers, "pooled": as_dict(together), "files": [str(page)]})
         return
-    ui.out.print(f"[bold]{len(done)} drives together[/]")
+    ui.say(bold=f"{len(done)} drives together")
     _print_tables(pooled_tables(together))
     ui.say(f"\n{page}: all drives on one page")
 
@@ -192,7 +192,7 @@ def _summary(results: AnalysedDrive, evaluation: DriveEvaluation, within_m: floa
 
 
 def _print(truth: Path, evaluation: DriveEvaluation, summary: Sequence[str], page: Path) -> None:
-    ui.out.print(f"[bold]{evaluation.drive_id}[/] compared with {truth}")
+    ui.say(f" compared with {truth}", bold=evaluation.drive_id)
     _print_tables(evaluation.tables())
     ui.say("\n" + "\n".join(summary))
     ui.say(f"\n{page}: everything on one page\n")

@@ -59,13 +59,15 @@ def add_drive(
     reconcile: ReconcileParams | None = None,
     influence_m: float = INFLUENCE_M,
     figures: AbsenceFigures | None = None,
+    map_id: int | None = None,
 ) -> UUID:
     """Add a drive to the map unless it exists, so that its neighbourhood can be read; does not commit.
 
     It counts only once its changeset exists. reconcile (None: the defaults), influence_m and figures (of the detector; None: not
-    measured) are stored for later comparisons of the drive with the map. Raises MapMismatchError if the map is in another CRS.
+    measured) are stored for later comparisons of the drive with the map. map_id: as for `map_for`. Raises MapMismatchError if the
+    map is in another CRS, or is another one than that.
     """
-    info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}")
+    info = map_for(conn, map_name, drive.map_srid, f"drive {drive.drive_id}", map_id)
     drive_uuid = uuid5(_NAMESPACE, f"{map_name}/{idempotency_key}")
     if db.query(conn, "drives.belongs_elsewhere", drive_uuid=drive_uuid, map_id=info.map_id)[0]["elsewhere"]:
         # A map of this name was set aside.

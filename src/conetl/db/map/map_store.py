@@ -166,12 +166,18 @@ def map_summary(conn: Connection, map_name: str = "default") -> dict[str, Any] |
     return rows[0] if rows else None
 
 
-def map_for(conn: Connection, map_name: str, srid: int, what: str) -> MapInfo:
+def map_for(conn: Connection, map_name: str, srid: int, what: str, map_id: int | None = None) -> MapInfo:
     """The map, created if it is missing; does not commit. Raises MapMismatchError if it is not in EPSG:srid, as `what` is.
 
-    If all its drives are on hold, perhaps with swapped coordinates, its CRS is not fixed: that map is renamed to set it aside.
+    map_id: of the map of this name when the work on `what` began: if it was renamed or deleted since, nothing is created. If all
+    its drives are on hold, perhaps with swapped coordinates, its CRS is not fixed: that map is renamed to set it aside.
     """
     info = find_map(conn, map_name)
+    if map_id is not None and (info is None or info.map_id != map_id):
+        raise MapMismatchError(
+            f"{what}: the map {map_name} was renamed or deleted during the ingest: it was not made anew, nothing was written. "
+            "`conetl map list` shows the maps: name one with --map, and ingest the drive again"
+        )
     if info is not None and info.srid != srid and not info.counts:
         new_name = f"{map_name[:20]}-held-{info.srid}-{info.map_id}"
         db.query(conn, "map.set_aside", map_id=info.map_id, new_name=new_name)

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from conetl.files.documents import library_errors, read_yaml, shown
+from conetl.files.documents import library_errors, read_bytes, read_yaml, shown
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive
@@ -142,7 +142,7 @@ def _read_rig(root: Path, settings: DriveYaml, content: pairs.ContentHash) -> tu
     for name in _camera_names(settings).values():
         path = _stream_folder(root, name) / SENSOR_YAML
         sensor = Node(path, read_yaml(path))
-        content.add(f"{name}/{SENSOR_YAML}", path.read_bytes())
+        content.add(f"{name}/{SENSOR_YAML}", read_bytes(path))
         cameras.append(sensor.pinhole_camera("distortion_coefficients", _LENSES))
         poses.append(sensor.at("T_BS").motion())
     rig = sensor.at("T_BS").stereo_rig("euroc", cameras[0], cameras[1], se3.compose(se3.invert(poses[1]), poses[0]))
@@ -173,11 +173,11 @@ def _trajectory(source: pairs.Source, sensor_R_body: Floats) -> tuple[int, Sampl
     sensor_path = path.parent / SENSOR_YAML
     B_SE3_S = np.eye(4)
     if sensor_path.is_file():
-        content.add(sensor_path.relative_to(root).as_posix(), sensor_path.read_bytes())
+        content.add(sensor_path.relative_to(root).as_posix(), read_bytes(sensor_path))
         B_SE3_S = Node(sensor_path, read_yaml(sensor_path)).at("T_BS").motion()
     name = path.relative_to(root).as_posix()
-    content.add(name, path.read_bytes())
     recorded = read_trajectory(path, settings.trajectory.model_copy(update={"format": "euroc"}))
+    content.add_file(name, path)
     assert recorded.rotations is not None  # a EuRoC file without them has no valid record
     # Poses of B, whose axes are those of the IMU.
     R_SE3_B = se3.compose(se3.se3(recorded.rotations, recorded.positions), se3.invert(B_SE3_S))

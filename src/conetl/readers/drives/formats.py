@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from conetl.files.documents import input_errors
+from conetl.files.documents import input_errors, read_bytes, read_table_bytes
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import sensor_R_body
@@ -69,7 +69,7 @@ class HeaderFacts:
     def add_file(self, folder: Path, name: str) -> None:
         """A small file, where it exists."""
         if (folder / name).is_file():
-            self.content.add(name, (folder / name).read_bytes())
+            self.content.add(name, read_table_bytes(folder / name))
 
     def add_images(self, folder: Path, sides: Mapping[str, Path]) -> None:
         """Names of all images and sizes of some, given the image folder of each side by its name. Raises InputError."""
@@ -198,4 +198,4 @@ def add_settings(content: ContentHash, source: Path, names: tuple[str, ...] = (R
     for name in names:
         path = small_file(source, name)
         if path.is_file():
-            content.add(name, path.read_bytes())
+            content.add(name, read_bytes(path))

@@ -6,23 +6,17 @@ For plans over many drives. The header identifies a drive; its exact content is 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 
-from conetl.files.documents import input_errors
 from conetl.files.names import printable, require_utf8
 from conetl.files.storage import is_remote
 from conetl.model.base import utc_from_ns
-from conetl.model.errors import ConetlError, InputError, ServiceError, is_storage_error
+from conetl.model.errors import ConetlError, ServiceError, is_storage_error
 from conetl.readers.drives import find_format, kitti
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings
-
-#: Drives may be sorted into folders by month, day, vehicle; deeper folders are not searched.
-MAX_DEPTH = 6
-MARKER = "COMPLETE"
 
 
 @dataclass(frozen=True)
@@ -50,42 +44,6 @@ class DriveHeader:
     @property
     def captured_from(self) -> datetime | None:
         return None if self.captured_from_ns is None else utc_from_ns(self.captured_from_ns)
-
-
-def find_drives(root: Path) -> Iterator[Path]:
-    """Drive folders in `root` and below it, `root` itself included, by path; without hidden folders.
-
-    Links are followed and stay in the paths: the calibration may be beside the link. Raises InputError.
-    """
-    with input_errors(root):
-        exists = root.is_dir()
-    if not exists:
-        raise InputError(f"{printable(root)}: there is no such folder; give a folder that holds drives")
-    require_utf8(root)
-    yield from _find(root.absolute(), MAX_DEPTH)
-
-
-def _find(folder: Path, depth: int) -> Iterator[Path]:
-    try:
-        found = find_format(folder) is not None
-        names = []
-        if depth and not found:
-            with os.scandir(folder) as entries:
-                names = sorted(e.name for e in entries if not e.name.startswith(".") and _may_be_folder(e))
-    except OSError:  # unreadable, or removed meanwhile: it may hold a drive, so its header states the problem
-        found, names = True, []
-    if found:
-        yield folder
-    for name in names:
-        yield from _find(folder / name, depth - 1)
-
-
-def _may_be_folder(entry: os.DirEntry[str]) -> bool:
-    """True of folders, and of links whose target cannot be read."""
-    try:
-        return entry.is_dir()
-    except OSError:
-        return True
 
 
 def read_header(folder: Path) -> DriveHeader:
@@ -129,30 +87,3 @@ def read_header(folder: Path) -> DriveHeader:
         folder, drive_id, facts.content.hexdigest(), facts.frame_pairs, facts.first_ns, facts.last_ns,
         None if problem is None else printable(problem), passes, tuple(printable(remark) for remark in facts.remarks),
     )  # fmt: skip
-
-
-def quiet_since(folder: Path) -> float | None:
-    """When anything in a drive folder changed last (seconds since 1970); None where the marker file says it is complete.
-
-    The time is that of the inode (ctime): copying tools set modification times back to those of the source, but not this one.
-    """
-    try:
-        if (folder / MARKER).exists():
-            return None
-    except PermissionError:
-        pass  # the drive is taken after its quiet time, and refused with the reason
-    latest = _changed_at(folder, follow_links=True)
-    for parent, folders, files in os.walk(folder):
-        for name in (*folders, *files):
-            latest = max(latest, _changed_at(Path(parent) / name))
-    return latest
-
-
-def _changed_at(path: Path, *, follow_links: bool = False) -> float:
-    """Time of the inode's change (seconds since 1970); now for one that was just renamed, 0 where it cannot be read."""
-    try:
-        return path.stat(follow_symlinks=follow_links).st_ctime
-    except FileNotFoundError:
-        return datetime.now(UTC).timestamp()
-    except OSError:
-        return 0.0

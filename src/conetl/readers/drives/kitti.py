@@ -18,7 +18,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from conetl.files.documents import input_errors
+from conetl.files.documents import input_errors, read_bytes
 from conetl.files.storage import NOT_A_FILE, fetch, is_present, is_remote, object_bytes
 from conetl.model.drive import MAX_FRAME_INDEX, Drive
 from conetl.model.errors import InputError
@@ -39,7 +39,7 @@ from conetl.readers.drives.pairs import (
 )
 from conetl.readers.drives.poses import checked_srid
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
-from conetl.readers.trajectories.oxts import OxtsRecord, parse_oxts
+from conetl.readers.trajectories.oxts import MAX_RECORD_BYTES, OxtsRecord, parse_oxts
 from conetl.readers.trajectories.times import clock_problem, misplaced, parse_timestamps
 
 NAME, TITLE = "kitti", "KITTI raw layout"
@@ -149,9 +149,9 @@ def read_rig_for(
         rig_id=settings.rig_id, sigma_px=settings.sigmas.image_px,
     )  # fmt: skip
     for name in (path.name, VELO_TO_CAM, IMU_TO_VELO):
-        content.add(f"calibration/{name}", (path.parent / name).read_bytes())
+        content.add(f"calibration/{name}", read_bytes(path.parent / name))
     if (root / DRIVE_YAML).is_file():
-        content.add(DRIVE_YAML, (root / DRIVE_YAML).read_bytes())
+        content.add(DRIVE_YAML, read_bytes(root / DRIVE_YAML))
     return rig
 
 
@@ -265,9 +265,11 @@ def _read_oxts(source: Source) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
         if not (is_remote(paths[0]) or is_present(paths[0])):
             bad[number] = NOT_A_FILE
             continue
-        raw = object_bytes(paths[0]) if is_remote(paths[0]) else paths[0].read_bytes()
-        source.content.add(f"oxts/data/{paths[0].name}", raw)
         try:
+            if not is_remote(paths[0]) and paths[0].stat().st_size > MAX_RECORD_BYTES:
+                raise ValueError(f"expected a record of at most {MAX_RECORD_BYTES:,} bytes")
+            raw = object_bytes(paths[0]) if is_remote(paths[0]) else paths[0].read_bytes()
+            source.content.add(f"oxts/data/{paths[0].name}", raw)
             if len(paths) > 1:
                 raise ValueError(f"{len(paths)} files have this number: {', '.join(path.name for path in paths)}")
             text = raw.decode("utf-8", errors="replace")
@@ -289,7 +291,10 @@ def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.
     name = f"oxts/data/{number:010d}.txt"
     if number in bad:
         path = root / name
-        text = path.read_text(encoding="utf-8", errors="replace")[:1000] if path.is_file() else None
+        text = None
+        if path.is_file():
+            with path.open("rb") as file:
+                text = file.read(1000).decode(errors="replace")
         raise PairError(RejectionReason.POSE_INVALID, f"{name}: {bad[number]}", path=name, text=text)
     if number not in track.rows:
         raise PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from conetl.files.documents import read_table_bytes
 from conetl.files.storage import fetch, remember
 from conetl.geometry.rectification import stored_camera
 from conetl.geometry.small_arrays import nearest_index
@@ -43,11 +44,16 @@ class ContentHash:
         self._files[name] = found.digest()
         return found.hexdigest()
 
+    def add_file(self, name: str, path: Path) -> None:
+        """Add a file of any size."""
+        with path.open("rb") as file:
+            self._files[name] = hashlib.file_digest(file, "sha256").digest()
+
     def text(self, folder: Path, name: str, remedy: str) -> str:
         """Text of a required file of the drive, which is added. Raises InputError where it is missing; remedy: what to do."""
         if not (folder / name).is_file():
             raise InputError(f"{folder}: {name} is missing; {remedy}")
-        data = (folder / name).read_bytes()
+        data = read_table_bytes(folder / name)
         self.add(name, data)
         return data.decode("utf-8-sig", errors="replace")
 

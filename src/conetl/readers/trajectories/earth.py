@@ -226,5 +226,5 @@ def _missing(path: Path, what: str, grids: list[str]) -> str:
     named = ", ".join(grids)
     return (
         f"{path}: heights or positions of {shown(what)} need the grid {named}, which is not installed: put it into "
-        f"{get_user_data_dir()} (`projsync --file {grids[0]}` does)"
+        f"{get_user_data_dir()} (`pyproj sync --file {grids[0]}` does)"
     )

@@ -25,7 +25,7 @@ from conetl.readers.trajectories.times import TimeFormat, time_reader
 FIELD_COUNT = 30
 MAX_POS_ACCURACY_M = 100.0
 MAX_FILES = 1_000_000
-_MAX_RECORD_BYTES = 10_000
+MAX_RECORD_BYTES = 10_000
 _MAX_STAMPS_BYTES = 64_000_000
 
 
@@ -79,7 +79,7 @@ def looks_like(path: Path) -> bool:
     if folder is None:
         return False
     first = next((p for p in islice((folder / "data").iterdir(), 10) if p.suffix == ".txt"), None)
-    return first is not None and len(_text(first, _MAX_RECORD_BYTES).split()) == FIELD_COUNT
+    return first is not None and len(_text(first, MAX_RECORD_BYTES).split()) == FIELD_COUNT
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
@@ -107,7 +107,7 @@ def _records(folder: Path, settings: TrajectoryFile) -> Iterator[Records]:
         values = np.full((len(numbers), len(OxtsRecord._fields)), np.nan)
         for i, number in enumerate(numbers):
             try:
-                values[i] = parse_oxts(_text(files[number], _MAX_RECORD_BYTES), accuracy_required=False)
+                values[i] = parse_oxts(_text(files[number], MAX_RECORD_BYTES), accuracy_required=False)
             except ValueError as error:
                 wrong.setdefault(i, str(error))
     rotations = se3.rotation_from_rpy(values[:, 3], values[:, 4], values[:, 5])

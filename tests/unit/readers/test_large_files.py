@@ -1,0 +1,81 @@
+"""Text files of a drive that are larger than any recording's: refused before they are read. Sparse ones cost no disk."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from conetl.files.documents import MAX_TABLE_LINES, read_table_bytes
+from conetl.model.errors import DriveFolderError, InputError
+from conetl.readers.drives import read_drive
+from conetl.readers.drives.header import read_header
+from conetl.readers.trajectories.text import line_blocks
+from tests.folders import SAMPLE
+
+GIGABYTE = 1 << 30
+#: Files of a KITTI drive; the others cost single frame pairs.
+FILES = (
+    "image_02/timestamps.txt", "image_03/timestamps.txt", "oxts/timestamps.txt", "drive.yaml", "calib_cam_to_cam.txt",
+    "calib_velo_to_cam.txt", "calib_imu_to_velo.txt",
+)  # fmt: skip
+
+
+def enlarge(path: Path) -> None:
+    with path.open("ab") as file:
+        file.truncate(2 * GIGABYTE)
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(SAMPLE, tmp_path / "drive"))
+
+
+@pytest.fixture
+def limited() -> Iterator[None]:
+    """A process that may not use much more memory than it does."""
+    resource = pytest.importorskip("resource")
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (used + 300 * 2**20, limits[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, limits)
+
+
+@pytest.mark.usefixtures("limited")
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_of_gigabytes_is_refused_within_300_mb(drive: Path, name: str) -> None:
+    enlarge(drive / name)
+    with pytest.raises(DriveFolderError, match=r"expected at most [\d,]+ bytes"):
+        read_drive(drive, headers_only=True)
+    assert name.startswith("image_03") or "expected at most" in (read_header(drive).problem or "")
+
+
+@pytest.mark.usefixtures("limited")
+def test_a_record_of_gigabytes_costs_its_pair(drive: Path) -> None:
+    whole, _ = read_drive(drive, headers_only=True)
+    enlarge(drive / "oxts" / "data" / "0000000003.txt")
+    found, rejections = read_drive(drive, headers_only=True)
+    assert len(whole.frame_pairs) - len(found.frame_pairs) == 1
+    assert [rejection.record for rejection in rejections] == ["frame pair 3"]
+    assert "at most 10,000 bytes" in rejections[0].detail
+
+
+@pytest.mark.usefixtures("limited")
+def test_a_hole_in_a_log_is_no_text(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("time,lat,lon\n1,48,11\n")
+    enlarge(log)
+    with pytest.raises(InputError, match="line 3 has no end"):
+        list(line_blocks(log))
+
+
+def test_more_lines_than_frame_pairs_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "timestamps.txt"
+    path.write_bytes(b"\n" * MAX_TABLE_LINES)
+    assert len(read_table_bytes(path)) == MAX_TABLE_LINES
+    path.write_bytes(b"\n" * (MAX_TABLE_LINES + 1))
+    with pytest.raises(InputError, match="at most 200,000 lines"):
+        read_table_bytes(path)
