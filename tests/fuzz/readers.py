@@ -36,7 +36,8 @@ from conetl.readers.base_layers.las_file import las_chunks, read_las_header
 from conetl.readers.base_layers.line_files import read_lane_lines, read_vector_file
 from conetl.readers.base_layers.lines import read_lanelet2
 from conetl.readers.base_layers.opendrive import read_opendrive
-from conetl.readers.drives import bag_messages, read_drive
+from conetl.readers.drives import read_drive
+from conetl.readers.drives.bags import messages as bag_messages
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import PairError
 from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s

@@ -514,7 +514,7 @@ def test_a_chunk_that_grows_beyond_the_limit_is_refused(
     at = data.index(bytes([6]), data.index(b"ros2"))  # the chunk, after the header
     file.write_bytes(data[: at + 25] + (2**40).to_bytes(8, "little") + data[at + 33 :])  # the size that it states
     assert len(read(path)[0].frame_pairs) == 3, "nobody allocates it"
-    monkeypatch.setattr("conetl.readers.drives.bag_messages.MAX_CHUNK_BYTES", 8 << 20)
+    monkeypatch.setattr("conetl.readers.drives.bags.messages.MAX_CHUNK_BYTES", 8 << 20)
     file.write_bytes(data)
     compressed_chunks(file, compression, bytes(9 << 20))
     with pytest.raises(DriveFolderError, match=f"{path.name}: .* larger than 8 MB"):

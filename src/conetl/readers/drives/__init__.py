@@ -17,9 +17,10 @@ from conetl.geometry.packing import vec3
 from conetl.model.drive import CommonError, Drive
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.rejections import Rejection
-from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
+from conetl.readers.drives import bags, euroc, kitti, plain, video
+from conetl.readers.drives.camera_files import image_files, names_in
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
-from conetl.readers.drives.formats import DriveFormat, image_files, names_in, with_stated_shutters
+from conetl.readers.drives.formats import DriveFormat, with_stated_shutters
 from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
 from conetl.readers.stated_sigmas import implausible_sigma
 from conetl.readers.surveyed_points import read_surveyed_points
@@ -28,7 +29,7 @@ from conetl.tracking.error_propagation import common_axes
 __all__ = ["FORMATS", "find_format", "read_drive", "zed_recording"]
 
 #: The first format that matches reads the drive.
-FORMATS: tuple[DriveFormat, ...] = (plain, euroc, ros_bag, video, kitti)
+FORMATS: tuple[DriveFormat, ...] = (plain, euroc, bags, video, kitti)
 _OF_ZED = frozenset({".svo", ".svo2"})
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from conetl.model.drive import Drive
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig, Shutter
-from conetl.perception.images import IMAGE_SUFFIXES
+from conetl.readers.drives.camera_files import image_files
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, ShutterSettings, small_file
 from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
@@ -30,6 +30,7 @@ from conetl.readers.trajectories.times import misplaced
 #: And pose files, or pieces of a trajectory: corrected poses often have as many digits.
 _SAMPLES = 16
 _SAMPLED_BYTES = 4096
+T = TypeVar("T")
 
 
 class DriveFormat(Protocol):
@@ -78,11 +79,16 @@ class HeaderFacts:
         for side, data in sides.items():
             if not data.is_dir():
                 raise InputError(f"{folder}: the folder {side} is missing")
-            names = names_in(data, IMAGE_SUFFIXES)
-            sizes = [f"{name} {_size_of(data / name)}" for name in samples_of(names)]
-            self.content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
-            stems |= {name.rsplit(".", 1)[0] for name in names}
+            stems |= self.add_names(side, image_files(data))
         self.frame_pairs = len(stems)
+
+    def add_names(self, side: str, paths: Sequence[Path]) -> set[str]:
+        """Names of a camera's images and sizes of some; the names without their suffixes."""
+        names = [path.name for path in paths]
+        sizes = [f"{path.name} {_size_of(path)}" for path in samples_of(paths)]
+        self.content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
+        self.frame_pairs = max(self.frame_pairs, len(names))
+        return {name.rsplit(".", 1)[0] for name in names}
 
     def add_samples(self, folder: Path, name: str) -> None:
         """Size and some pieces of a trajectory, which may be too long to read for a plan."""
@@ -107,11 +113,6 @@ class HeaderFacts:
         self.first_ns, self.last_ns = good[0], good[-1]
 
 
-def names_in(data: Path, suffixes: Collection[str]) -> list[str]:
-    """Sorted names of the files with one of these suffixes, without hidden ones."""
-    return sorted(p.name for p in data.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith("."))
-
-
 def _size_of(path: Path) -> int | None:
     """Bytes of a file; None of a broken link: only its frame pair is lost."""
     try:
@@ -120,12 +121,7 @@ def _size_of(path: Path) -> int | None:
         return None
 
 
-def image_files(data: Path) -> list[Path]:
-    """Sorted paths of the images in a folder, without hidden files."""
-    return [data / name for name in names_in(data, IMAGE_SUFFIXES)]
-
-
-def samples_of(names: Sequence[str]) -> Sequence[str]:
+def samples_of(names: Sequence[T]) -> Sequence[T]:
     """About 16 of the names, evenly distributed."""
     return names[:: max(1, len(names) // _SAMPLES)]
 

@@ -25,8 +25,9 @@ from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
 from conetl.readers.drives import oxts
+from conetl.readers.drives.camera_files import image_files, names_in
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
-from conetl.readers.drives.formats import HeaderFacts, image_files, names_in, samples_of
+from conetl.readers.drives.formats import HeaderFacts, samples_of
 from conetl.readers.drives.pairs import (
     ContentHash,
     PairError,

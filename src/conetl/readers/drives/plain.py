@@ -29,8 +29,9 @@ from conetl.model.drive import Drive, Pose
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
+from conetl.readers.drives.camera_files import image_files
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, names_images
-from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, no_rig, overrides, own_rig
+from conetl.readers.drives.formats import HeaderFacts, add_settings, no_rig, overrides, own_rig
 from conetl.readers.drives.pairs import (
     ContentHash,
     PairError,

@@ -39,7 +39,7 @@ from conetl.files.atomic import temporary_path
 from conetl.files.documents import library_errors, read_yaml
 from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
-from conetl.readers.drives.bag_rig import CAMERA_INFO, TRANSFORMS, USED_TYPES
+from conetl.readers.drives.bags.topics import CAMERA_INFO, TRANSFORMS, USED_TYPES
 from conetl.readers.drives.pairs import PairError
 
 METADATA = "metadata.yaml"

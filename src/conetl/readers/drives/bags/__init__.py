@@ -31,8 +31,9 @@ from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import MAX_LEVER_ARM_M, Rig, Side
 from conetl.perception.images import ImageFileError, check_image_bytes
-from conetl.readers.drives import bag_messages, pairs, poses
-from conetl.readers.drives.bag_rig import (
+from conetl.readers.drives import pairs, poses
+from conetl.readers.drives.bags import messages
+from conetl.readers.drives.bags.topics import (
     TF_STATIC,
     TRANSFORMS,
     Topics,
@@ -72,19 +73,19 @@ class _Recorded(NamedTuple):
 
 def matches(path: Path) -> bool:
     """True for a bag's folder and for a bare .mcap file. (A KITTI drive may hold a bag with other data.)"""
-    return bag_messages.bag_files(path) is not None and not (path / "image_02").is_dir()
+    return messages.bag_files(path) is not None and not (path / "image_02").is_dir()
 
 
 def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections. Images are unpacked into `images_folder`; with headers_only only the first of each camera."""
     path, root, settings, content = source[:4]
-    file = bag_messages.bag_files(root)
+    file = messages.bag_files(root)
     if file is None:
         raise InputError(f"{path}: this is not a bag: neither a .mcap or .bag file nor a folder with metadata.yaml")
     if source.images_folder is None:
         raise InputError(f"{path}: a bag's images must be unpacked, but no folder was given for them")
     add_settings(content, root)
-    with bag_messages.open_bag(file) as bag:
+    with messages.open_bag(file) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
         recorded = _read_small(bag, topics, settings, content, path)
         rig, sensor_R_body = _rig(small_file(root, RIG_YAML), topics, recorded, settings, path)
@@ -104,15 +105,15 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
 
 def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
     """The bag's index, its number of left images, first and last message by the recorder's clock; rig.yaml, no messages."""
-    file = bag_messages.bag_files(path.resolve())  # a linked file by its own name, which is the drive's id
+    file = messages.bag_files(path.resolve())  # a linked file by its own name, which is the drive's id
     if file is None:
         raise InputError(f"{path}: this is not a bag")
     header.streams = ("the left", "the right camera's topic")
-    header.add_file(path, bag_messages.METADATA)
+    header.add_file(path, messages.METADATA)
     add_settings(header.content, path, (RIG_YAML,))
     for part in [file] if file.is_file() else sorted(path.glob("*.mcap")) + sorted(path.glob("*.db3")):
         header.content.add(part.name, str(part.stat().st_size).encode())
-    with bag_messages.open_bag(file) as bag:
+    with messages.open_bag(file) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
         header.content.add("index", repr((sorted(bag.counts.items()), bag.recorded_ns)).encode())
         header.frame_pairs = bag.counts[topics.left]
@@ -122,7 +123,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
             header.first_ns, header.last_ns = set_ns[0], set_ns[-1]
 
 
-def _stamp_ns(message: bag_messages.Message) -> int | str:
+def _stamp_ns(message: messages.Message) -> int | str:
     """Header stamp in UTC nanoseconds, or what is wrong."""
     if message.content is None:
         return f"{message.topic}: the message recorded at {message.recorded_at_ns} ns does not have the content of its type"
@@ -132,7 +133,7 @@ def _stamp_ns(message: bag_messages.Message) -> int | str:
 
 
 def _read_small(
-    bag: bag_messages.Bag, topics: Topics, settings: DriveYaml, content: pairs.ContentHash, source: Path
+    bag: messages.Bag, topics: Topics, settings: DriveYaml, content: pairs.ContentHash, source: Path
 ) -> _Recorded:
     """All messages of the drive except its images. Raises InputError."""
     readers = {topics.trajectory: _odometry} if topics.imu is None else {topics.trajectory: _fix, topics.imu: _attitude}
@@ -298,7 +299,7 @@ def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path
 
 
 def _read_images(
-    bag: bag_messages.Bag, topics: Topics, rig: Rig, content: pairs.ContentHash, folder: Path, source: Path
+    bag: messages.Bag, topics: Topics, rig: Rig, content: pairs.ContentHash, folder: Path, source: Path
 ) -> dict[str, list[pairs.Image]]:
     """Images of both cameras by topic, in the order of recording; one is in memory at a time."""
     sides: dict[str, Side] = {topics.left: "left", topics.right: "right"}
@@ -315,10 +316,10 @@ def _read_images(
                 if not content.headers_only:
                     content.add(f"{sides[topic]}/{len(found[topic])}", bytes(message.content.data))
                     content.add(f"{sides[topic]}/{len(found[topic])}/stamp", str(stamp).encode())
-                data = bag_messages.image_bytes(message.content, name)
+                data = messages.image_bytes(message.content, name)
                 header = check_image_bytes(data, name, (camera.width_px, camera.height_px))
                 if not content.headers_only or not any(p.path.is_file() for p in found[topic][:1]):
-                    path = bag_messages.unpack(data, ".jpg" if header.format == "jpeg" else ".png", folder)
+                    path = messages.unpack(data, ".jpg" if header.format == "jpeg" else ".png", folder)
             except pairs.PairError as error:
                 problem = error
             except ImageFileError as error:
