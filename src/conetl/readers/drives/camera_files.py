@@ -127,7 +127,7 @@ def _streams_in(root: Path, folder: Path) -> list[Stream]:
     # A pattern only where there is more than one chapter.
     found = {pattern if len(names) > 1 else names[0]: names for pattern, names in parts.items()}
     if not found and (images := names_in(folder, IMAGE_SUFFIXES)):
-        found = dict(_by_side(images)) or {"": images}
+        found = dict(_by_side(images)) or ({"": images} if len(images) > 1 or inner else {})  # a geoid is a TIFF, too
     return [
         Stream(f"{inner}{name}".rstrip("/") or ".", tuple(folder / each for each in names))
         for name, names in found.items()

@@ -19,7 +19,8 @@ from conetl.model.drive import Drive, FramePair, Pose
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import SIDES, Rig, Side
-from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, inspect_image, read_bytes
+from conetl.perception.image_headers import inspect_image
+from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
 from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.trajectories.times import misplaced, wrong_clocks
 
