@@ -52,10 +52,14 @@ class Sigmas(Record):
 
 
 class Georeference(GeodeticPosition):
-    """Origin of a local trajectory (odometry, SLAM, motion capture), whose frame must be level, z up."""
+    """Origin of a local trajectory (odometry, SLAM, motion capture), whose frame has z up."""
 
     heading_deg: float = Field(ge=-360, le=360)
     """Direction of the frame's x axis, clockwise from true north; 90 where it points east."""
+    roll_deg: float = Field(default=0.0, ge=-90, le=90)
+    """Of a frame that is not level: positive with its left side (y) up ..."""
+    pitch_deg: float = Field(default=0.0, ge=-90, le=90)
+    """... and with its front (x) down."""
 
 
 class Streams(Record):

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,14 +29,16 @@ from conetl.geometry.rectification import stored_camera
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive, Pose
 from conetl.model.errors import InputError
-from conetl.model.rejections import Rejection
+from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import MAX_LEVER_ARM_M, Rig, Side
 from conetl.perception.images import ImageFileError, check_image_bytes
 from conetl.readers.drives import pairs, poses
 from conetl.readers.drives.bags import messages
+from conetl.readers.drives.bags.images import VideoDecoder, image_bytes, unpack
 from conetl.readers.drives.bags.topics import (
     TF_STATIC,
     TRANSFORMS,
+    VIDEO,
     Topics,
     choose_topics,
     is_rectified_topic,
@@ -44,8 +47,9 @@ from conetl.readers.drives.bags.topics import (
 )
 from conetl.readers.drives.drive_yaml import DriveYaml, small_file
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
+from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.trajectories.recorded import MAX_LOCAL_M, check_fix
+from conetl.readers.trajectories.recorded import MAX_LOCAL_M, RecordedTrajectory, check_fix
 from conetl.readers.trajectories.times import clock_problem
 
 #: Time of a record, and its pose (4, 4) with six variances, or what is wrong with it.
@@ -89,11 +93,12 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
         topics = choose_topics(bag.types, settings.streams, path)
         recorded = _read_small(bag, topics, settings, content, path)
         rig, sensor_R_body = _rig(small_file(root, RIG_YAML), topics, recorded, settings, path)
-        srid, pose_at = _trajectory(topics, recorded, source, sensor_R_body)
+        srid, poses_at = _trajectory(topics, recorded, source, sensor_R_body)
         images = _read_images(bag, topics, rig, content, source.images_folder, root)
     couples = pairs.pair_by_stamp(images[topics.left], images[topics.right], settings.pair_tolerance_ns)
     if not couples:
         raise InputError(f"{path}: there are no images on {topics.left} and {topics.right}")
+    pose_at = poses_at([stamp for couple in couples if (stamp := pairs.time_of(couple)) is not None])
 
     def hash_of(path: Path) -> str:
         return "" if content.headers_only else path.stem  # an unpacked image is named by its hash
@@ -111,9 +116,9 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
     header.streams = ("the left", "the right camera's topic")
     header.add_file(path, messages.METADATA)
     add_settings(header.content, path, (RIG_YAML,))
-    for part in [file] if file.is_file() else sorted(path.glob("*.mcap")) + sorted(path.glob("*.db3")):
+    for part in [file] if file.is_file() else messages.parts_of(path):
         header.content.add(part.name, str(part.stat().st_size).encode())
-    with messages.open_bag(file) as bag:
+    with messages.open_bag(file, index_only=True) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
         header.content.add("index", repr((sorted(bag.counts.items()), bag.recorded_ns)).encode())
         header.frame_pairs = bag.counts[topics.left]
@@ -136,9 +141,12 @@ def _read_small(
     bag: messages.Bag, topics: Topics, settings: DriveYaml, content: pairs.ContentHash, source: Path
 ) -> _Recorded:
     """All messages of the drive except its images. Raises InputError."""
-    readers = {topics.trajectory: _odometry} if topics.imu is None else {topics.trajectory: _fix, topics.imu: _attitude}
+    readers = {topics.trajectory: _odometry if topics.is_local else _fix}
+    readers |= {} if topics.imu is None else {topics.imu: _attitude}
     infos = {topic for topic in (topics.left_info, topics.right_info) if topic}
-    transforms = {TF_STATIC} if bag.types.get(TF_STATIC) == TRANSFORMS else set()
+    # Foxglove's recordings have them on any topic.
+    known = {topic for topic, kind in bag.types.items() if kind == TRANSFORMS}
+    transforms = {TF_STATIC} if TF_STATIC in known else known
     found = _Recorded({}, {}, {}, {})
     rows: dict[str, list[_Row]] = {topic: [] for topic in readers}
     for message in bag.messages([*readers, *infos, *transforms]):
@@ -192,7 +200,7 @@ def _samples(
 
 def _fix(message: Any) -> tuple[Floats, Floats]:
     """Latitude, longitude, height in the translation; variances. Raises ValueError."""
-    if int(message.status.status) < 0:
+    if (status := getattr(message, "status", None)) is not None and int(status.status) < 0:
         raise ValueError("the receiver had no fix (status -1)")
     lat, lon, height = float(message.latitude), float(message.longitude), float(message.altitude)
     check_fix(lat, lon, height)
@@ -250,15 +258,21 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
 
 def _trajectory(
     topics: Topics, found: _Recorded, source: pairs.Source, sensor_R_body: Floats
-) -> tuple[int, Callable[[int], Pose]]:
-    """EPSG code of the map, and the body's pose at a time. Raises InputError."""
+) -> tuple[int, Callable[[Sequence[int]], Callable[[int], Pose]]]:
+    """EPSG code of the map, and a function that gives, for all exposures, the body's pose at each. Raises InputError."""
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
     sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
     raw = found.samples[topics.trajectory]
-    if topics.imu is None:
+    if topics.is_local:
         srid, placed = poses.georeferenced(source, raw.name, raw.map_SE3_body)
         track = poses.without_wild_fixes(raw._replace(map_SE3_body=se3.compose(placed, sensor_SE3_body)))
-        return srid, lambda time_ns: se3.to_pose(*poses.at(track, time_ns, gap_ns))
+        return srid, lambda _: lambda time_ns: se3.to_pose(*poses.at(track, time_ns, gap_ns))
+    if topics.imu is None:
+        recorded = RecordedTrajectory(
+            raw.name, np.array(raw.times_ns), raw.map_SE3_body[:, :3, 3], False, None, raw.sigma, raw.bad
+        )
+        srid, track = poses.placed(with_course(recorded), source, np.eye(3))
+        return srid, lambda times_ns: pose_reader(track, times_ns, source.settings.max_pose_gap_s, from_course=True)
     antenna_m = _antenna(topics, found, source.settings, path)
     attitude = found.samples[topics.imu]
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
@@ -275,7 +289,7 @@ def _trajectory(
         body = se3.se3(map_R_sensor @ sensor_R_body, fixed[:3, 3] - map_R_sensor @ antenna_m)
         return se3.to_pose(body, fix_sigma + turn_sigma)
 
-    return srid, pose_at
+    return srid, lambda _: pose_at
 
 
 def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> Floats:
@@ -304,25 +318,50 @@ def _read_images(
     """Images of both cameras by topic, in the order of recording; one is in memory at a time."""
     sides: dict[str, Side] = {topics.left: "left", topics.right: "right"}
     found: dict[str, list[pairs.Image]] = {topic: [] for topic in sides}
+    decoders = {topic: VideoDecoder() for topic in sides if bag.types[topic] == VIDEO}
+
+    def add(topic: str, number: int, data: bytes) -> None:
+        """Replace the image of a message by its file."""
+        image, camera = found[topic][number], stored_camera(rig, sides[topic])
+        path, problem = image.path, None
+        try:
+            header = check_image_bytes(data, _name_of(topic, image.stamp), (camera.width_px, camera.height_px))
+            if not content.headers_only or not any(p.path.is_file() for p in found[topic][:1]):
+                path = unpack(data, ".jpg" if header.format == "jpeg" else f".{header.format}", folder)
+        except ImageFileError as error:
+            problem = pairs.PairError(error.reason, str(error), path=_name_of(topic, image.stamp))
+        found[topic][number] = image._replace(path=path, problem=problem)
+
     for message in bag.messages(list(sides)):
-        topic = message.topic
-        stamp = _stamp_ns(message)
-        name = f"{topic}, image of {stamp} ns" if isinstance(stamp, int) else topic
-        path = Path(f"{source}#{topic}@{stamp}")
-        problem: pairs.PairError | None = None
-        if message.content is not None:
-            camera = stored_camera(rig, sides[topic])
-            try:
-                if not content.headers_only:
-                    content.add(f"{sides[topic]}/{len(found[topic])}", bytes(message.content.data))
-                    content.add(f"{sides[topic]}/{len(found[topic])}/stamp", str(stamp).encode())
-                data = messages.image_bytes(message.content, name)
-                header = check_image_bytes(data, name, (camera.width_px, camera.height_px))
-                if not content.headers_only or not any(p.path.is_file() for p in found[topic][:1]):
-                    path = messages.unpack(data, ".jpg" if header.format == "jpeg" else ".png", folder)
-            except pairs.PairError as error:
-                problem = error
-            except ImageFileError as error:
-                problem = pairs.PairError(error.reason, str(error), path=name)
-        found[topic].append(pairs.Image(stamp, path, problem))
+        topic, fields = message.topic, message.content
+        number, stamp = len(found[topic]), _stamp_ns(message)
+        lost = pairs.PairError(RejectionReason.IMAGE_UNREADABLE, f"{_name_of(topic, stamp)}: there is no image")
+        image = pairs.Image(stamp, Path(f"{source}#{topic}@{stamp}"), lost if topic in decoders else None)
+        found[topic].append(image)
+        if fields is None:
+            continue
+        try:
+            if not content.headers_only:
+                content.add(f"{sides[topic]}/{number}", bytes(fields.data))
+                content.add(f"{sides[topic]}/{number}/stamp", str(stamp).encode())
+            if topic not in decoders:
+                add(topic, number, image_bytes(fields, _name_of(topic, stamp)))
+                continue
+            for decoded, data in () if content.headers_only and number else decoders[topic].decode(number, fields):
+                add(topic, decoded, data)
+        except pairs.PairError as error:
+            found[topic][number] = image._replace(problem=error)
+        except ImageFileError as error:
+            problem = pairs.PairError(error.reason, str(error), path=_name_of(topic, stamp))
+            found[topic][number] = image._replace(problem=problem)
+    for topic, decoder in decoders.items():
+        with suppress(pairs.PairError, ImageFileError):
+            for number, data in decoder.rest():
+                add(topic, number, data)
+        if content.headers_only:  # the others are not decoded
+            found[topic][1:] = [image._replace(problem=None) for image in found[topic][1:]]
     return found
+
+
+def _name_of(topic: str, stamp: int | str) -> str:
+    return f"{topic}, image of {stamp} ns" if isinstance(stamp, int) else topic

@@ -41,6 +41,7 @@ def add_images(root: Path, rig_file: Path | None, proposal: Proposal) -> tuple[i
         raise InputError(
             f"{root}: there are no videos ({', '.join(sorted(VIDEO_SUFFIXES))}) and no folders of images here{hint}"
         )
+    _refuse_single_frames(streams)
     names = [stream.name for stream in streams]
     proposal.found.extend(_shown(streams))
     if len(streams) == 1 or "layout" in images:
@@ -64,6 +65,17 @@ def add_images(root: Path, rig_file: Path | None, proposal: Proposal) -> tuple[i
     facts, layout = video_facts(left.paths[0]), images.get("layout", "")
     across, down = 2 if "left" in layout else 1, 2 if "top" in layout else 1
     return facts.width_px // across, facts.height_px // down
+
+
+def _refuse_single_frames(streams: Sequence[Stream]) -> None:
+    """Raise InputError for frames of KITTI's object benchmark, which are not consecutive."""
+    for stream in streams:
+        calibrations = stream.paths[0].parent.parent / "calib"
+        if calibrations.is_dir() and {p.stem for p in stream.paths} <= {p.stem for p in calibrations.glob("*.txt")}:
+            raise InputError(
+                f"{calibrations}: there is one calibration per image, so these are single frames (KITTI object) and no drive; "
+                "locate what they show with 'conetl locate'"
+            )
 
 
 def _shown(streams: Sequence[Stream]) -> list[str]:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from conetl.files.documents import input_errors
 from conetl.geometry import rig as rigs
 from conetl.model.rig import Rig
 from conetl.readers.drives import pose_rows
@@ -26,20 +27,21 @@ def add_rig(root: Path, rig_file: Path | None, proposal: Proposal, size: tuple[i
         path = rig_file
         rig, kind = read_given_rig(path, size)
     else:
-        found, of_other_size, unread = rigs_in(root, size)
+        found, of_other_size, unread = _fitting(root, size, proposal.settings["images"])
         proposal.found.extend(of_other_size)
         if unread and not found and size is None and proposal.missing:
             return None  # one may fit once the size of the images is known
         if not found:
             proposal.found.extend(unread)
         replaces = (root / RIG_YAML).is_file() and RIG_YAML not in (path.name for path, _, _ in found)
-        if (
-            len({_numbers_of(rig) for _, rig, _ in found}) != 1 or replaces
-        ):  # a file that somebody made is not replaced without being asked
+        # A file that somebody made is not replaced without being asked.
+        if len({_numbers_of(rig) for _, rig, _ in found}) != 1 or replaces:
             names = ", ".join(path.name for path, _, _ in found) or "none that fits"
             cause = f"Found: {names}."
             if not found:
                 cause += " 'conetl calibrate' makes one from images of a board."
+            if of_other_size and "crop" not in proposal.settings["images"]:
+                cause += " If these images are a part of larger ones, or were padded or binned, state images.crop."
             proposal.missing.append(Missing(RIG, cause + f" It replaces {RIG_YAML}." * replaces))
             return None
         path, rig, kind = found[0]
@@ -50,6 +52,25 @@ def add_rig(root: Path, rig_file: Path | None, proposal: Proposal, size: tuple[i
     elif rigs.body_is_left_camera(rig) and not _has_pose_rows(root, proposal.settings):
         proposal.missing.append(Missing("mount"))
     return None if path == root / RIG_YAML else rig
+
+
+def _fitting(root: Path, size: tuple[int, int] | None, images: Mapping[str, Any]) -> FoundRigs:
+    """The calibrations for images of this size, or for larger ones of which these are the stated part."""
+    if images.get("crop") is None:
+        return rigs_in(root, size)
+    found = rigs_in(root, None)
+    part = FoundRigs([], [*found.of_other_size], found.unread)
+    for path, rig, kind in found.fitting:
+        with input_errors(f"{path}: images.crop"):
+            camera = rigs.cropped(rig, *images["crop"], binning=images.get("binning", 1)).left
+        if size in (None, (camera.width_px, camera.height_px)):
+            part.fitting.append((path, rig, kind))
+        else:
+            part.of_other_size.append(
+                f"calibration {path.name}: the stated part of its images has {camera.width_px} x {camera.height_px} pixels, "
+                f"these images have {size[0]} x {size[1]}"
+            )
+    return part
 
 
 def _numbers_of(rig: Rig) -> tuple[object, ...]:
