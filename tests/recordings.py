@@ -356,7 +356,7 @@ ONE_FOLDER = {
 }  # fmt: skip
 OLD_NAMES = {"left": ("left/GOPR0042.MP4", "left/GP010042.MP4"), "right": ("right/GOPR0042.MP4", "right/GP010042.MP4")}
 REGION = {"x_offset": 100, "y_offset": 40, "width": 800, "height": 240}
-POSITIONS = {"far_m": 0.02, "far_rad": 1e-2}
+POSITIONS = {"far_m": 0.02, "far_rad": 2e-2}
 VIDEO = {"off_grey": 3.0}
 
 

@@ -39,6 +39,14 @@ def find_format(path: Path) -> DriveFormat | None:
     return next((found for found in candidates if found.matches(path)), None)
 
 
+def open_drive(path: Path, *, headers_only: bool = False) -> tuple[DriveFormat | None, Source]:
+    """The format of a drive (None: no known one) and its files, which are found once. Raises InputError, StorageError."""
+    found = find_format(path)
+    settings = read_drive_yaml(path.resolve())
+    source = Source(path, path.resolve(), settings, ContentHash(headers_only=headers_only), settings.map_srid)
+    return found, source if found is None else source._replace(files=found.scan(path, settings))
+
+
 def read_drive(
     path: Path | str, *, map_srid: int | None = None, images_folder: Path | None = None, headers_only: bool = False
 ) -> tuple[Drive, list[Rejection]]:
@@ -58,12 +66,11 @@ def read_drive(
             raise InputError(f"{path}: there is no such folder; give the folder of one drive")
         if not is_remote(path):
             require_utf8(path)
-        found = find_format(path)
+        found, source = open_drive(path, headers_only=headers_only)
         if found is None:
             raise _not_a_drive(path)
-        root = path.resolve()
-        settings, content = read_drive_yaml(root), ContentHash(headers_only=headers_only)
-        source = Source(path, root, settings, content, map_srid or settings.map_srid, images_folder)
+        settings = source.settings
+        source = source._replace(map_srid=map_srid or settings.map_srid, images_folder=images_folder)
         control_file = _control_file(source)
         drive, rejections = found.read(source)
         drive = drive.model_copy(update={"rig": with_stated_shutters(drive.rig, settings.shutter)})

@@ -48,6 +48,32 @@ class Stream(NamedTuple):
         return self.paths[0].suffix.lower() in VIDEO_SUFFIXES
 
 
+class Files(NamedTuple):
+    """What a drive consists of, by the names of its files: the result of a format's `scan`."""
+
+    left: Stream
+    right: Stream
+    small: Mapping[str, Path] = {}
+    """Files whose content identifies the drive, by their names in it; some may not exist."""
+    logs: Mapping[str, Path] = {}
+    """Files that may be too long to read for a plan: trajectories and videos."""
+    listed: Mapping[str, Sequence[str]] = {}
+    """Names of the files in other folders."""
+
+    @property
+    def image_count(self) -> int:
+        """Number of frame pairs, also of those with one image: by equal names, if there are any."""
+        left, right = ({path.stem for path in stream.paths} for stream in (self.left, self.right))
+        return len(left | right) if left & right else max(len(left), len(right))
+
+
+def folder_stream(root: Path, name: str, remedy: str) -> Stream:
+    """The images of a folder. Raises InputError where it is missing; remedy: what to do."""
+    if not (root / name).is_dir():
+        raise InputError(f"{root}: the folder {name} is missing; {remedy}")
+    return Stream(name, tuple(image_files(root / name)))
+
+
 def names_in(data: Path, suffixes: Collection[str]) -> list[str]:
     """Sorted names of the files with one of these suffixes, without hidden ones."""
     return sorted(p.name for p in data.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith("."))

@@ -30,7 +30,7 @@ from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, index_video, region_of
 from conetl.readers.drives import pose_rows
-from conetl.readers.drives.camera_files import Stream, facts_of, find_streams, names_in, sides_of, stream_of
+from conetl.readers.drives.camera_files import Files, Stream, facts_of, find_streams, names_in, sides_of, stream_of
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, no_rig, rig_on_body, with_stated_shutters
 from conetl.readers.drives.image_times import CameraImages, listed, stamps_of_images, stated_start
@@ -77,11 +77,12 @@ def preview(root: Path, settings: DriveYaml, rig: Rig | None = None) -> Preview:
 def _read(source: Source, rig: Rig | None = None) -> Preview:
     """The drive. rig: instead of rig.yaml's. Raises InputError."""
     root, settings, content = source[1:4]
-    trajectory = _trajectory_file(root, settings)
+    files = source.files or scan(source.path, settings)
+    trajectory = _trajectory_of(files)
     of_cameras = pose_rows.looks_like(trajectory)
     rig, sensor_R_body = _rig(root, settings, content, rig, of_cameras=of_cameras)
     rig = with_stated_shutters(rig, settings.shutter)
-    cameras = _cameras(root, settings.images, rig, content)
+    cameras = _cameras(files, root, settings.images, rig, content)
     _add_files(trajectory, root, content)
     if of_cameras:
         images = listed(cameras[0], settings.images.timestamps, source, None)
@@ -104,24 +105,22 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     return Preview(timing, drive.model_copy(update={"clock_sigma_s": timing.clock.sigma_s or None}), rejections)
 
 
-def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
-    """Sizes and pieces of the files; times only where drive.yaml states when the first frame was taken."""
+def scan(path: Path, settings: DriveYaml) -> Files:
+    """Images or videos, the trajectory and rig.yaml."""
     root = path.resolve()
-    streams = camera_streams(root, settings.images)
-    header.streams = [stream.name for stream in streams]
-    for stream in streams:
-        if stream.is_video:
-            for video in stream.paths:
-                header.add_samples(root, video.relative_to(root).as_posix())
-        else:
-            header.add_names(stream.name, stream.paths)
-    trajectory = _trajectory_file(root, settings)
-    header.add_samples(root, trajectory.relative_to(root).as_posix())
+    left, right = camera_streams(root, settings.images)
+    videos = [path for stream in (left, right) if stream.is_video for path in stream.paths]
+    logs = {file.relative_to(root).as_posix(): file for file in [*videos, _trajectory_file(root, settings)]}
+    return Files(left, right, {RIG_YAML: root / RIG_YAML}, logs)
+
+
+def read_header(source: Source, header: HeaderFacts) -> None:
+    """Times only where drive.yaml states when the first frame was taken; the rig must be there."""
+    root, settings, files = source.root, source.settings, source.files or scan(source.path, source.settings)
+    trajectory, left = _trajectory_of(files), files.left
     remark = unknown_heights(trajectory, settings.trajectory) if settings.sigmas.vertical_m is None else None
     header.remarks += [remark] if remark else []
-    header.add_file(root, RIG_YAML)
     _rig(root, settings, ContentHash(), of_cameras=pose_rows.looks_like(trajectory))
-    left = streams[0]
     if left.is_video:
         facts = facts_of(left)
         header.frame_pairs = facts.frames
@@ -132,6 +131,11 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
         header.remarks += assumed
         if stamps:
             header.set_times(stamps, root / left.name)
+
+
+def _trajectory_of(files: Files) -> Path:
+    """The trajectory, which is the last log."""
+    return [*files.logs.values()][-1]
 
 
 def _rig(
@@ -164,10 +168,9 @@ def _rig(
     return rig_on_body(rig, rigs.body_SE3_camera(rig, "left"), settings, path)
 
 
-def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> list[CameraImages]:
+def _cameras(files: Files, root: Path, settings: Images, rig: Rig, content: ContentHash) -> list[CameraImages]:
     """Left and right camera. Raises InputError."""
-    streams = camera_streams(root, settings)
-    left, right = streams
+    left, right = files[:2]
     if left.is_video != right.is_video:
         file, other = (left, right) if left.is_video else (right, left)
         raise InputError(
@@ -175,14 +178,14 @@ def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> li
             f"folders in {DRIVE_YAML}"
         )
     if not left.is_video:
-        return [CameraImages(stream.name, [*stream.paths], np.empty(0), None, []) for stream in streams]
+        return [CameraImages(stream.name, [*stream.paths], np.empty(0), None, []) for stream in (left, right)]
     videos: dict[Path, VideoIndex] = {}
     for path in dict.fromkeys([*left.paths, *right.paths]):
         videos[path] = index_video(path, hashed=not content.headers_only)
         content.add(path.relative_to(root).as_posix(), b"".join(videos[path].sha256s))
     return [
         _video_camera(stream.name, [videos[path] for path in stream.paths], settings, rig, side)
-        for side, stream in zip(SIDES, streams, strict=True)
+        for side, stream in zip(SIDES, (left, right), strict=True)
     ]
 
 

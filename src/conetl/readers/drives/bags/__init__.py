@@ -45,6 +45,7 @@ from conetl.readers.drives.bags.topics import (
     rig_of_infos,
     transforms_of,
 )
+from conetl.readers.drives.camera_files import Files, Stream
 from conetl.readers.drives.drive_yaml import DriveYaml, small_file
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
@@ -108,14 +109,19 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     )
 
 
-def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
-    """The bag's index, its number of left images, first and last message by the recorder's clock; rig.yaml, no messages."""
-    file = messages.bag_files(path.resolve())  # a linked file by its own name, which is the drive's id
+def scan(path: Path, settings: DriveYaml) -> Files:
+    """The bag's own metadata, and rig.yaml."""
+    del settings
+    small = {messages.METADATA: path / messages.METADATA, RIG_YAML: small_file(path, RIG_YAML)}
+    return Files(Stream("the left", ()), Stream("the right camera's topic", ()), small)
+
+
+def read_header(source: pairs.Source, header: HeaderFacts) -> None:
+    """Sizes and index of the bag, its number of left images, first and last message by the recorder's clock; no messages."""
+    path, root, settings = source[:3]
+    file = messages.bag_files(root)  # a linked file by its own name, which is the drive's id
     if file is None:
         raise InputError(f"{path}: this is not a bag")
-    header.streams = ("the left", "the right camera's topic")
-    header.add_file(path, messages.METADATA)
-    add_settings(header.content, path, (RIG_YAML,))
     for part in [file] if file.is_file() else messages.parts_of(path):
         header.content.add(part.name, str(part.stat().st_size).encode())
     with messages.open_bag(file, index_only=True) as bag:

@@ -40,7 +40,7 @@ def add_rig(root: Path, rig_file: Path | None, proposal: Proposal, size: tuple[i
             cause = f"Found: {names}."
             if not found:
                 cause += " 'conetl calibrate' makes one from images of a board."
-            if of_other_size and "crop" not in proposal.settings["images"]:
+            if not found and of_other_size and "crop" not in proposal.settings["images"]:
                 cause += " If these images are a part of larger ones, or were padded or binned, state images.crop."
             proposal.missing.append(Missing(RIG, cause + f" It replaces {RIG_YAML}." * replaces))
             return None
