@@ -324,17 +324,22 @@ def _answers(folder: Path, missing: Sequence[Missing], *, yes: bool, as_json: bo
     """Values of what is missing, by their keys: those that are proposed, or else those that a person types at a terminal."""
     if yes:
         return {each.key: each.suggestion for each in missing if each.suggestion is not None and each.required}
-    if as_json or not (sys.stdin.isatty() and sys.stdout.isatty()):
+    if as_json or not _is_terminal():
         return {}
     say(f"{folder}: these values are missing:\n{_listed(missing)}")
     answers: dict[str, Any] = {}
     with at_a_question():
         for each in missing:
-            proposed = None if each.suggestion is None else in_yaml(each.suggestion)
+            proposed = each.suggestion if is_text(each.key) or each.suggestion is None else in_yaml(each.suggestion)
             text = str(typer.prompt(each.key, default=proposed or "", show_default=proposed is not None)).strip()
             if text:
                 answers[each.key] = text if each.key == RIG or is_text(each.key) else parse_yaml(each.key, text)
     return answers
+
+
+def _is_terminal() -> bool:
+    """Whether a person can be asked."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
 
 
 def _listed(missing: Sequence[Missing]) -> str:

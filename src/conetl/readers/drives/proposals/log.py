@@ -29,6 +29,7 @@ _TAKEN = {
 _UNSTATED = ("columns", "date", "time", "crs", "heights")
 #: What is tried, and proposed, for keys that a table does not state.
 _TRIED = {"time": "utc", "heights": "ellipsoidal"}
+_TIME_OF_DAY = re.compile(r"found '\d\d?:\d\d")
 #: What those errors advise, which a template has its own place for.
 _REMEDY = re.compile(r"(?:[:;.?]) (?:put|name them) (?=.*drive\.yaml)", re.IGNORECASE)
 
@@ -94,8 +95,18 @@ def _read_as_far_as_known(path: Path, settings: Mapping[str, Any], proposal: Pro
             value = _day_of(path) if unstated == "date" else _TRIED.get(unstated)
             proposal.missing.append(Missing(f"trajectory.{unstated}", _REMEDY.split(str(error))[0], value))
             if value is None:
+                _add_possible(proposal, path, str(error), tried)
                 return None
             tried[unstated] = value
+
+
+def _add_possible(proposal: Proposal, path: Path, error: str, tried: Mapping[str, Any]) -> None:
+    """What may be missing, too, of a table whose columns are unknown."""
+    if "date" not in tried and _TIME_OF_DAY.search(error):
+        cause = "if no column has the day"
+        proposal.missing.append(Missing("trajectory.date", cause, _day_of(path), required=False))
+    if value_at(proposal.settings, "sigmas.horizontal_m") is None:
+        proposal.missing.append(Missing("sigmas.horizontal_m", "if no column has them", required=False))
 
 
 def _day_of(path: Path) -> str:
