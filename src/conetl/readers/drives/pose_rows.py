@@ -29,6 +29,8 @@ _NOT_A_ROTATION = 2e-3
 #: Least mean component of the cameras' upward direction along the axis of the frame that points up.
 _UPRIGHT = 0.9
 _MOST_FILES = 500
+#: Rows of 200 characters of half a million images.
+_MOST_BYTES = 100_000_000
 _SUFFIXES = frozenset({".txt", ".csv", ".kitti"})
 
 
@@ -54,6 +56,8 @@ def read(path: Path, images: Sequence[Image], rig: Rig) -> RecordedTrajectory:
     Of a file in the frame of the first camera, the frame is that of the body at its first row. rig: with the left camera on the
     body. Raises InputError where rows and images do not belong together, or no row is a pose.
     """
+    if path.stat().st_size > _MOST_BYTES:
+        raise InputError(f"{path}: expected at most {_MOST_BYTES:,} bytes")
     lines = [line for _, block in line_blocks(path) for line in block if line.strip()]
     rows = _table(of_images(lines, [image.path for image in images]))
     if len(rows) != len(images):

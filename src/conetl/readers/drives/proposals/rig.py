@@ -89,11 +89,10 @@ def _has_pose_rows(root: Path, settings: Mapping[str, Any]) -> bool:
 
 
 def rigs_in(root: Path, size: tuple[int, int] | None) -> FoundRigs:
-    names = [
-        *names_in(root, RIG_SUFFIXES),
-        *(n for n in names_in(root, (".txt",)) if _CALIBRATION.search(_head(root / n))),
-    ]
-    return find_rigs([root / name for name in names if name != DRIVE_YAML], size)
+    """The calibrations in a folder for images of a size."""
+    texts = [name for name in names_in(root, (".txt",)) if _CALIBRATION.search(_head(root / name))]
+    names = {*names_in(root, RIG_SUFFIXES), *texts} - {DRIVE_YAML}
+    return find_rigs([root / name for name in sorted(names)], size)
 
 
 def _head(path: Path) -> str:
