@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from functools import cache
 from pathlib import Path
 
@@ -14,12 +15,16 @@ from typer.testing import CliRunner
 from conetl.cli.app import app
 from conetl.geometry import rig as rigs
 from conetl.model.drive import Drive
-from conetl.perception.rectified_image import read_pair_image
+from conetl.model.health import Verdict
+from conetl.perception.rectified_image import read_pair_image, read_rig_image
+from conetl.perception.unguided_odometry import measure_motions
 from conetl.pipeline.analysis import analyse
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import read_header
+from conetl.readers.rigs import read_rig
 from tests import recordings
+from tests.folders import SHARED
 from tests.recordings import Layout, Recorded
 from tests.unit.readers import drive_formats as formats
 
@@ -36,6 +41,7 @@ def georeference() -> str:
     return f"{{lon_deg: {lon!r}, lat_deg: {lat!r}, height_m: {height!r}, ATTITUDE}}"
 
 
+ODOMETRY = SHARED / "kitti_odometry_20"
 LAYOUTS = recordings.layouts(georeference())
 
 
@@ -116,3 +122,29 @@ def test_cones_are_where_those_of_the_sample_drive_are(name: str, tmp_path: Path
     found = np.array([t.xyz_m for t in analyse(drive, settings=Settings(home=tmp_path / "home", workers=2)).tracks])
     assert len(found) == len(cones)
     assert np.linalg.norm(found[:, None] - cones, axis=2).min(axis=0).max() < 0.02
+
+
+@pytest.mark.skipif(not ODOMETRY.is_dir(), reason=f"KITTI odometry is not at {ODOMETRY}")
+def test_kitti_odometry_becomes_a_drive_in_one_round(tmp_path: Path) -> None:
+    """Real images; the poses are those of visual odometry."""
+    root = tmp_path / "02"
+    shutil.copytree(ODOMETRY, root, ignore=shutil.ignore_patterns("*.md"))
+    rig = read_rig(root / "calib_cam_to_cam.txt")
+    seconds = [float(word) for word in (root / "times.txt").read_text().split()]
+    folders = {side: sorted((root / f"image_{camera}").iterdir()) for side, camera in (("left", 2), ("right", 3))}
+    motions = measure_motions(
+        [round(time_s * 1e9) for time_s in seconds], rig, lambda n, side: read_rig_image(folders[side][n], rig, side)
+    )
+    poses = [np.eye(4)]
+    for motion in motions:
+        poses.append(poses[-1] @ np.linalg.inv(np.reshape(motion.second_SE3_first, (4, 4))))
+    rows = (" ".join(f"{value:.9e}" for value in pose[:3].reshape(-1)) for pose in poses)
+    (root / "poses.txt").write_text("\n".join(rows))
+    place = "{lon_deg: 8.43, lat_deg: 49.002, height_m: 116, heading_deg: 57}"
+    words = ["--yes", "--set", f"georeference={place}", "--set", "sigmas.horizontal_m=0.1"]
+    result = CliRunner().invoke(app, ["init", str(root), *words])
+    assert result.exit_code == 0, (result.output, result.exception)
+    drive, rejections = read_drive(root)
+    assert (len(drive.frame_pairs), rejections) == (20, [])
+    found = analyse(drive, settings=Settings(home=tmp_path / "home", workers=2))
+    assert [check for check in found.health if check.verdict is Verdict.HOLD] == []
