@@ -5,10 +5,11 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ import yaml
 from conetl.cli.map.work_zones import Rules
 from conetl.exports.wzdx import read_feed_info
 from conetl.files.documents import read_yaml_model
-from conetl.model.errors import InputError
+from conetl.model.errors import ConetlError, InputError
 from conetl.model.params import ImportParams, IngestParams
 from conetl.model.rejections import Rejection
 from conetl.model.rig import Camera, Rig
@@ -36,9 +37,11 @@ from conetl.readers.base_layers.las_file import las_chunks, read_las_header
 from conetl.readers.base_layers.line_files import read_lane_lines, read_vector_file
 from conetl.readers.base_layers.lines import read_lanelet2
 from conetl.readers.base_layers.opendrive import read_opendrive
-from conetl.readers.drives import bag_messages, read_drive
+from conetl.readers.drives import read_drive
+from conetl.readers.drives.bags import messages as bag_messages
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import PairError
+from conetl.readers.drives.proposals import propose
 from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.recording import open_arriving
@@ -47,8 +50,10 @@ from conetl.readers.surveyed_points import read_surveyed_points
 from conetl.readers.trajectories import find_trajectories, read_trajectory
 from conetl.readers.trajectories.oxts import parse_oxts
 from conetl.readers.trajectories.times import misplaced, parse_timestamps
+from tests import recordings
 from tests.fuzz import video_files as videos
 from tests.prepared import prepared
+from tests.recordings import Recorded
 from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers
 from tests.unit.readers import test_device_rigs as device_rigs
@@ -77,10 +82,10 @@ def small_rig() -> Rig:
     return full.model_copy(update={"left": camera, "right": camera})
 
 
-def small_frames() -> list[formats.Frame]:
+def small_frames(count: int = FRAMES) -> list[formats.Frame]:
     pixels = np.random.default_rng(0).integers(0, 255, (HEIGHT // 8, WIDTH // 8, 3), np.uint8)
     image = bytes(cv2.imencode(".jpg", cv2.resize(pixels, (WIDTH, HEIGHT)))[1])
-    return [replace(frame, left=image, right=image) for frame in formats.sample_frames()[:FRAMES]]
+    return [replace(frame, left=image, right=image) for frame in formats.sample_frames()[:count]]
 
 
 def _of_small_images(line: str) -> str:
@@ -105,6 +110,32 @@ def write_drive(folder: Path, name: str) -> Path:
     if name == "bag":
         (path / "drive.yaml").write_text("pair_tolerance_ms: 4\nantenna_t_m: [0.4, -0.2, 1.1]\n")
     return path
+
+
+@cache
+def small_recording() -> Recorded:
+    frames = small_frames(formats.COUNT)
+    with tempfile.TemporaryDirectory() as folder:
+        drive = read_drive(formats.write_plain(Path(folder) / "run", frames, small_rig()))[0]
+    return Recorded(drive, frames)
+
+
+@prepared
+def write_layout(folder: Path, name: str, settings: str = "") -> Path:
+    """A layout of `tests/recordings.py`, with a drive.yaml."""
+    layout = recordings.layouts("{}")[name]
+    (folder / "run").mkdir()
+    path = layout.write(folder / "run", small_recording())
+    if settings:
+        (path / "drive.yaml").write_text(settings)
+    return path
+
+
+def read_after_init(path: Path, scratch: Path) -> object:
+    """What `conetl init` finds, then the drive."""
+    with suppress(ConetlError):
+        propose(path, {"sigmas": {"horizontal_m": 0.02}})
+    return read_whole_drive(path, scratch)
 
 
 def read_whole_drive(path: Path, scratch: Path) -> object:
@@ -353,6 +384,14 @@ for module, function in (
 ):  # fmt: skip
     setattr(module, function, cached(getattr(module, function)))
 
+ODOMETRY = """images: {left: image_2, right: image_3, timestamps: times.txt, start: '2026-03-02 10:00:00.25Z'}
+trajectory: {file: poses.txt}
+georeference: {lon_deg: 8.43, lat_deg: 49.0, height_m: 116, heading_deg: 57, roll_deg: 0.2, pitch_deg: -0.1}
+sigmas: {horizontal_m: 0.02}
+"""
+LISTED = "images: {left: left, right: right, timestamps: rgb.txt, right_timestamps: right.txt, crop: [0, 0, 96, 32]}\n"
+CHAPTERS = """images: {left: GX??0042_L.MP4, right: GX??0042_R.MP4, start: '2026-03-02 09:41:07.25Z', right_offset_s: 0}
+"""
 READERS: dict[str, Reader] = {
     **{name.replace(" ", "_"): Reader(write_drive(name), read_whole_drive) for name in formats.WRITERS},
     "kitti_arriving": Reader(write_drive("kitti"), read_arriving),
@@ -365,6 +404,12 @@ READERS: dict[str, Reader] = {
         videos.write_video("mp4", small_rig(), 6, "images: {{timestamps: times.txt, right_timestamps: times.txt}}\n"),
         videos.read_video_drive,
     ),
+    "foxglove": Reader(write_layout("Foxglove images"), read_whole_drive),
+    "foxglove_video": Reader(write_layout("Foxglove video"), read_whole_drive),
+    "packed_bag": Reader(write_layout(".db3.zstd"), read_whole_drive),
+    "kitti_odometry": Reader(write_layout("KITTI odometry, colour", ODOMETRY), read_after_init),
+    "listed_images": Reader(write_layout("TUM's rgb.txt", LISTED), read_after_init),
+    "chapters": Reader(write_layout("GoPro chapters in one folder", CHAPTERS), read_after_init),
     "video_search": Reader(videos.write_video("mp4", small_rig(), 40, "images: {{}}\n"), videos.search_times),
     "oxts": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/data/0000000000.txt", f)), read_oxts),
     "timestamps": Reader(lambda f: Path(shutil.copy(formats.SAMPLE / "oxts/timestamps.txt", f)), read_stamps),
@@ -395,6 +440,9 @@ READERS: dict[str, Reader] = {
         written("rig.yaml", yaml.safe_dump(device_rigs.rig_of_many()[0])), read_chosen_rig(pair=("l", "r"))
     ),
     "image_jpeg": Reader(written("a.jpg", image_bytes(".jpg")), read_one_image),
+    "image_tiff": Reader(written("a.tiff", image_bytes(".tiff")), read_one_image),
+    "image_bmp": Reader(written("a.bmp", image_bytes(".bmp")), read_one_image),
+    "image_webp": Reader(written("a.webp", image_bytes(".webp")), read_one_image),
     "image_png": Reader(written("a.png", image_bytes(".png", channels=4)), read_one_image),
     "points_las": Reader(lambda f: layers.write_las(f / "a.las", 50), read_points),
     "points_laz": Reader(lambda f: layers.write_las(f / "a.laz", 50), read_points),

@@ -19,7 +19,7 @@ from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.drive_yaml import read_drive_yaml
 from conetl.readers.drives.header import read_header
-from conetl.readers.drives.proposal import propose
+from conetl.readers.drives.proposals import propose
 from conetl.readers.drives.video import preview
 from conetl.readers.rigs import write_rig_yaml
 from tests.prepared import prepared

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import quote
@@ -9,7 +10,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from conetl.cli.console import JsonOption, answer, complain, note, print_json, say, spinner
+from conetl.cli.console import JsonOption, answer, at_a_question, complain, note, print_json, say, spinner
 from conetl.files.atomic import atomic_files
 from conetl.files.documents import parse_yaml, shown, validated
 from conetl.geometry.motion.rolling_shutter import shutter_of
@@ -21,7 +22,8 @@ from conetl.perception.video import frame_of, video_facts
 from conetl.readers.drives import find_format, kitti, plain, zed_recording
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml, stated
 from conetl.readers.drives.header import read_header
-from conetl.readers.drives.proposal import (
+from conetl.readers.drives.image_times import UnknownTimeError
+from conetl.readers.drives.proposals import (
     FILE_KEYS,
     Proposal,
     check_start,
@@ -30,10 +32,19 @@ from conetl.readers.drives.proposal import (
     still_valid,
     suggested,
 )
+from conetl.readers.drives.proposals.template import (
+    RIG,
+    Missing,
+    in_yaml,
+    is_key,
+    is_template,
+    is_text,
+    similar_keys,
+    template,
+)
 from conetl.readers.drives.summary import summarise
-from conetl.readers.drives.template import RIG, Missing, is_key, is_template, is_text, similar_keys, template
 from conetl.readers.drives.video import NAME, Preview, preview
-from conetl.readers.drives.video_timing import Timing, UnknownTimeError
+from conetl.readers.drives.video_timing import Timing
 from conetl.readers.rigs import RIG_YAML, write_rig_yaml
 from conetl.readers.trajectories.times import parse_timestamp
 
@@ -55,6 +66,7 @@ def init(
     rig: Annotated[
         Path | None, typer.Option(help="Calibration of the cameras, in any format of `conetl rig convert`.")
     ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Take every value that is proposed.")] = False,
     force: Annotated[
         bool,
         typer.Option(
@@ -65,8 +77,9 @@ def init(
 ) -> None:
     """Turn a folder with video or images, a GNSS/INS log and a calibration into a drive: write its drive.yaml.
 
-    Values that the folder does not show are listed, and have a place in drive.yaml: state them with --set, or fill them in and
-    run init again.
+    Values that the folder does not show are listed once, all together, with the reason and a proposal where there is one. On a
+    terminal they are asked for; otherwise state them with --set, take what is proposed with --yes, or fill them into drive.yaml
+    and run init again.
     """
     root = folder.resolve()
     if not root.is_dir():
@@ -81,17 +94,26 @@ def init(
     if kept and not as_json:
         say(f"  kept from {DRIVE_YAML}: {', '.join(kept)} (delete the file to start over)")
     stated_now = validated(stated(_with(kept, given)), DriveYaml, "--set").model_dump(mode="json", exclude_unset=True)
-    proposal = propose(root, stated_now, None if rig is None else root / _as_in_folder(root, str(rig)))
+    rig_file = None if rig is None else root / _as_in_folder(root, str(rig))
+    proposal = propose(root, stated_now, rig_file)
     for line in () if as_json else proposal.found:
         say(f"  {line}")
+    if any(each.required for each in proposal.missing):
+        answers = _answers(folder, proposal.missing, yes=yes, as_json=as_json)
+        if RIG in answers:
+            rig_file = root / _as_in_folder(root, str(answers.pop(RIG)))
+        if answers or rig_file is not None:
+            answered = validated(stated(_with(proposal.settings, answers)), DriveYaml, "--set")
+            proposal = propose(root, answered.model_dump(mode="json", exclude_unset=True), rig_file)
     settings, stated_images = proposal.settings, dict(proposal.settings["images"])
     found, missing = _tried(root, proposal)
     if found is None:
-        _write(root, settings, missing, None if rig is None else proposal.rig)  # one that was found is found again
+        _write(root, settings, missing, None if rig_file is None else proposal.rig)  # one that was found is found again
         _stop(folder, settings, missing, as_json)
     _add_timing(settings, found.timing)
     text = f"{folder / DRIVE_YAML}: {_counted(found)}"
-    if "clock" not in settings and _to_the_second(stated_images.get("start")):
+    # Poses with one row per image have the times of the images.
+    if "clock" not in settings and proposal.recorded is not None and _to_the_second(stated_images.get("start")):
         settings["clock"] = {"offset_s": 0.0, "sigma_s": _SIGMA_OF_A_SECOND_S}
         text += _of_whole_seconds(found)
     _write(root, settings, [], proposal.rig)
@@ -171,13 +193,15 @@ def _tried(root: Path, proposal: Proposal) -> tuple[Preview | None, list[Missing
 
     Raises ConetlError where the drive cannot be read for another reason; it is written, for a person to correct it.
     """
-    if proposal.missing or proposal.recorded is None:
+    if any(each.required for each in proposal.missing):
         return None, proposal.missing
-    check_start(root, proposal.settings, proposal.recorded)
+    if proposal.recorded is not None:
+        check_start(root, proposal.settings, proposal.recorded)
     try:
         return _previewed(root, proposal.settings, proposal.rig), []
     except UnknownTimeError as error:
-        value, reason = suggested(root, proposal.settings, proposal.recorded, error.key) or (None, None)
+        known = proposal.recorded and suggested(root, proposal.settings, proposal.recorded, error.key)
+        value, reason = known or (None, None)
         return None, [Missing(error.key, error.cause if reason is None else f"{error.cause}. {reason}", value)]
     except ConetlError as error:
         _write(root, proposal.settings, [], proposal.rig)
@@ -290,7 +314,43 @@ def _write(root: Path, settings: Mapping[str, Any], missing: Sequence[Missing], 
     with atomic_files(*(root / name for name in names)) as unfinished:
         if rig is not None:
             write_rig_yaml(rig, unfinished[0])
-        unfinished[-1].write_text(template(settings, missing), encoding="utf-8")
+        unfinished[-1].write_text(template(settings, [each for each in missing if each.required]), encoding="utf-8")
+
+
+# --------------------------------------------------------------------------- questions
+
+
+def _answers(folder: Path, missing: Sequence[Missing], *, yes: bool, as_json: bool) -> dict[str, Any]:
+    """Values of what is missing, by their keys: those that are proposed, or else those that a person types at a terminal."""
+    if yes:
+        return {each.key: each.suggestion for each in missing if each.suggestion is not None and each.required}
+    if as_json or not _is_terminal():
+        return {}
+    say(f"{folder}: these values are missing:\n{_listed(missing)}")
+    answers: dict[str, Any] = {}
+    with at_a_question():
+        for each in missing:
+            proposed = each.suggestion if is_text(each.key) or each.suggestion is None else in_yaml(each.suggestion)
+            text = str(typer.prompt(each.key, default=proposed or "", show_default=proposed is not None)).strip()
+            if text:
+                answers[each.key] = text if each.key == RIG or is_text(each.key) else parse_yaml(each.key, text)
+    return answers
+
+
+def _is_terminal() -> bool:
+    """Whether a person can be asked."""
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _listed(missing: Sequence[Missing]) -> str:
+    """The values, each with its option, the reason and what is proposed."""
+    return "".join(f"  {_as_option(each)}\n      {_reason(each)}\n" for each in missing)
+
+
+def _reason(missing: Missing) -> str:
+    if not missing.required:
+        return f"{missing.text}. May be left out."
+    return missing.text + (f". --yes takes {in_yaml(missing.suggestion)}" if missing.suggestion is not None else "")
 
 
 def _as_option(missing: Missing) -> str:
@@ -304,12 +364,17 @@ def _stop(folder: Path, settings: Mapping[str, Any], missing: Sequence[Missing],
     """List what is missing."""
     again = f"conetl init {quote(str(folder))}"
     if as_json:
-        listed = [{"option": _as_option(each), "text": each.text} for each in missing]
+        listed = [
+            {
+                "option": _as_option(each), "key": each.key, "text": each.text, "proposal": each.suggestion,
+                "required": each.required,
+            }
+            for each in missing
+        ]  # fmt: skip
         print_json({"settings": settings, "missing": listed, "next": [again]})
-    lines = "".join(f"  {_as_option(each)}\n      {each.text}\n" for each in missing)
     complain(
-        f"{folder / DRIVE_YAML} was written, but these values are missing:\n{lines}State them with these options, or write them "
-        f"into {DRIVE_YAML}, and run again: {again}"
+        f"{folder / DRIVE_YAML} was written, but these values are missing:\n{_listed(missing)}State them with these options, or "
+        f"write them into {DRIVE_YAML}, and run again: {again}"
     )
     raise typer.Exit(EXIT_NEEDS_ATTENTION)
 

@@ -46,7 +46,7 @@ def _problem(error: Any, context: Any) -> str:
 
 def _as_settings(name: str) -> list[str]:
     """`--set images.start=...` for `--start`: keys of drive.yaml of this name."""
-    from conetl.readers.drives.template import similar_keys  # the readers take time to load
+    from conetl.readers.drives.proposals.template import similar_keys  # the readers take time to load
 
     return [f"--set {key}=..." for key in similar_keys(name.lstrip("-"))]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
@@ -12,7 +13,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.packing import as_rows
 from conetl.model.arrays import Floats
 from conetl.model.drive import Pose
-from conetl.model.rig import Camera, Rig, Side
+from conetl.model.rig import CalibrationCovariance, Camera, Rig, Side
 
 
 def camera_of(rig: Rig, side: Side) -> Camera:
@@ -60,13 +61,43 @@ def resized(rig: Rig, width_px: int, height_px: int) -> Rig:
             "cx_px": sx * (camera.cx_px + 0.5) - 0.5, "cy_px": sy * (camera.cy_px + 0.5) - 0.5,
         })  # fmt: skip
         factors |= {f"{side}.{axis}_px": sx if "x" in axis else sy for axis in ("fx", "fy", "cx", "cy")}
-    covariance = rig.calibration_covariance
-    if covariance is not None:
-        scale = np.array([factors.get(name, 1.0) for name in covariance.names])
-        matrix = as_rows(np.array(covariance.matrix) * np.outer(scale, scale))
-        covariance = covariance.model_copy(update={"matrix": matrix})
-    names = {"rig_id": f"{rig.rig_id}-{width_px}x{height_px}", "calibration_covariance": covariance}
+    names = {"rig_id": f"{rig.rig_id}-{width_px}x{height_px}", "calibration_covariance": _scaled(rig, factors)}
     return rig.model_copy(update={**resized_cameras, **names})
+
+
+def cropped(rig: Rig, x_px: int, y_px: int, width_px: int, height_px: int, *, binning: int = 1) -> Rig:
+    """The rig of a part of the same images, each `binning` x `binning` pixels of it averaged to one.
+
+    x_px, y_px: the first column and row of the part, negative where images were padded; width_px, height_px: its size before
+    binning. The covariance is scaled. Raises ValueError for a part that is not within reach of the images.
+    """
+    size = width_px // binning, height_px // binning
+    factors, parts = dict[str, float](), dict[str, Camera]()
+    for side, camera in (("left", rig.left), ("right", rig.right)):
+        outside = x_px + width_px <= 0 or y_px + height_px <= 0 or x_px >= camera.width_px or y_px >= camera.height_px
+        if outside or min(size) < 1:
+            raise ValueError(
+                f"the part {x_px}, {y_px}, {width_px} x {height_px} is not one of {camera.width_px} x {camera.height_px} pixels"
+            )
+        parts[side] = camera.model_copy(update={
+            "width_px": size[0], "height_px": size[1], "fx_px": camera.fx_px / binning, "fy_px": camera.fy_px / binning,
+            "cx_px": (camera.cx_px - x_px + 0.5) / binning - 0.5, "cy_px": (camera.cy_px - y_px + 0.5) / binning - 0.5,
+        })  # fmt: skip
+        factors |= {f"{side}.{axis}_px": 1 / binning for axis in ("fx", "fy", "cx", "cy")}
+    names = {
+        "rig_id": f"{rig.rig_id}-{x_px},{y_px},{size[0]}x{size[1]}",
+        "calibration_covariance": _scaled(rig, factors),
+    }
+    return rig.model_copy(update={**parts, **names})
+
+
+def _scaled(rig: Rig, factors: Mapping[str, float]) -> CalibrationCovariance | None:
+    """The covariance of the calibration of a rig whose constants change by these factors."""
+    covariance = rig.calibration_covariance
+    if covariance is None:
+        return None
+    scale = np.array([factors.get(name, 1.0) for name in covariance.names])
+    return covariance.model_copy(update={"matrix": as_rows(np.array(covariance.matrix) * np.outer(scale, scale))})
 
 
 @lru_cache(maxsize=8)  # of a drive's one rig, or of a few while it is calibrated, for every frame pair

@@ -1,8 +1,8 @@
 """Image files -> arrays. A faulty file raises `ImageFileError`, which callers turn into a rejection.
 
 Faults of the storage are not properties of the image and must not be stored as rejections: they raise `StorageError`, and tasks
-try again. Size and end of a JPEG or PNG file are read from its bytes before it is decoded: reading a truncated JPEG can yield
-pixels of the image decoded before it (opencv#26488), and OpenCV takes images of up to 2^30 pixels.
+try again. Size and end of a file are read from its bytes before it is decoded (`image_headers.py`): reading a truncated JPEG can
+yield pixels of the image decoded before it (opencv#26488), and OpenCV takes images of up to 2^30 pixels.
 """
 
 from __future__ import annotations
@@ -10,11 +10,10 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -26,115 +25,21 @@ from conetl.model.arrays import Image
 from conetl.model.errors import StorageError
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import MAX_IMAGE_PIXELS
+from conetl.perception.image_headers import (
+    PNG_SIGNATURE,
+    ImageFormatError,
+    ImageHeader,
+    ImageTruncatedError,
+    inspect_image,
+)
 
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-#: Start-of-frame markers: all of C0..CF but DHT (C4), JPG (C8) and DAC (CC).
-_SOF = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-_STANDALONE = frozenset({0x01, *range(0xD0, 0xD8)})
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg"})
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp"})
 #: Larger files are not read at all.
 MAX_FILE_BYTES = 256 * 2**20
 #: A larger image has a byte for this many pixels: one with less shows nothing, and fills the memory.
 SMALL_PIXELS, MAX_PIXELS_PER_BYTE = 2**24, 200
 _HEAD_BYTES, _TAIL_BYTES = 2**16, 2**12
 _PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
-
-
-class ImageFormatError(ValueError):
-    """The bytes are neither a JPEG nor a PNG that could be decoded."""
-
-
-class ImageTruncatedError(ValueError):
-    """The file starts like an image but ends too early."""
-
-
-class ImageHeader(NamedTuple):
-    """Format ("jpeg" or "png") and size in pixels."""
-
-    format: str
-    width_px: int
-    height_px: int
-
-
-def inspect_image(data: bytes) -> ImageHeader:
-    """Header of a whole image file.
-
-    Raises ImageFormatError for anything but JPEG and PNG, ImageTruncatedError where the end is missing.
-    """
-    if not data:
-        raise ImageFormatError("the file is empty")
-    if data.startswith(_PNG_SIGNATURE):
-        return _inspect_png(data)
-    if data.startswith(b"\xff\xd8"):
-        return _inspect_jpeg(data)
-    raise ImageFormatError(f"the file is neither a JPEG nor a PNG; it begins with {data[:4].hex(' ')}")
-
-
-def _inspect_png(data: bytes) -> ImageHeader:
-    """Walk the chunks up to IEND and check the checksum of each."""
-    position = len(_PNG_SIGNATURE)
-    size: tuple[int, int] | None = None
-    view = memoryview(data)
-    while True:
-        if position + 12 > len(data):
-            raise ImageTruncatedError("the PNG ends before its IEND chunk")
-        length = int.from_bytes(data[position : position + 4], "big")
-        kind = data[position + 4 : position + 8]
-        end = position + 12 + length
-        if end > len(data):
-            raise ImageTruncatedError(f"the PNG ends inside its {kind.decode('latin-1')} chunk")
-        if zlib.crc32(view[position + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            raise ImageFormatError(f"the PNG's {kind.decode('latin-1')} chunk is damaged (checksum)")
-        if size is None:
-            if kind != b"IHDR" or length != 13:
-                raise ImageFormatError("the PNG does not begin with an IHDR chunk")
-            size = (int.from_bytes(data[position + 8 : position + 12], "big"),
-                    int.from_bytes(data[position + 12 : position + 16], "big"))  # fmt: skip
-        if kind == b"IEND":
-            break
-        position = end
-    return _header("png", *size)
-
-
-def _inspect_jpeg(data: bytes) -> ImageHeader:
-    """Walk the segments to the first scan, then look for the end marker.
-
-    Inside scan data every FF byte is stuffed, so FF D9 there is the end marker and nothing else.
-    """
-    position, size, scanned = 2, None, False
-    while not scanned:
-        if position + 4 > len(data):
-            raise ImageTruncatedError("the JPEG ends inside its header")
-        if data[position] != 0xFF:
-            raise ImageFormatError(f"the JPEG's header is damaged at byte {position}")
-        marker = data[position + 1]
-        if marker == 0xFF or marker in _STANDALONE:
-            position += 1 if marker == 0xFF else 2
-            continue
-        if marker == 0xD9:
-            raise ImageTruncatedError("the JPEG holds no image data")
-        length = int.from_bytes(data[position + 2 : position + 4], "big")
-        if length < (8 if marker in _SOF else 2):
-            raise ImageFormatError(f"the JPEG's header is damaged at byte {position}")
-        if position + 2 + length > len(data):
-            raise ImageTruncatedError("the JPEG ends inside its header")
-        if marker in _SOF:
-            body = data[position + 4 : position + 2 + length]
-            size = (int.from_bytes(body[3:5], "big"), int.from_bytes(body[1:3], "big"))
-        scanned = marker == 0xDA
-        position += 2 + length
-    # Some cameras pad the file; only padding may follow the end marker.
-    if not data[position:].rstrip(b"\x00\r\n ").endswith(b"\xff\xd9"):
-        raise ImageTruncatedError("the JPEG lacks its end marker (FF D9): the file is truncated")
-    if size is None:
-        raise ImageFormatError("the JPEG has no frame header")
-    return _header("jpeg", *size)
-
-
-def _header(kind: str, width: int, height: int) -> ImageHeader:
-    if width < 1 or height < 1:
-        raise ImageFormatError(f"the {kind.upper()} says it is {width} x {height} pixels")
-    return ImageHeader(kind, width, height)
 
 
 class ImageFileError(Exception):
@@ -156,7 +61,7 @@ def check_image_bytes(
     file_bytes: size of the file, where `data` is only a part of it.
     """
     try:
-        header = inspect_image(data)
+        header = inspect_image(data, file_bytes)
     except ImageTruncatedError as error:
         raise ImageFileError(RejectionReason.IMAGE_TRUNCATED, f"{name}: {error}; copy it again") from error
     except ImageFormatError as error:
@@ -191,7 +96,7 @@ def check_image_ends(path: Path, name: str, expected_size: tuple[int, int]) -> I
                 data = file.read(_HEAD_BYTES)
                 file.seek(-_TAIL_BYTES, 2)
                 data += file.read()
-    if data.startswith(_PNG_SIGNATURE):  # the chunks cannot be walked: the header's own, and the end's
+    if data.startswith(PNG_SIGNATURE):  # the chunks cannot be walked: the header's own, and the end's
         data = data[:33] + _PNG_END if data.rstrip(b"\0").endswith(_PNG_END) else data[:33]
     if data:
         try:
@@ -262,7 +167,7 @@ def read_upright_image(path: Path) -> Image:
     data = read_bytes(path)
     kind = check_image_bytes(data, path.name, None).format
     colour = _decoded(data, path.name, cv2.IMREAD_COLOR)
-    stored = _decoded(data, path.name, cv2.IMREAD_UNCHANGED) if kind == "png" else None
+    stored = _decoded(data, path.name, cv2.IMREAD_UNCHANGED) if kind in ("png", "tiff") else None
     # What IMREAD_COLOR lost: the depth of 16-bit images and transparency. Both decodings have the same orientation or they
     # cannot be put together (an orientation tag in such a PNG); then the plain one stays.
     if stored is None or stored.shape[:2] != colour.shape[:2]:

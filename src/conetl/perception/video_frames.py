@@ -100,6 +100,15 @@ def frames_between(path: Path, first_pts: int, last_pts: int) -> Iterator[tuple[
         decoder.close()
 
 
+def frame_pixels(frame: VideoFrame) -> Image:
+    """A decoded frame as (height, width, 3) uint8 in blue, green, red order. Raises ImageFileError."""
+    if frame.width * frame.height > MAX_IMAGE_PIXELS:
+        raise ImageFileError(
+            RejectionReason.IMAGE_WRONG_SIZE, f"a frame of {frame.width} x {frame.height} pixels is too large"
+        )
+    return _pixels(frame, None, grey=False)
+
+
 def _pixels(frame: VideoFrame, region: Region | None, *, grey: bool) -> Image:
     """(height, width, 3) in blue, green, red order or (height, width).
 

@@ -7,7 +7,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from conetl.files.atomic import LATEST, old_images, old_publications, old_results, remove, size_bytes
-from conetl.readers.drives.bag_messages import unpack
+from conetl.readers.drives.bags.images import unpack
 
 NOW = datetime.now(UTC)
 MONTH_AGO = NOW - timedelta(days=30)

@@ -6,6 +6,7 @@ import errno
 import io
 import struct
 import zlib
+from io import BytesIO
 from pathlib import Path
 
 import cv2
@@ -18,16 +19,8 @@ from PIL import Image
 from conetl.model.errors import StorageError
 from conetl.model.rejections import RejectionReason
 from conetl.perception import images
-from conetl.perception.images import (
-    ImageFileError,
-    ImageFormatError,
-    ImageTruncatedError,
-    check_image_ends,
-    inspect_image,
-    read_bytes,
-    read_image,
-    read_upright_image,
-)
+from conetl.perception.image_headers import ImageFormatError, ImageTruncatedError, inspect_image
+from conetl.perception.images import ImageFileError, check_image_ends, read_bytes, read_image, read_upright_image
 
 SIZE = (64, 48)
 IMAGE = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
@@ -47,6 +40,31 @@ def written(folder: Path, data: bytes, name: str = "0000000001.jpg") -> Path:
     path = folder / name
     path.write_bytes(data)
     return path
+
+
+def with_pillow(kind: str, **options: object) -> bytes:
+    file = BytesIO()
+    Image.fromarray(IMAGE[..., ::-1].copy()).save(file, kind, **options)
+    return file.getvalue()
+
+
+OTHERS = {
+    "tiff": encoded(".tif"), "tiff of one strip": with_pillow("TIFF"), "tiff LZW": with_pillow("TIFF", compression="tiff_lzw"),
+    "bmp": encoded(".bmp"), "webp": encoded(".webp", IMAGE, cv2.IMWRITE_WEBP_QUALITY, 90),
+    "webp lossless": with_pillow("WEBP", lossless=True), "webp with EXIF": with_pillow("WEBP", exif=b"Exif\0\0II*\0" + bytes(40)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_tiff_bmp_and_webp_are_read_whole_or_not_at_all(name: str, tmp_path: Path) -> None:
+    data = OTHERS[name]
+    assert inspect_image(data) == (name.split(maxsplit=1)[0], *SIZE)
+    image = read_image(written(tmp_path, data), SIZE)
+    np.testing.assert_array_equal(image, cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))
+    assert check_image_ends(written(tmp_path, data), "x", SIZE).format == name.split(maxsplit=1)[0]
+    for length in (3, 20, 30, len(data) // 2, len(data) - 30):
+        with pytest.raises(ImageFileError, match=r"ends|neither|begins|no known|key frame"):
+            read_image(written(tmp_path, data[:length]), SIZE)
 
 
 @pytest.mark.parametrize("data", [JPEG, PNG, PROGRESSIVE], ids=["jpeg", "png", "progressive with restarts"])

@@ -16,7 +16,7 @@ import numpy as np
 import yaml
 from pyproj import Transformer
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from conetl.geometry import pose as se3
@@ -321,11 +321,15 @@ def write_bag(
     rig: Rig,
     *,
     plugin: StoragePlugin = StoragePlugin.MCAP,
+    packed: bool = False,
     mangle: Callable[[str, int, bytes], bytes] = lambda topic, number, data: data,
     **options: Any,
 ) -> Path:
     messages = recording(root, frames, rig, **options)
-    with Writer(root, version=9, storage_plugin=plugin) as writer:
+    opened = Writer(root, version=9, storage_plugin=plugin)
+    if packed:
+        opened.set_compression(CompressionMode.FILE, CompressionFormat.ZSTD)
+    with opened as writer:
         topics = {
             topic: writer.add_connection(topic, kind, typestore=STORE)
             for topic, kind in dict.fromkeys((m[1], m[2]) for m in messages)
@@ -338,6 +342,11 @@ def write_bag(
     if options.get("odometry"):
         (root / "drive.yaml").write_text(georeference(frames))
     return root
+
+
+def packed_bag(root: Path, frames: list[Frame], rig: Rig) -> Path:
+    """Files compressed as a whole: .db3.zstd."""
+    return write_bag(root / "run", frames, rig, plugin=StoragePlugin.SQLITE3, packed=True)
 
 
 def as_ros1(content: Any) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -35,6 +34,7 @@ from tests.unit.readers.drive_formats import (
     changed,
     georeference,
     header,
+    packed_bag,
     sample_frames,
     sample_rig,
     write_bag,
@@ -515,7 +515,7 @@ def test_a_chunk_that_grows_beyond_the_limit_is_refused(
     at = data.index(bytes([6]), data.index(b"ros2"))  # the chunk, after the header
     file.write_bytes(data[: at + 25] + (2**40).to_bytes(8, "little") + data[at + 33 :])  # the size that it states
     assert len(read(path)[0].frame_pairs) == 3, "nobody allocates it"
-    monkeypatch.setattr("conetl.readers.drives.bag_messages.MAX_CHUNK_BYTES", 8 << 20)
+    monkeypatch.setattr("conetl.readers.drives.bags.messages.MAX_CHUNK_BYTES", 8 << 20)
     file.write_bytes(data)
     compressed_chunks(file, compression, bytes(9 << 20))
     with pytest.raises(DriveFolderError, match=f"{path.name}: .* larger than 8 MB"):
@@ -553,12 +553,13 @@ def test_a_type_with_other_fields_is_not_the_type(name: str, tmp_path: Path) -> 
         read(path)
 
 
-def test_a_bag_whose_files_are_compressed_as_a_whole_is_refused(tmp_path: Path) -> None:
-    path = write_bag(tmp_path / "run", FRAMES[:3], RIG)
-    text = (path / "metadata.yaml").read_text()
-    text = re.sub("compression_format:.*", "compression_format: zstd", text)
-    (path / "metadata.yaml").write_text(re.sub("compression_mode:.*", "compression_mode: file", text))
-    with pytest.raises(DriveFolderError, match="compressed as a whole"):
+def test_a_bag_whose_files_are_compressed_as_a_whole_grows_within_limits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = packed_bag(tmp_path, FRAMES[:3], RIG)
+    assert read_header(path).frame_pairs == 3
+    monkeypatch.setattr("conetl.readers.drives.bags.messages.MAX_GROWTH", 0.5)
+    with pytest.raises(DriveFolderError, match="unpacked, its files need more than the free space"):
         read(path)
 
 

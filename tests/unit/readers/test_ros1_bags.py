@@ -14,7 +14,7 @@ from rosbags.rosbag1.reader import Reader
 from conetl.model.drive import Drive
 from conetl.model.errors import DriveFolderError
 from conetl.pipeline.entries import Entry, find_entries
-from conetl.readers.drives import find_format, read_drive, ros_bag
+from conetl.readers.drives import bags, find_format, read_drive
 from conetl.readers.drives.header import read_header
 from tests.unit.readers.drive_formats import SIGMAS, georeference, sample_frames, sample_rig, write_ros1_bag
 
@@ -38,7 +38,7 @@ def test_a_folder_with_one_bag_is_a_drive(tmp_path: Path) -> None:
     file = write_ros1_bag(tmp_path / "day" / "run" / "2026-03-02-10-00-00", FRAMES, RIG, odometry=True)
     folder = file.parent
     (folder / "drive.yaml").write_text(georeference(FRAMES) + SIGMAS)
-    assert (find_format(folder), find_entries(tmp_path)) == (ros_bag, [Entry(folder)])
+    assert (find_format(folder), find_entries(tmp_path)) == (bags, [Entry(folder)])
     assert (read_header(folder).problem, read_header(folder).frame_pairs) == (None, len(FRAMES))
     drive = read(folder)
     assert (drive.drive_id, len(drive.frame_pairs)) == ("run", len(FRAMES))
@@ -87,7 +87,7 @@ def test_a_bag_without_an_index_is_refused(tmp_path: Path) -> None:
 def test_a_chunk_beyond_the_limit_is_refused(
     compression: Writer.CompressionFormat | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("conetl.readers.drives.bag_messages.MAX_CHUNK_BYTES", 200_000)
+    monkeypatch.setattr("conetl.readers.drives.bags.messages.MAX_CHUNK_BYTES", 200_000)
     file = write_ros1_bag(tmp_path / "run", FRAMES, RIG, compression=compression, chunk_bytes=1 << 20)
     with pytest.raises(DriveFolderError, match=r"chunk is .*larger than 0 MB: record smaller chunks"):
         read(file)

@@ -31,7 +31,7 @@ from conetl.readers.drives import find_format, read_drive, video
 from conetl.readers.drives.drive_yaml import DriveYaml, Mount, read_drive_yaml, stated
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.pairs import Image, pair_by_stamp
-from conetl.readers.drives.template import KEYS, Missing, is_template, template
+from conetl.readers.drives.proposals.template import KEYS, Missing, is_template, template
 from conetl.readers.rigs import WRITERS, read_rig_yaml, write_rig_yaml
 from conetl.reports.camera_images import ImageMissingError, image_file
 from conetl.reports.inspection_images import _middle_pair
@@ -279,14 +279,15 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
             (root / side / f"{n:04d}.jpg").hardlink_to(SAMPLE / camera / f"data/{n:010d}.jpg")
     write_rig_yaml(sample.rig, root / "rig.yaml")
     write_csv(root, video_drives.known_of(sample))
-    (root / "times.txt").write_text("\n".join(f"{p.captured_at_ns}" for p in sample.frame_pairs))
     made = init(root, "images.timestamps=time.txt")
     assert "images.timestamps: there is no file or folder time.txt in " in str(made.exception)
     assert not (root / "drive.yaml").exists()
     said = missing(init(root, "images.start=2026-03-02 09:41:07Z"))["images.timestamps"]
     assert "names of the images in left (0000.jpg to 0015.jpg) are not times" in said
     assert "images.start is for videos" in said
+    (root / "times.txt").write_text("\n".join(f"{p.captured_at_ns}" for p in sample.frame_pairs))
     (root / "local.txt").write_text("\n".join(f"{p.captured_at_ns + 3600 * 10**9}" for p in sample.frame_pairs))
+    assert "local.txt, times.txt each have one time per image" in missing(init(root))["images.timestamps"]
     made = init(root, "images.timestamps=local.txt")
     assert made.exit_code == 1 and "its own are from 2026-03-02T09:41:07" in made.output
     assert "trajectory.time: Europe/Berlin" in made.output
@@ -304,6 +305,9 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
     (root / "drive.yaml").unlink()
     (root / "drive.csv").rename(root / "short.csv")
     assert "one record per image;" not in missing(init(root))["images.timestamps"]
+    (root / "local.txt").unlink()
+    made = init(root)  # the only file with one time per image
+    assert made.exit_code == 0 and "times of the images: times.txt" in made.output, made.output
 
 
 @pytest.mark.parametrize("broken", ["mount: {forward_m: 1070, left_m: 0, up_m: 0}\n", "mount: {\n"])
@@ -328,7 +332,7 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
     for number, (text, message) in enumerate(
         {
             "images: {layout: left-right, left: left.mp4, start: '2026-03-02 10:00:00'}": "480 x 320 pixels, but the calibration",
-            start + ", left: front.mp4}": "the left camera's images cannot be identified",
+            start + ", left: front.mp4}": "there is no file or folder 'front.mp4'",
             "images: {from_s: 5, to_s: 2}": "to_s 2 is not after from_s 5",
             "images: {start: yesterday, right_offset_s: 0}": "drive.yaml: images.start: expected a time stamp",
             start + "}\ntrajectory: {file: rover.pos}": "rover.pos",
@@ -338,6 +342,7 @@ def test_what_is_missing_is_named(folder: Path, tmp_path: Path, sample: Drive) -
     ):
         copy = copied(folder, tmp_path / str(number), settings=text)
         (copy / "stills").mkdir()
+        (copy / "stills/0.jpg").touch()
         with pytest.raises(InputError, match=message):
             read_drive(copy)
     for name, message in (("drive.csv", "which file is the trajectory"), ("rig.yaml", r"rig\.yaml is missing")):
@@ -457,7 +462,7 @@ def test_init_lists_what_is_missing(folder: Path, tmp_path: Path) -> None:
     copy = copied(folder, tmp_path, "rig.yaml", "drive.csv")
     for side in ("left", "right"):
         (copy / f"{side}.mp4").rename(copy / f"GX01_{len(side)}.mp4")
-    assert "images.left: there is no file or folder GX02.mp4 in" in str(init(copy, "images.left=GX02.mp4").exception)
+    assert "images.left: there is no file or folder 'GX02.mp4' in" in str(init(copy, "images.left=GX02.mp4").exception)
     assert not (copy / "drive.yaml").exists()
     assert list(missing(init(copy))) == ["images.left", "trajectory.file", "rig"], "of two videos, the other one"
     (copy / "GX01_5.mp4").rename(copy / "right.mp4")
@@ -480,13 +485,13 @@ def test_a_drive_yaml_with_places_for_what_is_missing_can_be_completed(
     WRITERS["opencv"](read_rig_yaml(folder / "rig.yaml"), copy / "stereo.yml")
     video_drives.LOGS["GPX"].write(copy, video_drives.known_of(sample))
     path = copy / "drive.yaml"
-    assert list(missing(init(copy))) == ["sigmas.horizontal_m", "mount"]
+    assert list(missing(init(copy))) == ["images.start", "sigmas.horizontal_m", "mount"]
     text = path.read_text()
     assert "  # NEEDED, like 0.02: Accuracy of the positions, horizontally, in metres" in text
     assert "  # every: 2  # Use every n-th frame pair." in text
     empty = re.findall(r"^  (\w+):$", text, re.MULTILINE)
     assert empty == ["horizontal_m", "forward_m", "left_m", "up_m", "pitch_deg"]
-    assert list(missing(init(copy))) == ["sigmas.horizontal_m", "mount"] and path.read_text() == text
+    assert len(missing(init(copy))) == 3 and path.read_text() == text
     with pytest.raises(DriveFolderError, match=r"rig\.yaml is missing"):
         read_drive(copy)
     path.write_text(text.replace("  forward_m:\n", "  forward_m: 1.5\n"))
@@ -645,7 +650,8 @@ def test_init_does_not_ask_for_columns_where_another_value_is_wrong(folder: Path
     assert "no usable pose: line 2: expected a time stamp like" in said and "found '09:15:00'" in said, said
     said = str(init(copy, "trajectory.columns={date: Tag}").exception)
     assert "has no column 'Tag', which trajectory.columns names; its columns are Messtag, Zeit" in said, said
-    assert list(missing(init(copy, "trajectory.columns={date: Messtag}"))) == ["sigmas.horizontal_m"]
+    said = missing(init(copy, "trajectory.columns={date: Messtag}"))
+    assert list(said) == ["images.start", "sigmas.horizontal_m"] and "May be left out" in said["images.start"]
 
 
 def test_heights_of_unknown_reference_are_named(
@@ -950,7 +956,7 @@ def test_links_and_pipes_are_no_videos(folder: Path, tmp_path: Path) -> None:
         read_drive(copy)
     (copy / "left.mp4").unlink()
     os.mkfifo(copy / "left.mp4")
-    with pytest.raises(DriveFolderError, match="the left camera's images cannot be identified"):
+    with pytest.raises(DriveFolderError, match="this is neither a file nor a folder"):
         read_drive(copy)
     with pytest.raises(InputError, match="this is not a file"):
         video_facts(copy / "left.mp4")

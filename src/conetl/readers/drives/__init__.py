@@ -17,9 +17,10 @@ from conetl.geometry.packing import vec3
 from conetl.model.drive import CommonError, Drive
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.rejections import Rejection
-from conetl.readers.drives import euroc, kitti, plain, ros_bag, video
+from conetl.readers.drives import bags, euroc, kitti, plain, video
+from conetl.readers.drives.camera_files import image_files, names_in
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
-from conetl.readers.drives.formats import DriveFormat, image_files, names_in, with_stated_shutters
+from conetl.readers.drives.formats import DriveFormat, with_stated_shutters
 from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
 from conetl.readers.stated_sigmas import implausible_sigma
 from conetl.readers.surveyed_points import read_surveyed_points
@@ -28,7 +29,7 @@ from conetl.tracking.error_propagation import common_axes
 __all__ = ["FORMATS", "find_format", "read_drive", "zed_recording"]
 
 #: The first format that matches reads the drive.
-FORMATS: tuple[DriveFormat, ...] = (plain, euroc, ros_bag, video, kitti)
+FORMATS: tuple[DriveFormat, ...] = (plain, euroc, bags, video, kitti)
 _OF_ZED = frozenset({".svo", ".svo2"})
 
 
@@ -36,6 +37,14 @@ def find_format(path: Path) -> DriveFormat | None:
     """The format of a folder (or a bag's file), complete or not; None for anything else."""
     candidates = (found for found in FORMATS if found.READS_OBJECTS or not is_remote(path))
     return next((found for found in candidates if found.matches(path)), None)
+
+
+def open_drive(path: Path, *, headers_only: bool = False) -> tuple[DriveFormat | None, Source]:
+    """The format of a drive (None: no known one) and its files, which are found once. Raises InputError, StorageError."""
+    found = find_format(path)
+    settings = read_drive_yaml(path.resolve())
+    source = Source(path, path.resolve(), settings, ContentHash(headers_only=headers_only), settings.map_srid)
+    return found, source if found is None else source._replace(files=found.scan(path, settings))
 
 
 def read_drive(
@@ -57,12 +66,11 @@ def read_drive(
             raise InputError(f"{path}: there is no such folder; give the folder of one drive")
         if not is_remote(path):
             require_utf8(path)
-        found = find_format(path)
+        found, source = open_drive(path, headers_only=headers_only)
         if found is None:
             raise _not_a_drive(path)
-        root = path.resolve()
-        settings, content = read_drive_yaml(root), ContentHash(headers_only=headers_only)
-        source = Source(path, root, settings, content, map_srid or settings.map_srid, images_folder)
+        settings = source.settings
+        source = source._replace(map_srid=map_srid or settings.map_srid, images_folder=images_folder)
         control_file = _control_file(source)
         drive, rejections = found.read(source)
         drive = drive.model_copy(update={"rig": with_stated_shutters(drive.rig, settings.shutter)})

@@ -52,10 +52,14 @@ class Sigmas(Record):
 
 
 class Georeference(GeodeticPosition):
-    """Origin of a local trajectory (odometry, SLAM, motion capture), whose frame must be level, z up."""
+    """Origin of a local trajectory (odometry, SLAM, motion capture), whose frame has z up."""
 
     heading_deg: float = Field(ge=-360, le=360)
     """Direction of the frame's x axis, clockwise from true north; 90 where it points east."""
+    roll_deg: float = Field(default=0.0, ge=-90, le=90)
+    """Of a frame that is not level: positive with its left side (y) up ..."""
+    pitch_deg: float = Field(default=0.0, ge=-90, le=90)
+    """... and with its front (x) down."""
 
 
 class Streams(Record):
@@ -73,9 +77,10 @@ class Streams(Record):
 class Images(Record):
     """Stereo video, or folders of images, with a trajectory file beside them."""
 
-    left: str | None = setting("File or folder of the left camera.", "left.mp4", min_length=1)
-    """With `layout` the file that holds both images. Default: the one with left in its name."""
-    right: str | None = setting("File or folder of the right camera.", "right.mp4", min_length=1)
+    left: str | None = setting("File or folder of the left camera, or a pattern.", "left.mp4", min_length=1)
+    """With `layout` the file that holds both images. Default: the one with left in its name. A pattern (`*_left.png`,
+    `GX??0042.MP4`) names images, or the chapters of a video."""
+    right: str | None = setting("File or folder of the right camera, or a pattern.", "right.mp4", min_length=1)
     layout: Layout | None = setting(
         "Where left and right are in each frame of one file: left-right, right-left, top-bottom or bottom-top.",
         "left-right",
@@ -85,7 +90,7 @@ class Images(Record):
         "2026-03-02 11:00:00.250+01:00",
         min_length=1,
     )
-    """Without an offset in `timestamps_timezone`."""
+    """Without an offset in `timestamps_timezone`. Of images: the time of second 0 in `timestamps`."""
     timestamps: str | None = setting(
         "File with the time of each left image, one per line (UTC, or nanoseconds since 1970), or the trajectory if it has one "
         "record per image.",
@@ -100,12 +105,27 @@ class Images(Record):
         le=3600,
     )
     """Default: found from the motion in the images."""
+    crop: tuple[int, int, int, int] | None = setting(
+        "Part of the calibration's images that these are: first column and row (negative: padded), width, height.",
+        [0, 40, 1280, 640],
+    )
+    binning: int = setting(
+        "Pixels of the calibration's images that are one pixel here, in each direction; with crop.",
+        2,
+        default=1,
+        ge=1,
+        le=16,
+    )
     every: int = setting("Use every n-th frame pair.", 2, default=1, ge=1)
     from_s: float = setting("Start at this second of the left file.", 10, default=0.0, ge=0, le=1e7)
     to_s: float | None = setting("Stop at this second of the left file.", 70, gt=0, le=1e7)
 
     @model_validator(mode="after")
     def _check(self) -> Images:
+        if self.binning > 1 and self.crop is None:
+            raise ValueError(
+                "binning needs crop, the part of the calibration's images that was binned: [0, 0, width, height]"
+            )
         if self.to_s is not None and self.to_s <= self.from_s:
             raise ValueError(f"to_s {self.to_s:g} is not after from_s {self.from_s:g}")
         if self.left is not None and self.left == self.right:
@@ -195,7 +215,11 @@ class DriveYaml(Record):
     calibration: str | None = Field(default=None, min_length=1)
     """KITTI calib_cam_to_cam.txt, relative to the drive folder and inside it; the other two are beside it."""
     sigmas: Sigmas = Field(default=Sigmas(), description="Of the trajectory; they replace those of the log.")
-    georeference: Georeference | None = None
+    georeference: Georeference | None = setting(
+        "Where a local trajectory begins: longitude, latitude, ellipsoidal height of its origin, and the direction of its x axis "
+        "(of poses of the left camera: of the vehicle at the first one), clockwise from north.",
+        {"lon_deg": 8.43, "lat_deg": 49.002, "height_m": 116.0, "heading_deg": 57.0},
+    )
     streams: Streams = Streams()
     images: Images = Field(default=Images(), description="The videos or folders of images.")
     mount: Mount | None = setting(

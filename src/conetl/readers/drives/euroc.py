@@ -28,6 +28,7 @@ from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Camera, Rig, Side
 from conetl.readers.drives import pairs
+from conetl.readers.drives.camera_files import Files, folder_stream
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
 from conetl.readers.drives.poses import Samples, at, placed
@@ -68,22 +69,27 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     )
 
 
-def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
-    """Names and some sizes of the images, small files, pieces of the trajectory."""
+def scan(path: Path, settings: DriveYaml) -> Files:
+    """Images, times, calibrations and trajectories."""
     root = path.resolve()
     trajectories = [_stream_folder(root, name) for name in _trajectory_names(settings)]
     cameras = [_stream_folder(root, name) for name in _camera_names(settings).values()]
-    header.add_images(path, {f"{camera.relative_to(root).as_posix()}/data": camera / "data" for camera in cameras})
-    for camera in cameras:
-        name = camera.relative_to(root).as_posix()
-        header.add_file(path, f"{name}/data.csv")
-        header.add_file(path, f"{name}/{SENSOR_YAML}")
-    header.add_file(path, RIG_YAML)
-    for trajectory in trajectories:
-        name = trajectory.relative_to(root).as_posix()
-        header.add_samples(path, f"{name}/data.csv")
-        header.add_file(path, f"{name}/{SENSOR_YAML}")
-    left, _ = ([*_rows(camera / "data.csv", root, header.content)] for camera in cameras)
+    left, right = (
+        folder_stream(root, f"{camera.relative_to(root).as_posix()}/data", "expected the images of its data.csv")
+        for camera in cameras
+    )
+    small = [camera / name for camera in cameras for name in ("data.csv", SENSOR_YAML)]
+    small += [root / RIG_YAML, *(folder / SENSOR_YAML for folder in trajectories)]
+    logs = [folder / "data.csv" for folder in trajectories]
+    named, logged = ({file.relative_to(root).as_posix(): file for file in files} for files in (small, logs))
+    return Files(left, right, named, logged)
+
+
+def read_header(source: pairs.Source, header: HeaderFacts) -> None:
+    """The times of the left images; calibration and trajectory must be there."""
+    path, root, settings = source[:3]
+    cameras = [_stream_folder(root, name) for name in _camera_names(settings).values()]
+    left, _ = ([*_rows(camera / "data.csv", root, pairs.ContentHash())] for camera in cameras)
     header.set_times([_stamp(words[0], "") for _, words in left], path / cameras[0].relative_to(root) / "data.csv")
     _read_rig(path, settings, pairs.ContentHash())
     _trajectory_path(root, settings)

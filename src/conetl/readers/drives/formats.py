@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from conetl.model.drive import Drive
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig, Shutter
-from conetl.perception.images import IMAGE_SUFFIXES
+from conetl.readers.drives.camera_files import Files
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, ShutterSettings, small_file
 from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
@@ -30,6 +30,7 @@ from conetl.readers.trajectories.times import misplaced
 #: And pose files, or pieces of a trajectory: corrected poses often have as many digits.
 _SAMPLES = 16
 _SAMPLED_BYTES = 4096
+T = TypeVar("T")
 
 
 class DriveFormat(Protocol):
@@ -46,11 +47,14 @@ class DriveFormat(Protocol):
     def matches(self, path: Path) -> bool:
         """Whether a folder (or a file) looks like a drive of this format, complete or not."""
 
+    def scan(self, path: Path, settings: DriveYaml) -> Files:
+        """The files of a drive, by their names. Raises InputError where there can be none."""
+
     def read(self, source: Source) -> tuple[Drive, list[Rejection]]:
         """The drive and its rejections. Raises InputError where there is no usable pair."""
 
-    def read_header(self, path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
-        """Fill in the header without opening images. Raises the error that makes the drive unusable, after what is known."""
+    def read_header(self, source: Source, header: HeaderFacts) -> None:
+        """Add the times to the header, without opening images. Raises the error that makes the drive unusable."""
 
 
 @dataclass
@@ -58,44 +62,28 @@ class HeaderFacts:
     """The result of `read_header` of a format, and the hash of the small files and names that identify the drive."""
 
     content: ContentHash = field(default_factory=ContentHash)
-    streams: Sequence[str] = ()
-    """What holds the left and the right images, for messages."""
     frame_pairs: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
     remarks: list[str] = field(default_factory=list)
     """What the user of the drive has to know, although it can be read."""
 
-    def add_file(self, folder: Path, name: str) -> None:
-        """A small file, where it exists."""
-        if (folder / name).is_file():
-            self.content.add(name, read_table_bytes(folder / name))
-
-    def add_images(self, folder: Path, sides: Mapping[str, Path]) -> None:
-        """Names of all images and sizes of some, given the image folder of each side by its name. Raises InputError."""
-        self.streams = [*sides]
-        stems: set[str] = set()
-        for side, data in sides.items():
-            if not data.is_dir():
-                raise InputError(f"{folder}: the folder {side} is missing")
-            names = names_in(data, IMAGE_SUFFIXES)
-            sizes = [f"{name} {_size_of(data / name)}" for name in samples_of(names)]
-            self.content.add(side, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
-            stems |= {name.rsplit(".", 1)[0] for name in names}
-        self.frame_pairs = len(stems)
-
-    def add_samples(self, folder: Path, name: str) -> None:
-        """Size and some pieces of a trajectory, which may be too long to read for a plan."""
-        path = folder / name
-        if not path.is_file():
-            return
-        size = path.stat().st_size
-        pieces = [f"{size}\n".encode()]
-        with path.open("rb") as file:
-            for start in range(0, size, max(_SAMPLED_BYTES, (size - _SAMPLED_BYTES) // (_SAMPLES - 1))):
-                file.seek(start)
-                pieces.append(file.read(_SAMPLED_BYTES))
-        self.content.add(name, b"".join(pieces))
+    def add(self, files: Files) -> None:
+        """The names of all images and sizes of some, small files, and pieces of the others."""
+        self.frame_pairs = files.image_count
+        for stream in (files.left, files.right):
+            if stream.paths and not stream.is_video:
+                sizes = [f"{path.name} {_size_of(path)}" for path in samples_of(stream.paths)]
+                names = [path.name for path in stream.paths]
+                self.content.add(stream.name, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
+        for name, inner in files.listed.items():
+            self.content.add(name, "\n".join(inner).encode(errors="surrogateescape"))
+        for name, path in files.small.items():
+            if path.is_file():
+                self.content.add(name, read_table_bytes(path))
+        for name, path in files.logs.items():
+            if path.is_file():
+                self.content.add(name, _pieces_of(path))
 
     def set_times(self, stamps_ns: Sequence[int | str], path: Path) -> None:
         """First and last time that the reader accepts; texts are stamps that cannot be read. Raises InputError."""
@@ -107,9 +95,15 @@ class HeaderFacts:
         self.first_ns, self.last_ns = good[0], good[-1]
 
 
-def names_in(data: Path, suffixes: Collection[str]) -> list[str]:
-    """Sorted names of the files with one of these suffixes, without hidden ones."""
-    return sorted(p.name for p in data.iterdir() if p.suffix.lower() in suffixes and not p.name.startswith("."))
+def _pieces_of(path: Path) -> bytes:
+    """Size and some pieces of a file."""
+    size = path.stat().st_size
+    pieces = [f"{size}\n".encode()]
+    with path.open("rb") as file:
+        for start in range(0, size, max(_SAMPLED_BYTES, (size - _SAMPLED_BYTES) // (_SAMPLES - 1))):
+            file.seek(start)
+            pieces.append(file.read(_SAMPLED_BYTES))
+    return b"".join(pieces)
 
 
 def _size_of(path: Path) -> int | None:
@@ -120,12 +114,7 @@ def _size_of(path: Path) -> int | None:
         return None
 
 
-def image_files(data: Path) -> list[Path]:
-    """Sorted paths of the images in a folder, without hidden files."""
-    return [data / name for name in names_in(data, IMAGE_SUFFIXES)]
-
-
-def samples_of(names: Sequence[str]) -> Sequence[str]:
+def samples_of(names: Sequence[T]) -> Sequence[T]:
     """About 16 of the names, evenly distributed."""
     return names[:: max(1, len(names) // _SAMPLES)]
 

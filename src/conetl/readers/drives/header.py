@@ -17,6 +17,7 @@ from conetl.model.errors import ConetlError, ServiceError, is_storage_error
 from conetl.readers.drives import find_format, kitti
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings
+from conetl.readers.drives.pairs import Source
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,9 @@ def read_header(folder: Path) -> DriveHeader:
         settings = read_drive_yaml(folder)
         drive_id = settings.id_of(folder)
         if settings.control_points is not None and folder.is_dir():
-            inside(folder, settings.control_points.file, DRIVE_YAML)
-            facts.add_file(folder, settings.control_points.file)
+            path = inside(folder, settings.control_points.file, DRIVE_YAML)
+            if path.is_file():
+                facts.content.add(settings.control_points.file, path.read_bytes())
         facts.content.add("drive_id", drive_id.encode())
         if not is_remote(folder):
             require_utf8(folder)
@@ -68,9 +70,12 @@ def read_header(folder: Path) -> DriveHeader:
         if found is None and not is_remote(folder) and not folder.is_file():
             with os.scandir(folder):
                 pass  # raises OSError where it cannot be listed: then it may hold a drive
-        (found or kitti).read_header(folder, settings, facts)
+        files = (found or kitti).scan(folder, settings)
+        facts.add(files)
+        source = Source(folder, folder.resolve(), settings, facts.content, settings.map_srid, None, files)
+        (found or kitti).read_header(source, facts)
         if not facts.frame_pairs:
-            problem = f"there are no images in {' and '.join(facts.streams)}"
+            problem = f"there are no images in {files.left.name} and {files.right.name}"
     except OSError as error:
         problem = f"this cannot be read: {error.strerror or error}: {error.filename or folder}"
         readable = False

@@ -25,8 +25,9 @@ from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
 from conetl.readers.drives import oxts
+from conetl.readers.drives.camera_files import Files, Stream, image_files, names_in
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
-from conetl.readers.drives.formats import HeaderFacts, image_files, names_in, samples_of
+from conetl.readers.drives.formats import HeaderFacts, samples_of
 from conetl.readers.drives.pairs import (
     ContentHash,
     PairError,
@@ -62,8 +63,8 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     path, root, settings, content = source[:4]
     calibration = calibration_path(path, settings)
     rejections: list[Rejection] = []
-    left = _numbered_images(camera_folder(root, settings.cameras.left, settings), path, rejections)
-    right = _numbered_images(camera_folder(root, settings.cameras.right, settings), path, rejections)
+    files = source.files or scan(path, settings)
+    left, right = (_numbered_images(stream, rejections) for stream in files[:2])
     if not left and not right:
         raise InputError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
     size = first_size((paths[0] for _, paths in sorted(left.items())), content)
@@ -98,25 +99,36 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     return drive_of_pairs(pairs, rejections, len(numbers), source, rig, srid)
 
 
-def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
-    """Names and some sizes of the images, calibration, time stamps, names and some contents of the OXTS files."""
-    root = path.resolve()
-    cameras = (settings.cameras.left, settings.cameras.right)
-    header.add_images(path, {f"{name}/data": camera_folder(root, name, settings) for name in cameras})
-    with suppress(InputError):  # raised below; a drive without it has another header than with it
+def scan(path: Path, settings: DriveYaml) -> Files:
+    """Images, calibration, time stamps, and the names and some contents of the OXTS files."""
+    root, cameras = path.resolve(), settings.cameras
+    streams = []
+    for name in (cameras.left, cameras.right):
+        folder = camera_folder(root, name, settings)
+        if not folder.is_dir():
+            raise InputError(
+                f"{path}: the folder {name}/data is missing; expected KITTI's layout with left images in image_02/data and right "
+                "images in image_03/data"
+            )
+        streams.append(Stream(f"{name}/data", tuple(image_files(folder))))
+    data = root / "oxts" / "data"
+    records = {"oxts/data": names_in(data, (".txt",))} if data.is_dir() else {}
+    names = [OXTS_STAMPS, f"{cameras.left}/timestamps.txt"]
+    names += [f"oxts/data/{name}" for name in samples_of(records.get("oxts/data", []))]
+    small = {name: root / name for name in names}
+    with suppress(InputError):  # raised later; a drive without it has another header than with it
         calibration = calibration_path(path, settings)
-        for name in (calibration.name, VELO_TO_CAM, IMU_TO_VELO):
-            header.add_file(calibration.parent, name)
-    header.add_file(path, OXTS_STAMPS)
-    data = path / "oxts" / "data"
-    records = names_in(data, (".txt",)) if data.is_dir() else []
-    if data.is_dir():
-        header.content.add("oxts/data", "\n".join(records).encode(errors="surrogateescape"))
-    for name in samples_of(records):
-        header.add_file(path, f"oxts/data/{name}")
+        small |= {name: calibration.parent / name for name in (calibration.name, VELO_TO_CAM, IMU_TO_VELO)}
+    return Files(streams[0], streams[1], small, listed=records)
+
+
+def read_header(source: Source, header: HeaderFacts) -> None:
+    """The times of the left images; calibration and OXTS files must be there."""
+    path, root, settings = source[:3]
     stamps = f"{settings.cameras.left}/timestamps.txt"
-    header.set_times([*_stamps(path, stamps, settings, header.content).values()], path / stamps)
+    header.set_times([*_stamps(root, stamps, settings, ContentHash()).values()], path / stamps)
     read_rig_for(path, calibration_path(path, settings), None, settings, ContentHash())
+    records = source.files.listed.get("oxts/data", []) if source.files is not None else []
     if not any(is_number(Path(name).stem) for name in records):
         raise _no_poses(path)
 
@@ -160,21 +172,15 @@ def camera_folder(root: Path, name: str, settings: DriveYaml) -> Path:
     return (inside(root, name, DRIVE_YAML) if "cameras" in settings.model_fields_set else root / name) / "data"
 
 
-def _numbered_images(data: Path, folder: Path, rejections: list[Rejection]) -> dict[int, list[Path]]:
+def _numbered_images(stream: Stream, rejections: list[Rejection]) -> dict[int, list[Path]]:
     """Images by the number that is their name; images without a number are rejected, hidden files do not count."""
-    if not data.is_dir():
-        raise InputError(
-            f"{folder}: the folder {data.parent.name}/data is missing; expected KITTI's layout with left images in "
-            "image_02/data and right images in image_03/data"
-        )
-    paths = image_files(data)
-    for path in paths:
+    for path in stream.paths:
         if not is_number(path.stem):
-            name = f"{data.parent.name}/data/{path.name}"
+            name = f"{stream.name}/{path.name}"
             detail = f"{name}: the name is not a frame number such as 0000000044.png, so the image has no pose"
             reason = RejectionReason.IMAGE_UNREADABLE
             rejections.append(Rejection(step="frames", reason=reason, record=name, detail=detail, payload={}))
-    return _numbered(paths)
+    return _numbered(stream.paths)
 
 
 def is_number(stem: str) -> bool:

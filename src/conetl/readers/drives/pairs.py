@@ -20,7 +20,9 @@ from conetl.model.drive import Drive, FramePair, Pose
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import SIDES, Rig, Side
-from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, inspect_image, read_bytes
+from conetl.perception.image_headers import inspect_image
+from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
+from conetl.readers.drives.camera_files import Files
 from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.trajectories.times import misplaced, wrong_clocks
 
@@ -78,6 +80,8 @@ class Source(NamedTuple):
     """EPSG code of the map, where it is stated."""
     images_folder: Path | None = None
     """Where the images of a bag are unpacked to."""
+    files: Files | None = None
+    """What the format's `scan` found."""
 
 
 class ImageFile(NamedTuple):

@@ -28,9 +28,10 @@ from conetl.model.base import Height, Latitude, Longitude, Record
 from conetl.model.drive import Drive, Pose
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.model.rig import Rig
+from conetl.model.rig import SIDES, Rig
+from conetl.readers.drives.camera_files import Files, folder_stream
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, names_images
-from conetl.readers.drives.formats import HeaderFacts, add_settings, image_files, no_rig, overrides, own_rig
+from conetl.readers.drives.formats import HeaderFacts, add_settings, no_rig, overrides, own_rig
 from conetl.readers.drives.pairs import (
     ContentHash,
     PairError,
@@ -123,7 +124,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
     path, root, settings, content = source[:4]
     rig = read_plain_rig(root, settings, content)
-    left, right = _images(root / "left", path), _images(root / "right", path)
+    left, right = (_by_stem(stream.paths) for stream in (source.files or scan(path, settings))[:2])
     if not left and not right:
         raise InputError(f"{path}: there are no images (*.jpg, *.png) in left and right")
     found = Rows(path / TRAJECTORY)
@@ -165,15 +166,21 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     return drive_of_pairs(pairs, rejections, len(stems), source, rig, srid)
 
 
-def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
-    """Names and some sizes of the images, rig and trajectory."""
+def scan(path: Path, settings: DriveYaml) -> Files:
+    """Images, rig and trajectory."""
+    del settings
     root = path.resolve()
-    header.add_images(path, {side: root / side for side in ("left", "right")})
-    header.add_file(path, RIG_YAML)
-    rows = csv.DictReader(_trajectory(path, header.content).splitlines())
+    left, right = (folder_stream(root, side, "expected left/ and right/ with the same stems") for side in SIDES)
+    return Files(left, right, {name: root / name for name in (RIG_YAML, TRAJECTORY)})
+
+
+def read_header(source: Source, header: HeaderFacts) -> None:
+    """The times of the rows; the rig must be there."""
+    path, root, settings = source[:3]
+    rows = csv.DictReader(_trajectory(path, ContentHash()).splitlines())
     stamps = [stamp_or_problem(row.get("captured_at") or "", settings.timestamps_timezone) for row in rows]
     header.set_times(stamps, path / TRAJECTORY)
-    read_plain_rig(path, settings, ContentHash())
+    read_plain_rig(root, settings, ContentHash())
 
 
 def read_plain_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig:
@@ -196,11 +203,9 @@ def _wild_rows(poses: Mapping[str, Pose], times: Mapping[str, int | str]) -> dic
     return {timed[i][1]: f"{TRAJECTORY}, stem '{timed[i][1]}': {text}" for i, text in wild.items()}
 
 
-def _images(data: Path, folder: Path) -> dict[str, list[Path]]:
-    if not data.is_dir():
-        raise InputError(f"{folder}: the folder {data.name} is missing; expected left/ and right/ with the same stems")
+def _by_stem(paths: Sequence[Path]) -> dict[str, list[Path]]:
     found: dict[str, list[Path]] = {}
-    for path in image_files(data):
+    for path in paths:
         found.setdefault(path.stem, []).append(path)
     return found
 

@@ -180,8 +180,10 @@ def georeferenced(source: Source, stream: str, local: Floats) -> tuple[int, Floa
             "(ellipsoidal height) and the direction of its x axis, clockwise from true north"
         )
     srid = checked_srid(source.map_srid, origin.lat_deg, origin.lon_deg, source.root)
+    tilt = se3.rotation_from_rpy(*np.radians([origin.roll_deg, origin.pitch_deg, 0.0]))
+    level = se3.compose(se3.se3(tilt, np.zeros(3)), local)
     with input_errors(source.root):
-        return srid, local_to_map(srid, origin.lat_deg, origin.lon_deg, origin.height_m, origin.heading_deg, local)
+        return srid, local_to_map(srid, origin.lat_deg, origin.lon_deg, origin.height_m, origin.heading_deg, level)
 
 
 def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Floats) -> tuple[int, Samples]:

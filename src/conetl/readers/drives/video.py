@@ -1,8 +1,8 @@
 """Stereo video, or folders of images with times of their own, and a trajectory file beside them.
 
     drive/left.mp4, drive/right.mp4       two files; or one with both images in each frame (`images.layout` in drive.yaml);
-                                          or folders of images
-    drive/*.pos, *.out, *.csv ...         the trajectory, any file of `readers/trajectories`
+                                          or folders of images; or patterns of files (`camera_files`)
+    drive/*.pos, *.out, *.csv ...         the trajectory: a file of `readers/trajectories`, or `pose_rows`
     drive/rig.yaml                        the rig, with body_SE3_left
     drive/drive.yaml                      which files, when they begin, and all that a file does not say itself
 
@@ -12,11 +12,13 @@ Frames are decoded as the pipeline goes and never unpacked to disk. Their times 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from conetl.files.documents import input_errors
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.geodesy import CAMERA_R_BODY
@@ -25,24 +27,19 @@ from conetl.model.arrays import Floats
 from conetl.model.drive import Drive
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
-from conetl.model.rig import SIDES, Rig
-from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, index_video, region_of, video_facts
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, inside, names_images
-from conetl.readers.drives.formats import (
-    HeaderFacts,
-    add_settings,
-    image_files,
-    names_in,
-    no_rig,
-    rig_on_body,
-    with_stated_shutters,
-)
+from conetl.model.rig import SIDES, Rig, Side
+from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, index_video, region_of
+from conetl.readers.drives import pose_rows
+from conetl.readers.drives.camera_files import Files, Stream, facts_of, find_streams, names_in, sides_of, stream_of
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
+from conetl.readers.drives.formats import HeaderFacts, add_settings, no_rig, rig_on_body, with_stated_shutters
+from conetl.readers.drives.image_times import CameraImages, listed, stamps_of_images, stated_start
 from conetl.readers.drives.pairs import ContentHash, Source, drive_of_couples, time_of
 from conetl.readers.drives.poses import placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
-from conetl.readers.drives.video_timing import CameraImages, Timing, needed_span, stamps_of_images, stated_start, timed
+from conetl.readers.drives.video_timing import Timing, needed_span, timed
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
-from conetl.readers.trajectories import find_trajectories, read_trajectory, remarks_on
+from conetl.readers.trajectories import read_trajectory, remarks_on
 from conetl.readers.trajectories.recorded import of_images
 
 NAME, TITLE = "video", "video or images with a trajectory file"
@@ -80,12 +77,18 @@ def preview(root: Path, settings: DriveYaml, rig: Rig | None = None) -> Preview:
 def _read(source: Source, rig: Rig | None = None) -> Preview:
     """The drive. rig: instead of rig.yaml's. Raises InputError."""
     root, settings, content = source[1:4]
-    rig, sensor_R_body = _rig(root, settings, content, rig)
+    files = source.files or scan(source.path, settings)
+    trajectory = _trajectory_of(files)
+    of_cameras = pose_rows.looks_like(trajectory)
+    rig, sensor_R_body = _rig(root, settings, content, rig, of_cameras=of_cameras)
     rig = with_stated_shutters(rig, settings.shutter)
-    cameras = _cameras(root, settings.images, rig, content)
-    trajectory = _trajectory_file(root, settings)
+    cameras = _cameras(files, root, settings.images, rig, content)
     _add_files(trajectory, root, content)
-    recorded = read_trajectory(trajectory, settings.trajectory, needed_span(cameras, settings, root))
+    if of_cameras:
+        images = listed(cameras[0], settings.images.timestamps, source, None)
+        recorded, sensor_R_body = pose_rows.read(trajectory, images, rig), np.eye(3)
+    else:
+        recorded = read_trajectory(trajectory, settings.trajectory, needed_span(cameras, settings, root))
     from_course = recorded.rotations is None
     srid, track = placed(with_course(recorded), source, sensor_R_body)
     timing = timed(cameras, track, rig, source, from_course=from_course)
@@ -93,7 +96,7 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     if exposures_ns and not any(track.times_ns[0] <= stamp <= track.times_ns[-1] for stamp in exposures_ns):
         records = of_images((min(exposures_ns), max(exposures_ns)), track.times_ns)
         raise InputError(f"{trajectory}: there are no records{records}")
-    hashes = {p: c.video.sha256(n, c.region) for c in cameras if c.video is not None for n, p in enumerate(c.paths)}
+    hashes = {path: sha256 for c in cameras for path, sha256 in zip(c.paths, c.sha256s, strict=False)}
     pose_at = pose_reader(track, exposures_ns, settings.max_pose_gap_s, from_course=from_course)
     left, right = cameras
     drive, rejections = drive_of_couples(
@@ -102,44 +105,57 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     return Preview(timing, drive.model_copy(update={"clock_sigma_s": timing.clock.sigma_s or None}), rejections)
 
 
-def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
-    """Sizes and pieces of the files; times only where drive.yaml states when the first frame was taken."""
+def scan(path: Path, settings: DriveYaml) -> Files:
+    """Images or videos, the trajectory and rig.yaml."""
     root = path.resolve()
-    sources = _sources(root, settings.images)
-    header.streams = [source.name for source in sources]
-    for source in sources:
-        if source.is_dir():
-            header.add_images(root, {source.relative_to(root).as_posix(): source})
-        else:
-            header.add_samples(root, source.relative_to(root).as_posix())
-    trajectory = _trajectory_file(root, settings)
-    header.add_samples(root, trajectory.relative_to(root).as_posix())
+    left, right = camera_streams(root, settings.images)
+    videos = [path for stream in (left, right) if stream.is_video for path in stream.paths]
+    logs = {file.relative_to(root).as_posix(): file for file in [*videos, _trajectory_file(root, settings)]}
+    return Files(left, right, {RIG_YAML: root / RIG_YAML}, logs)
+
+
+def read_header(source: Source, header: HeaderFacts) -> None:
+    """Times only where drive.yaml states when the first frame was taken; the rig must be there."""
+    root, settings, files = source.root, source.settings, source.files or scan(source.path, source.settings)
+    trajectory, left = _trajectory_of(files), files.left
     has_sigma = settings.sigmas.vertical_m is not None
     header.remarks += remarks_on(trajectory, settings.trajectory, has_vertical_sigma=has_sigma)
-    header.add_file(root, RIG_YAML)
-    _rig(root, settings, ContentHash())
-    if not sources[0].is_dir():
-        facts = video_facts(sources[0])
+    _rig(root, settings, ContentHash(), of_cameras=pose_rows.looks_like(trajectory))
+    if left.is_video:
+        facts = facts_of(left)
         header.frame_pairs = facts.frames
         if (first_ns := stated_start(settings, root)) is not None:
             header.set_times([first_ns, first_ns + round(facts.duration_s * 1e9)], root / DRIVE_YAML)
     else:
-        stamps, assumed = stamps_of_images(sources[0], root, settings)
+        stamps, assumed = stamps_of_images(left.paths, root, settings)
         header.remarks += assumed
         if stamps:
-            header.set_times(stamps, sources[0])
+            header.set_times(stamps, root / left.name)
 
 
-def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None = None) -> tuple[Rig, Floats]:
-    """The rectified rig on the body, and sensor_R_body (3, 3). rig: instead of rig.yaml's. Raises InputError."""
+def _trajectory_of(files: Files) -> Path:
+    """The trajectory, which is the last log."""
+    return [*files.logs.values()][-1]
+
+
+def _rig(
+    root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None = None, *, of_cameras: bool
+) -> tuple[Rig, Floats]:
+    """The rectified rig on the body, and sensor_R_body (3, 3). Raises InputError.
+
+    rig: instead of rig.yaml's. of_cameras: the poses are those of the left camera, so the body needs no mount.
+    """
     path = root / RIG_YAML
     if rig is None:
         if not path.is_file():
             raise no_rig(root)
         rig = read_rig_yaml(path, pair=settings.pair)
     add_settings(content, root)
-    if settings.mount is not None:
-        mount = settings.mount
+    if settings.images.crop is not None:
+        with input_errors(f"{path}: images.crop"):
+            rig = rigs.cropped(rig, *settings.images.crop, binning=settings.images.binning)
+    no_mount = Mount(forward_m=0, left_m=0, up_m=0) if of_cameras and rigs.body_is_left_camera(rig) else None
+    if (mount := settings.mount or no_mount) is not None:
         turn = se3.rotation_from_rpy(*np.radians([mount.roll_deg, mount.pitch_deg, mount.yaw_deg]))
         # The camera's own axes are right, down, forward.
         body_SE3_left = se3.se3(turn @ CAMERA_R_BODY.T, [mount.forward_m, mount.left_m, mount.up_m])
@@ -152,64 +168,68 @@ def _rig(root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None 
     return rig_on_body(rig, rigs.body_SE3_camera(rig, "left"), settings, path)
 
 
-def _cameras(root: Path, settings: Images, rig: Rig, content: ContentHash) -> list[CameraImages]:
+def _cameras(files: Files, root: Path, settings: Images, rig: Rig, content: ContentHash) -> list[CameraImages]:
     """Left and right camera. Raises InputError."""
-    sources = _sources(root, settings)
-    if any(source.is_dir() for source in sources):
-        if files := [source for source in sources if not source.is_dir()]:
-            raise InputError(
-                f"{files[0]}: this is a file, the images of the other camera are a folder; name two files or two folders in "
-                f"{DRIVE_YAML}"
-            )
-        return [_folder_camera(root, source) for source in sources]
+    left, right = files[:2]
+    if left.is_video != right.is_video:
+        file, other = (left, right) if left.is_video else (right, left)
+        raise InputError(
+            f"{file.paths[0]}: this is a file, the images of the other camera are a folder ({other.name}); name two files or two "
+            f"folders in {DRIVE_YAML}"
+        )
+    if not left.is_video:
+        return [CameraImages(stream.name, [*stream.paths], np.empty(0), None, []) for stream in (left, right)]
     videos: dict[Path, VideoIndex] = {}
-    for source in dict.fromkeys(sources):
-        videos[source] = index_video(source, hashed=not content.headers_only)
-        content.add(source.relative_to(root).as_posix(), b"".join(videos[source].sha256s))
-    cameras = []
-    for side, source in zip(SIDES, sources, strict=True):
-        video, stored = videos[source], stored_camera(rig, side)
+    for path in dict.fromkeys([*left.paths, *right.paths]):
+        videos[path] = index_video(path, hashed=not content.headers_only)
+        content.add(path.relative_to(root).as_posix(), b"".join(videos[path].sha256s))
+    return [
+        _video_camera(stream.name, [videos[path] for path in stream.paths], settings, rig, side)
+        for side, stream in zip(SIDES, (left, right), strict=True)
+    ]
+
+
+def _video_camera(name: str, chapters: Sequence[VideoIndex], settings: Images, rig: Rig, side: Side) -> CameraImages:
+    """One camera of a video, whose chapters follow each other without a gap. Raises InputError."""
+    stored, paths, hashes, times, begin_s = stored_camera(rig, side), list[Path](), list[str](), list[Floats](), 0.0
+    for video in chapters:
         region = region_of(video, settings.layout, side)
         found = region[2:] if region else (video.width_px, video.height_px)
         if found != (stored.width_px, stored.height_px):
             raise InputError(
-                f"{source}: the {side} image has {found[0]} x {found[1]} pixels, but the calibration is for {stored.width_px} x "
-                f"{stored.height_px}; use the calibration of these images; if one file contains both, set "
+                f"{video.path}: the {side} image has {found[0]} x {found[1]} pixels, but the calibration is for "
+                f"{stored.width_px} x {stored.height_px}; use the calibration of these images; if one file contains both, set "
                 f"'images.layout' in {DRIVE_YAML}"
             )
-        paths = [Path(str(FrameRef(source, pts, region))) for pts in video.pts]
-        cameras.append(CameraImages(source.name, paths, video.times_s() - video.times_s()[0], video, region))
-    return cameras
+        paths += [Path(str(FrameRef(video.path, pts, region))) for pts in video.pts]
+        hashes += [video.sha256(number, region) for number in range(len(video.pts))]
+        times.append(video.times_s() - video.times_s()[0] + begin_s)
+        steps = np.diff(times[-1])
+        begin_s = float(times[-1][-1] + (np.median(steps) if len(steps) else 0.0))
+    return CameraImages(name, paths, np.concatenate(times), chapters[0], hashes)
 
 
-def _sources(root: Path, settings: Images) -> list[Path]:
-    """File or folder of the left and of the right camera, one file twice where it holds both. Raises InputError."""
-    videos = [root / name for name in names_in(root, VIDEO_SUFFIXES)]
-    whole = settings.layout is not None and len(videos) == 1
-    found: list[Path] = []
-    for side in SIDES:
-        named = settings.left if side == "left" or settings.layout else settings.right
-        candidates = [video for video in videos if whole or side in video.stem.lower()]
-        source = None
-        if named is not None:
-            source = inside(root, named, DRIVE_YAML)
-        elif len(candidates) == 1:
-            source = inside(root, candidates[0].name, str(root))
-        if source is None or not (source.is_dir() or source.is_file()):
-            raise InputError(
-                f"{root}: the {side} camera's images cannot be identified (videos: {', '.join(v.name for v in videos) or 'none'}"
-                f"). Name them in {DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, "
-                "layout: left-right}' for one file with both"
-            )
-        found.append(source)
-    return found
-
-
-def _folder_camera(root: Path, source: Path) -> CameraImages:
-    paths = image_files(source)
-    if not paths:
-        raise InputError(f"{source}: there are no images (*.jpg, *.png)")
-    return CameraImages(source.relative_to(root).as_posix(), paths, np.empty(0), None, None)
+def camera_streams(root: Path, settings: Images) -> tuple[Stream, Stream]:
+    """Files of the left and of the right camera, the same twice where one file holds both. Raises InputError."""
+    names: dict[Side, str | None] = {
+        "left": settings.left,
+        "right": settings.left if settings.layout else settings.right,
+    }
+    if None in names.values():
+        videos = [stream for stream in find_streams(root) if stream.is_video]
+        likely = sides_of([video.name for video in videos])
+        for side in SIDES:
+            candidates = [v.name for v in videos] if settings.layout and len(videos) == 1 else likely[side]
+            names[side] = names[side] or (candidates[0] if len(candidates) == 1 else None)
+            if names[side] is None:
+                listed_names = ", ".join(video.name for video in videos) or "none"
+                raise InputError(
+                    f"{root}: the {side} camera's images cannot be identified (videos: {listed_names}). Name them in "
+                    f"{DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, layout: "
+                    "left-right}' for one file with both"
+                )
+    left, right = (stream_of(root, str(names[side]), DRIVE_YAML) for side in SIDES)
+    return left, right
 
 
 def _add_files(path: Path, root: Path, content: ContentHash) -> None:
@@ -228,7 +248,7 @@ def _trajectory_file(root: Path, settings: DriveYaml) -> Path:
         if not (path.is_file() or path.is_dir()):
             raise InputError(f"{path}: the trajectory is missing")
         return path
-    found = find_trajectories(root)
+    found = pose_rows.find_logs(root)
     if len(found) != 1:
         names = ", ".join(path.name for path in found) or "none"
         raise InputError(

@@ -15,10 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.files.documents import read_bytes
 from conetl.geometry.motion.rolling_shutter import middle_row_s
 from conetl.geometry.motion.stereo_motion import RelativeMotion
-from conetl.model.arrays import Floats
 from conetl.model.drive import FramePair
 from conetl.model.errors import InputError
 from conetl.model.params import TrajectoryParams
@@ -26,14 +24,12 @@ from conetl.model.rig import Rig, Side
 from conetl.perception.images import ImageFileError
 from conetl.perception.rectified_image import read_rig_image
 from conetl.perception.unguided_odometry import measure_motions
-from conetl.perception.video import Region, VideoIndex
 from conetl.perception.video_sync import find_video_lag
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, DriveYaml, Images, inside
-from conetl.readers.drives.formats import image_files
-from conetl.readers.drives.pairs import ContentHash, Couple, Image, PairError, Source, pair_by_stamp, time_of
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, DriveYaml, Images
+from conetl.readers.drives.image_times import CameraImages, UnknownTimeError, listed, stated_start
+from conetl.readers.drives.pairs import Couple, Image, PairError, Source, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
 from conetl.readers.drives.sparse_poses import pose_reader
-from conetl.readers.trajectories.times import OFFSET, clock_problem, decimal_ns, parse_timestamp, times_of_names
 from conetl.tracking.clock import estimate_clock
 from conetl.tracking.clock_search import LEAST_SIGMA_S, ImageClock, find_clock_offset, rates_of
 from conetl.tracking.trajectory import measured_motions, read_log
@@ -42,8 +38,6 @@ from conetl.tracking.trajectory import measured_motions, read_log
 _WHOLE = 0.25
 #: Seconds of the trajectory before and after the images that help to smooth it.
 _MARGIN_S = 20.0
-#: A file of time stamps of `MAX_FRAMES` lines.
-_MOST_TIME_BYTES = 128_000_000
 #: At most so many parts of 2.5 minutes of a drive are tried.
 _MOST_PARTS = 4
 #: Sigma of an offset that is stated without one (s), for example from a flash of light. The poses show the rest of it.
@@ -51,17 +45,6 @@ _STATED_SIGMA_S = 0.01
 #: Offsets of two methods that differ by more sigmas contradict each other.
 _CONTRADICTS = 4.0
 _log = logging.getLogger(__name__)
-
-
-class CameraImages(NamedTuple):
-    """The images of one camera and their times from the first one on."""
-
-    name: str
-    """Name of the file or folder, for messages."""
-    paths: list[Path]
-    times_s: Floats
-    video: VideoIndex | None
-    region: Region | None
 
 
 class Timing(NamedTuple):
@@ -77,14 +60,6 @@ class Timing(NamedTuple):
     """What was added to the times as stated, and its sigma."""
 
 
-class UnknownTimeError(InputError):
-    """The images do not show when they were taken. key: that of drive.yaml that states it; remedy: how to write it."""
-
-    def __init__(self, key: str, root: Path, cause: str, remedy: str) -> None:
-        super().__init__(f"{root}: {cause}. {remedy}")
-        self.key, self.cause = key, cause
-
-
 def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Source, *, from_course: bool) -> Timing:
     """The couples of images with their times. Raises InputError."""
     root, settings = source.root, source.settings
@@ -94,8 +69,8 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
         own = images.right_timestamps
         hint = f": its {len(left.paths)} lines are those of {left.name}. Name the times of the right images in {DRIVE_YAML}, "
         hint = "" if own else hint + "too: 'images: {right_timestamps: right.txt}'"
-        ours = _listed(left, images.timestamps, source, track)
-        theirs = _listed(right, own or images.timestamps, source, track, hint)
+        ours = listed(left, images.timestamps, source, track)
+        theirs = listed(right, own or images.timestamps, source, track, hint)
     else:
         start_ns, search_s = _start_ns(left, track, settings, root)
         if search_s is not None and search_s > MAX_SEARCH_S:
@@ -160,91 +135,6 @@ def _at(camera: CameraImages, start_ns: int) -> list[Image]:
         Image(start_ns + round(time_s * 1e9), path)
         for time_s, path in zip(camera.times_s.tolist(), camera.paths, strict=True)
     ]
-
-
-def _listed(camera: CameraImages, name: str | None, source: Source, track: Samples, hint: str = "") -> list[Image]:
-    """Images with the times of a file, one line per image, or else with those that their names are.
-
-    Raises InputError, UnknownTimeError where no name is a time.
-
-    The file may be the trajectory itself, with one record per image. hint: the end of the message where the file has more or
-    fewer lines.
-    """
-    if name is not None and name == source.settings.trajectory.file:
-        if len(track.times_ns) != len(camera.paths) or track.bad:
-            raise InputError(
-                f"{source.root / name}: {len(track.times_ns)} valid and {len(track.bad)} bad records, but {len(camera.paths)} "
-                f"images of {camera.name}: the trajectory states the times of images only if it has one record per image"
-            )
-        return [Image(stamp_ns, path) for stamp_ns, path in zip(track.times_ns, camera.paths, strict=True)]
-    texts, doubt = _texts(camera.paths, name, source.root, source.content)
-    if len(texts) != len(camera.paths):
-        raise InputError(
-            f"{source.root / str(name)}: {len(texts)} time stamps for the {len(camera.paths)} images of {camera.name}, expected "
-            f"one line per image{hint}"
-        )
-    images = [Image(_stamp(text, source.settings), path) for text, path in zip(texts, camera.paths, strict=True)]
-    has_times = any(isinstance(t := image.stamp, int) and clock_problem(t) is None for image in images)
-    if name is None and (doubt or not has_times):
-        found = f"{camera.paths[0].name} to {camera.paths[-1].name}"
-        raise UnknownTimeError(
-            "images.timestamps",
-            source.root,
-            f"the names of the images in {camera.name} ({found}) are not times"
-            + (f" to a fraction of a second ({doubt})" if doubt else "")
-            + ("; images.start is for videos" if source.settings.images.start is not None else ""),
-            f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
-            "right_timestamps where the right ones have others",
-        )
-    return images
-
-
-def _texts(paths: Sequence[Path], name: str | None, root: Path, content: ContentHash) -> tuple[list[str], str | None]:
-    """The time stamps of images: the lines of a file, or else their names; and why names may not be times."""
-    if name is None:
-        return times_of_names([path.stem for path in paths])
-    file = inside(root, name, DRIVE_YAML)
-    if not file.is_file():
-        raise InputError(f"{file}: the time stamps of the images, which {DRIVE_YAML} names, are missing")
-    data = read_bytes(file, _MOST_TIME_BYTES)
-    content.add(name, data)
-    lines = data.decode("utf-8-sig", errors="replace").splitlines()
-    return [line for line in lines if line.strip() and line[0] != "#"], None
-
-
-def stamps_of_images(folder: Path, root: Path, settings: DriveYaml) -> tuple[list[int], list[str]]:
-    """Times (UTC ns) of the images of a folder, by their names or the file of their times, without those that cannot be read;
-    and what was assumed of them."""
-    name = settings.images.timestamps
-    if name is not None and name == settings.trajectory.file:
-        return [], []  # the header of a drive reads no trajectory
-    texts, _ = _texts(image_files(folder), name, root, ContentHash())
-    zone = settings.timestamps_timezone
-    remark = f"the times of the images state no time zone and are taken as {zone} (timestamps_timezone in {DRIVE_YAML})"
-    has_zone = all(":" not in text or OFFSET.search(text) for text in texts)
-    stamps = [stamp for text in texts if isinstance(stamp := _stamp(text, settings), int)]
-    return stamps, [] if has_zone else [remark]
-
-
-def _stamp(text: str, settings: DriveYaml) -> int | str:
-    """UTC nanoseconds of a time stamp, or of s, ms (13 digits), us (16) or ns (19) since 1970; else what is wrong."""
-    word = text.strip()
-    try:
-        if word.replace(".", "", 1).isdecimal():
-            return decimal_ns(word, {13: 6, 16: 3, 19: 0}.get(len(word.partition(".")[0]), 9))
-        return parse_timestamp(word, settings.timestamps_timezone)
-    except ValueError as error:
-        return str(error)
-
-
-def stated_start(settings: DriveYaml, root: Path) -> int | None:
-    """Time of the first left frame (UTC ns) by drive.yaml; None where it has none. Raises InputError."""
-    if settings.images.start is None:
-        return None
-    stamp = _stamp(settings.images.start, settings)
-    if isinstance(stamp, str):
-        raise InputError(f"{root / DRIVE_YAML}: images.start: {stamp}")
-    return stamp
 
 
 def needed_span(cameras: Sequence[CameraImages], settings: DriveYaml, root: Path) -> tuple[int, int] | None:

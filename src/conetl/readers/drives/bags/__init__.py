@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,23 +29,28 @@ from conetl.geometry.rectification import stored_camera
 from conetl.model.arrays import Floats
 from conetl.model.drive import Drive, Pose
 from conetl.model.errors import InputError
-from conetl.model.rejections import Rejection
+from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import MAX_LEVER_ARM_M, Rig, Side
 from conetl.perception.images import ImageFileError, check_image_bytes
-from conetl.readers.drives import bag_messages, pairs, poses
-from conetl.readers.drives.bag_rig import (
+from conetl.readers.drives import pairs, poses
+from conetl.readers.drives.bags import messages
+from conetl.readers.drives.bags.images import VideoDecoder, image_bytes, unpack
+from conetl.readers.drives.bags.topics import (
     TF_STATIC,
     TRANSFORMS,
+    VIDEO,
     Topics,
     choose_topics,
     is_rectified_topic,
     rig_of_infos,
     transforms_of,
 )
+from conetl.readers.drives.camera_files import Files, Stream
 from conetl.readers.drives.drive_yaml import DriveYaml, small_file
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
+from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.rigs import RIG_YAML
-from conetl.readers.trajectories.recorded import MAX_LOCAL_M, check_fix
+from conetl.readers.trajectories.recorded import MAX_LOCAL_M, RecordedTrajectory, check_fix
 from conetl.readers.trajectories.times import clock_problem
 
 #: Time of a record, and its pose (4, 4) with six variances, or what is wrong with it.
@@ -72,27 +78,28 @@ class _Recorded(NamedTuple):
 
 def matches(path: Path) -> bool:
     """True for a bag's folder and for a bare .mcap file. (A KITTI drive may hold a bag with other data.)"""
-    return bag_messages.bag_files(path) is not None and not (path / "image_02").is_dir()
+    return messages.bag_files(path) is not None and not (path / "image_02").is_dir()
 
 
 def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections. Images are unpacked into `images_folder`; with headers_only only the first of each camera."""
     path, root, settings, content = source[:4]
-    file = bag_messages.bag_files(root)
+    file = messages.bag_files(root)
     if file is None:
         raise InputError(f"{path}: this is not a bag: neither a .mcap or .bag file nor a folder with metadata.yaml")
     if source.images_folder is None:
         raise InputError(f"{path}: a bag's images must be unpacked, but no folder was given for them")
     add_settings(content, root)
-    with bag_messages.open_bag(file) as bag:
+    with messages.open_bag(file) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
         recorded = _read_small(bag, topics, settings, content, path)
         rig, sensor_R_body = _rig(small_file(root, RIG_YAML), topics, recorded, settings, path)
-        srid, pose_at = _trajectory(topics, recorded, source, sensor_R_body)
+        srid, poses_at = _trajectory(topics, recorded, source, sensor_R_body)
         images = _read_images(bag, topics, rig, content, source.images_folder, root)
     couples = pairs.pair_by_stamp(images[topics.left], images[topics.right], settings.pair_tolerance_ns)
     if not couples:
         raise InputError(f"{path}: there are no images on {topics.left} and {topics.right}")
+    pose_at = poses_at([stamp for couple in couples if (stamp := pairs.time_of(couple)) is not None])
 
     def hash_of(path: Path) -> str:
         return "" if content.headers_only else path.stem  # an unpacked image is named by its hash
@@ -102,17 +109,22 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     )
 
 
-def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
-    """The bag's index, its number of left images, first and last message by the recorder's clock; rig.yaml, no messages."""
-    file = bag_messages.bag_files(path.resolve())  # a linked file by its own name, which is the drive's id
+def scan(path: Path, settings: DriveYaml) -> Files:
+    """The bag's own metadata, and rig.yaml."""
+    del settings
+    small = {messages.METADATA: path / messages.METADATA, RIG_YAML: small_file(path, RIG_YAML)}
+    return Files(Stream("the left", ()), Stream("the right camera's topic", ()), small)
+
+
+def read_header(source: pairs.Source, header: HeaderFacts) -> None:
+    """Sizes and index of the bag, its number of left images, first and last message by the recorder's clock; no messages."""
+    path, root, settings = source[:3]
+    file = messages.bag_files(root)  # a linked file by its own name, which is the drive's id
     if file is None:
         raise InputError(f"{path}: this is not a bag")
-    header.streams = ("the left", "the right camera's topic")
-    header.add_file(path, bag_messages.METADATA)
-    add_settings(header.content, path, (RIG_YAML,))
-    for part in [file] if file.is_file() else sorted(path.glob("*.mcap")) + sorted(path.glob("*.db3")):
+    for part in [file] if file.is_file() else messages.parts_of(path):
         header.content.add(part.name, str(part.stat().st_size).encode())
-    with bag_messages.open_bag(file) as bag:
+    with messages.open_bag(file, index_only=True) as bag:
         topics = choose_topics(bag.types, settings.streams, path)
         header.content.add("index", repr((sorted(bag.counts.items()), bag.recorded_ns)).encode())
         header.frame_pairs = bag.counts[topics.left]
@@ -122,7 +134,7 @@ def read_header(path: Path, settings: DriveYaml, header: HeaderFacts) -> None:
             header.first_ns, header.last_ns = set_ns[0], set_ns[-1]
 
 
-def _stamp_ns(message: bag_messages.Message) -> int | str:
+def _stamp_ns(message: messages.Message) -> int | str:
     """Header stamp in UTC nanoseconds, or what is wrong."""
     if message.content is None:
         return f"{message.topic}: the message recorded at {message.recorded_at_ns} ns does not have the content of its type"
@@ -132,12 +144,15 @@ def _stamp_ns(message: bag_messages.Message) -> int | str:
 
 
 def _read_small(
-    bag: bag_messages.Bag, topics: Topics, settings: DriveYaml, content: pairs.ContentHash, source: Path
+    bag: messages.Bag, topics: Topics, settings: DriveYaml, content: pairs.ContentHash, source: Path
 ) -> _Recorded:
     """All messages of the drive except its images. Raises InputError."""
-    readers = {topics.trajectory: _odometry} if topics.imu is None else {topics.trajectory: _fix, topics.imu: _attitude}
+    readers = {topics.trajectory: _odometry if topics.is_local else _fix}
+    readers |= {} if topics.imu is None else {topics.imu: _attitude}
     infos = {topic for topic in (topics.left_info, topics.right_info) if topic}
-    transforms = {TF_STATIC} if bag.types.get(TF_STATIC) == TRANSFORMS else set()
+    # Foxglove's recordings have them on any topic.
+    known = {topic for topic, kind in bag.types.items() if kind == TRANSFORMS}
+    transforms = {TF_STATIC} if TF_STATIC in known else known
     found = _Recorded({}, {}, {}, {})
     rows: dict[str, list[_Row]] = {topic: [] for topic in readers}
     for message in bag.messages([*readers, *infos, *transforms]):
@@ -191,7 +206,7 @@ def _samples(
 
 def _fix(message: Any) -> tuple[Floats, Floats]:
     """Latitude, longitude, height in the translation; variances. Raises ValueError."""
-    if int(message.status.status) < 0:
+    if (status := getattr(message, "status", None)) is not None and int(status.status) < 0:
         raise ValueError("the receiver had no fix (status -1)")
     lat, lon, height = float(message.latitude), float(message.longitude), float(message.altitude)
     check_fix(lat, lon, height)
@@ -249,15 +264,21 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
 
 def _trajectory(
     topics: Topics, found: _Recorded, source: pairs.Source, sensor_R_body: Floats
-) -> tuple[int, Callable[[int], Pose]]:
-    """EPSG code of the map, and the body's pose at a time. Raises InputError."""
+) -> tuple[int, Callable[[Sequence[int]], Callable[[int], Pose]]]:
+    """EPSG code of the map, and a function that gives, for all exposures, the body's pose at each. Raises InputError."""
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
     sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
     raw = found.samples[topics.trajectory]
-    if topics.imu is None:
+    if topics.is_local:
         srid, placed = poses.georeferenced(source, raw.name, raw.map_SE3_body)
         track = poses.without_wild_fixes(raw._replace(map_SE3_body=se3.compose(placed, sensor_SE3_body)))
-        return srid, lambda time_ns: se3.to_pose(*poses.at(track, time_ns, gap_ns))
+        return srid, lambda _: lambda time_ns: se3.to_pose(*poses.at(track, time_ns, gap_ns))
+    if topics.imu is None:
+        recorded = RecordedTrajectory(
+            raw.name, np.array(raw.times_ns), raw.map_SE3_body[:, :3, 3], False, None, raw.sigma, raw.bad
+        )
+        srid, track = poses.placed(with_course(recorded), source, np.eye(3))
+        return srid, lambda times_ns: pose_reader(track, times_ns, source.settings.max_pose_gap_s, from_course=True)
     antenna_m = _antenna(topics, found, source.settings, path)
     attitude = found.samples[topics.imu]
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
@@ -274,7 +295,7 @@ def _trajectory(
         body = se3.se3(map_R_sensor @ sensor_R_body, fixed[:3, 3] - map_R_sensor @ antenna_m)
         return se3.to_pose(body, fix_sigma + turn_sigma)
 
-    return srid, pose_at
+    return srid, lambda _: pose_at
 
 
 def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path) -> Floats:
@@ -298,30 +319,55 @@ def _antenna(topics: Topics, found: _Recorded, settings: DriveYaml, source: Path
 
 
 def _read_images(
-    bag: bag_messages.Bag, topics: Topics, rig: Rig, content: pairs.ContentHash, folder: Path, source: Path
+    bag: messages.Bag, topics: Topics, rig: Rig, content: pairs.ContentHash, folder: Path, source: Path
 ) -> dict[str, list[pairs.Image]]:
     """Images of both cameras by topic, in the order of recording; one is in memory at a time."""
     sides: dict[str, Side] = {topics.left: "left", topics.right: "right"}
     found: dict[str, list[pairs.Image]] = {topic: [] for topic in sides}
+    decoders = {topic: VideoDecoder() for topic in sides if bag.types[topic] == VIDEO}
+
+    def add(topic: str, number: int, data: bytes) -> None:
+        """Replace the image of a message by its file."""
+        image, camera = found[topic][number], stored_camera(rig, sides[topic])
+        path, problem = image.path, None
+        try:
+            header = check_image_bytes(data, _name_of(topic, image.stamp), (camera.width_px, camera.height_px))
+            if not content.headers_only or not any(p.path.is_file() for p in found[topic][:1]):
+                path = unpack(data, ".jpg" if header.format == "jpeg" else f".{header.format}", folder)
+        except ImageFileError as error:
+            problem = pairs.PairError(error.reason, str(error), path=_name_of(topic, image.stamp))
+        found[topic][number] = image._replace(path=path, problem=problem)
+
     for message in bag.messages(list(sides)):
-        topic = message.topic
-        stamp = _stamp_ns(message)
-        name = f"{topic}, image of {stamp} ns" if isinstance(stamp, int) else topic
-        path = Path(f"{source}#{topic}@{stamp}")
-        problem: pairs.PairError | None = None
-        if message.content is not None:
-            camera = stored_camera(rig, sides[topic])
-            try:
-                if not content.headers_only:
-                    content.add(f"{sides[topic]}/{len(found[topic])}", bytes(message.content.data))
-                    content.add(f"{sides[topic]}/{len(found[topic])}/stamp", str(stamp).encode())
-                data = bag_messages.image_bytes(message.content, name)
-                header = check_image_bytes(data, name, (camera.width_px, camera.height_px))
-                if not content.headers_only or not any(p.path.is_file() for p in found[topic][:1]):
-                    path = bag_messages.unpack(data, ".jpg" if header.format == "jpeg" else ".png", folder)
-            except pairs.PairError as error:
-                problem = error
-            except ImageFileError as error:
-                problem = pairs.PairError(error.reason, str(error), path=name)
-        found[topic].append(pairs.Image(stamp, path, problem))
+        topic, fields = message.topic, message.content
+        number, stamp = len(found[topic]), _stamp_ns(message)
+        lost = pairs.PairError(RejectionReason.IMAGE_UNREADABLE, f"{_name_of(topic, stamp)}: there is no image")
+        image = pairs.Image(stamp, Path(f"{source}#{topic}@{stamp}"), lost if topic in decoders else None)
+        found[topic].append(image)
+        if fields is None:
+            continue
+        try:
+            if not content.headers_only:
+                content.add(f"{sides[topic]}/{number}", bytes(fields.data))
+                content.add(f"{sides[topic]}/{number}/stamp", str(stamp).encode())
+            if topic not in decoders:
+                add(topic, number, image_bytes(fields, _name_of(topic, stamp)))
+                continue
+            for decoded, data in () if content.headers_only and number else decoders[topic].decode(number, fields):
+                add(topic, decoded, data)
+        except pairs.PairError as error:
+            found[topic][number] = image._replace(problem=error)
+        except ImageFileError as error:
+            problem = pairs.PairError(error.reason, str(error), path=_name_of(topic, stamp))
+            found[topic][number] = image._replace(problem=problem)
+    for topic, decoder in decoders.items():
+        with suppress(pairs.PairError, ImageFileError):
+            for number, data in decoder.rest():
+                add(topic, number, data)
+        if content.headers_only:  # the others are not decoded
+            found[topic][1:] = [image._replace(problem=None) for image in found[topic][1:]]
     return found
+
+
+def _name_of(topic: str, stamp: int | str) -> str:
+    return f"{topic}, image of {stamp} ns" if isinstance(stamp, int) else topic

@@ -1,15 +1,15 @@
-"""Bags of ROS 2 and ROS 1 and MCAP files as streams of messages, in the order of their recording, and the images in them.
+"""Bags of ROS 2 and ROS 1 and MCAP files as streams of messages, in the order of their recording.
 
 A bag folder (metadata.yaml with .mcap or .db3 files) and a .bag file of ROS 1 are read by rosbags' AnyReader; a bare .mcap
-file, as Foxglove or a crash of `ros2 bag` leaves it, by the mcap library, its messages by rosbags' type system. Each image is
-unpacked once into a folder, under the hash of its bytes: compressed ones as they were recorded, byte for byte, raw ones as
-PNG, which loses nothing.
+file, as Foxglove or a crash of `ros2 bag` leaves it, by the mcap library, its messages by rosbags' type system, or by protobuf.
 """
 
 from __future__ import annotations
 
 import bz2
-import hashlib
+import os
+import shutil
+import tempfile
 from collections.abc import Callable, Collection, Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import cache, partial
@@ -17,14 +17,11 @@ from itertools import pairwise
 from operator import attrgetter
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
-import cv2
 import lz4.frame  # type: ignore[import-untyped]
 import mcap.stream_reader
-import numpy as np
 from mcap.reader import McapReader, make_reader
-from numpy.typing import NDArray
 from rosbags.highlevel import AnyReader, anyreader
 from rosbags.interfaces import Connection, MessageDefinition, MessageDefinitionFormat
 from rosbags.rosbag1 import reader as rosbag1_reader
@@ -35,23 +32,13 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.msg import normalize_msgtype
 from rosbags.typesys.store import Typestore
 
-from conetl.files.atomic import temporary_path
 from conetl.files.documents import library_errors, read_yaml
 from conetl.model.errors import InputError
-from conetl.model.rejections import RejectionReason
-from conetl.readers.drives.bag_rig import CAMERA_INFO, TRANSFORMS, USED_TYPES
-from conetl.readers.drives.pairs import PairError
+from conetl.readers.drives.bags.foxglove import as_ros, kind_of, protobuf_reader
+from conetl.readers.drives.bags.topics import CAMERA_INFO, TRANSFORMS, USED_TYPES
 
 METADATA = "metadata.yaml"
 ROS1_SUFFIX = ".bag"
-
-#: Channels, and the conversion to BGR. OpenCV names Bayer patterns from another pixel than ROS does (REP 118, cv_bridge).
-_ENCODINGS: dict[str, tuple[int, int | None]] = {
-    "bgr8": (3, None), "8UC3": (3, None), "mono8": (1, None), "8UC1": (1, None), "rgb8": (3, cv2.COLOR_RGB2BGR),
-    "rgba8": (4, cv2.COLOR_RGBA2BGR), "bgra8": (4, cv2.COLOR_BGRA2BGR), "bayer_rggb8": (1, cv2.COLOR_BayerBG2BGR),
-    "bayer_bggr8": (1, cv2.COLOR_BayerRG2BGR), "bayer_gbrg8": (1, cv2.COLOR_BayerGR2BGR),
-    "bayer_grbg8": (1, cv2.COLOR_BayerGB2BGR),
-}  # fmt: skip
 
 #: Characters of a topic's name; DDS has no longer ones, and messages quote them.
 MAX_TOPIC = 255
@@ -61,6 +48,8 @@ MAX_CHUNK_BYTES = 256 << 20
 MAX_MESSAGES = 10_000_000
 #: Decompressed bytes of chunks and bytes of messages per byte of the file; LZ4 reaches 255.
 MAX_GROWTH = 256
+#: What stays free on the disk to which a bag's files are unpacked.
+_KEPT_FREE_BYTES = 1 << 30
 
 
 def _limited(new: Callable[[], Any]) -> Callable[..., bytes]:
@@ -78,16 +67,37 @@ def _limited(new: Callable[[], Any]) -> Callable[..., bytes]:
     return decompress
 
 
-def _whole_file(*_: object) -> NoReturn:
-    raise ValueError(
-        "its files are compressed as a whole: convert it with 'ros2 bag convert' to plain or compressed messages"
-    )
+class _Unpacked:
+    """A bag's file that is compressed as a whole, unpacked at most to a multiple of its size and to the free space."""
+
+    def __init__(self, file: Any, mode: str) -> None:
+        self._file, size = _zstd_file(file, mode), os.fstat(file.fileno()).st_size
+        free = shutil.disk_usage(tempfile.gettempdir()).free - _KEPT_FREE_BYTES
+        self._left = min(MAX_GROWTH * size, free)
+
+    def __enter__(self) -> _Unpacked:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def read(self, size: int = -1) -> bytes:
+        """Raises ValueError beyond the limit."""
+        data: bytes = self._file.read(size)
+        self._left -= len(data)
+        if self._left < 0:
+            raise ValueError(
+                f"unpacked, its files need more than the free space of {tempfile.gettempdir()}, or grow more than {MAX_GROWTH} "
+                "times: set TMPDIR to a folder with more space"
+            )
+        return data
 
 
 # Both libraries allocate what a chunk states, or decompress as much as it makes.
+_zstd_file = vars(rosbag2_reader)["zstd"].open
 _zstd, _lz4 = _limited(vars(rosbag2_reader)["zstd"].ZstdDecompressor), _limited(lz4.frame.LZ4FrameDecompressor)
 rosbag2_mcap.DECOMPRESSORS.update(zstd=_zstd, lz4=_lz4)
-vars(rosbag2_reader)["zstd"] = SimpleNamespace(decompress=_zstd, open=_whole_file)
+vars(rosbag2_reader)["zstd"] = SimpleNamespace(decompress=_zstd, open=_Unpacked)
 rosbag1_reader.decompressors.update(bz2=_limited(bz2.BZ2Decompressor), lz4=_lz4)
 vars(mcap.stream_reader).update(zstandard=SimpleNamespace(decompress=_zstd), lz4=SimpleNamespace(decompress=_lz4))
 
@@ -196,20 +206,31 @@ def bag_files(path: Path) -> Path | None:
     if not path.is_dir():
         return None
     files = sorted(path.glob("*.mcap"))
-    if (path / METADATA).is_file() and (files or any(path.glob("*.db3"))):
+    if (path / METADATA).is_file() and parts_of(path):
         return path
     files = files or sorted(path.glob(f"*{ROS1_SUFFIX}"))
     return files[0] if len(files) == 1 else None
 
 
+def parts_of(path: Path) -> list[Path]:
+    """The files of a bag's folder that hold messages."""
+    return [part for pattern in ("*.mcap", "*.db3", "*.mcap.zstd", "*.db3.zstd") for part in sorted(path.glob(pattern))]
+
+
 @contextmanager
-def open_bag(path: Path) -> Iterator[Bag]:
-    """The bag of `bag_files`. Raises InputError where it is truncated or damaged."""
+def open_bag(path: Path, *, index_only: bool = False) -> Iterator[Bag]:
+    """The bag of `bag_files`. Raises InputError where it is truncated or damaged.
+
+    index_only: its messages are not read, so that files that are compressed as a whole need not be unpacked.
+    """
     with ExitStack() as opened:
         with _bag_errors(path):
             if path.is_dir() or path.suffix == ROS1_SUFFIX:
-                if (path / METADATA).is_file():
-                    read_yaml(path / METADATA)  # within the limits, before rosbags builds it
+                # Within the limits, before rosbags builds it.
+                metadata = read_yaml(path / METADATA) if (path / METADATA).is_file() else {}
+                if index_only and (found := _bag_of_metadata(metadata)) is not None:
+                    yield found
+                    return
                 types = _ros_types() if path.is_dir() else _ros1_types()
                 bag = _bag_of_rosbags(opened.enter_context(AnyReader([path], default_typestore=types)), path)
             else:
@@ -224,12 +245,27 @@ def _bag_errors(path: Path) -> AbstractContextManager[None]:
     return library_errors(f"{path}: the bag cannot be read: it is damaged or cut off", hint=f". {repair} repairs it")
 
 
+def _bag_of_metadata(content: Any) -> Bag | None:
+    """What the metadata say of a bag whose files are compressed as a whole; None of other bags."""
+    info = content.get("rosbag2_bagfile_information", {}) if isinstance(content, dict) else {}
+    if str(info.get("compression_mode")).lower() != "file":
+        return None
+    topics = [(each["topic_metadata"], each["message_count"]) for each in info["topics_with_message_count"]]
+    first_ns = int(info["starting_time"]["nanoseconds_since_epoch"])
+    return Bag(
+        {topic["name"]: kind_of(topic["type"]) for topic, _ in topics},
+        {topic["name"]: int(count) for topic, count in topics},
+        (first_ns, first_ns + int(info["duration"]["nanoseconds"])),
+        lambda _: iter(()),
+    )
+
+
 def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:
     def messages(topics: Sequence[str]) -> Iterator[Message]:
         wanted = [c for c in reader.connections if c.topic in topics]
         with _bag_errors(path):
             for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
-                content = _decoded(reader.deserialize, raw, connection.msgtype)
+                content = _decoded(partial(_of_rosbags, reader, raw, connection.msgtype))
                 if connection.msgtype == CAMERA_INFO and not reader.is2 and content is not None:
                     # Under the names of ROS 2, which are in lower case.
                     content = SimpleNamespace(**{k if len(k) > 1 else k.lower(): v for k, v in vars(content).items()})
@@ -238,7 +274,9 @@ def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:
     ros = _ros_types() if reader.is2 else _ros1_types()
     types = {
         # From a ROS 1 bag only the definitions of these types are read.
-        c.topic: _type_name(reader.typestore, c.msgtype, ros) if reader.is2 or c.msgtype in USED_TYPES else c.msgtype
+        c.topic: kind_of(_type_name(reader.typestore, c.msgtype, ros))
+        if reader.is2 or c.msgtype in USED_TYPES
+        else c.msgtype
         for c in reader.connections
     }
     counts = {topic: info.msgcount for topic, info in reader.topics.items()}
@@ -257,11 +295,19 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
         if schema.encoding == "ros2msg" and schema.name not in store.types:
             found = get_types_from_msg(schema.data.decode("utf-8"), normalize_msgtype(schema.name))
             store.register({name: fields for name, fields in found.items() if name not in store.types})
-    types = {
-        channel.topic: _type_name(store, normalize_msgtype(summary.schemas[channel.schema_id].name), _ros_types())
-        for channel in summary.channels.values()
-        if channel.message_encoding == "cdr" and channel.schema_id in summary.schemas
-    }
+    types: dict[str, str] = {}
+    decoders: dict[str, Callable[[bytes], Any]] = {}
+    for channel in summary.channels.values():
+        of_channel = summary.schemas.get(channel.schema_id)
+        if of_channel is not None and channel.message_encoding == "cdr":
+            kind = _type_name(store, normalize_msgtype(of_channel.name), _ros_types())
+            types[channel.topic] = kind_of(kind)
+            decoders[channel.topic] = partial(_of_cdr, store, kind)
+        elif of_channel is not None and channel.message_encoding == of_channel.encoding == "protobuf":
+            known = kind_of(of_channel.name)
+            if known != of_channel.name:
+                types[channel.topic] = known
+                decoders[channel.topic] = protobuf_reader(of_channel.name, of_channel.data)
     indexed = bool(summary.chunk_indexes)
 
     def messages(topics: Sequence[str]) -> Iterator[Message]:
@@ -269,7 +315,7 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
         # Without an index the file is in the order of recording; to sort it, all of it would be kept in memory.
         with _bag_errors(path):
             for _, channel, message in reader.iter_messages(wanted, log_time_order=indexed) if wanted else ():
-                content = _decoded(store.deserialize_cdr, message.data, types[channel.topic])
+                content = _decoded(partial(decoders[channel.topic], message.data))
                 yield Message(channel.topic, content, message.log_time)
 
     statistics = summary.statistics
@@ -280,10 +326,20 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
     return Bag(types, counts, recorded_ns, messages)
 
 
-def _decoded(deserialize: Callable[[bytes, str], object], raw: bytes, kind: str) -> Any:
+def _of_rosbags(reader: AnyReader, data: bytes, kind: str) -> Any:
+    message = reader.deserialize(data, kind)
+    return message if kind_of(kind) == kind else as_ros(message)
+
+
+def _of_cdr(store: Typestore, kind: str, data: bytes) -> Any:
+    message = store.deserialize_cdr(data, kind)
+    return message if kind_of(kind) == kind else as_ros(message)
+
+
+def _decoded(decode: Callable[[], Any]) -> Any:
     """Fields of a message as attributes; None where its bytes do not match its type."""
     try:
-        return deserialize(raw, kind)
+        return decode()
     except Exception:  # of many types; a stated length may also exceed the memory
         return None
 
@@ -308,47 +364,3 @@ def _ros1_types() -> Typestore:
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register({TRANSFORMS: _ros_types().fielddefs[TRANSFORMS]})
     return store
-
-
-def image_bytes(content: Any, name: str) -> bytes:
-    """File bytes of a sensor_msgs CompressedImage (as they are) or Image (as PNG). Raises PairError."""
-    data = np.asarray(content.data, dtype=np.uint8)
-    if not hasattr(content, "encoding"):
-        return data.tobytes()
-    encoding = str(content.encoding)
-    if encoding not in _ENCODINGS:
-        raise PairError(
-            RejectionReason.IMAGE_UNREADABLE,
-            f"{name}: the encoding '{encoding}' is not supported; known: {', '.join(_ENCODINGS)}, and "
-            "JPEG or PNG in a CompressedImage",
-        )
-    channels, code = _ENCODINGS[encoding]
-    height, width, step = int(content.height), int(content.width), int(content.step)
-    if height < 1 or step < width * channels or width < 1 or data.size < height * step:
-        raise PairError(
-            RejectionReason.IMAGE_TRUNCATED,
-            f"{name}: {data.size} bytes are too few for {width} x {height} pixels of {encoding} in rows of {step} bytes",
-        )
-    rows = data[: height * step].reshape(height, step)[:, : width * channels]
-    pixels: NDArray[np.uint8] = np.ascontiguousarray(rows.reshape(height, width, channels))
-    image = pixels if code is None else cv2.cvtColor(pixels, code)
-    done, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    if not done:
-        raise PairError(RejectionReason.IMAGE_UNREADABLE, f"{name}: the image cannot be written as PNG")
-    return bytes(encoded.tobytes())
-
-
-def unpack(data: bytes, suffix: str, folder: Path) -> Path:
-    """Path of the image in the folder, written unless it exists. Raises InputError where it cannot be written."""
-    digest = hashlib.sha256(data).hexdigest()
-    path = (folder / digest[:2] / f"{digest}{suffix}").absolute()
-    free_space = "; free space or set CONETL_HOME to a folder with more"
-    with library_errors(f"{path}: an image of the bag cannot be unpacked there", OSError, hint=free_space):
-        if path.is_file() and path.read_bytes() == data:  # it may be damaged, for example by a power failure
-            path.touch()  # in use: `old_images` checks its age
-            return path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = temporary_path(path)
-        unfinished.write_bytes(data)
-        unfinished.replace(path)
-    return path

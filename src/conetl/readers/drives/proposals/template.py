@@ -47,7 +47,9 @@ class Missing(NamedTuple):
     cause: str | None = None
     """Why, or what was found."""
     suggestion: object = None
-    """A value that may be right; otherwise the example of the key."""
+    """A value that may be right, which `--yes` takes; otherwise the example of the key."""
+    required: bool = True
+    """Whether there is no drive without it."""
 
     @property
     def example(self) -> str:

@@ -22,7 +22,9 @@ from conetl.readers.rigs.ros import rig_of_camera_infos
 COMPRESSED, RAW = "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/Image"
 CAMERA_INFO, FIX, IMU = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/NavSatFix", "sensor_msgs/msg/Imu"
 ODOMETRY, TRANSFORMS, TF_STATIC = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage", "/tf_static"
-USED_TYPES = frozenset({COMPRESSED, RAW, CAMERA_INFO, FIX, IMU, ODOMETRY, TRANSFORMS})
+#: One frame of a video in each message (foxglove.CompressedVideo, foxglove_msgs/msg/CompressedVideo).
+VIDEO = "foxglove_msgs/msg/CompressedVideo"
+USED_TYPES = frozenset({COMPRESSED, RAW, CAMERA_INFO, FIX, IMU, ODOMETRY, TRANSFORMS, VIDEO})
 
 #: Characters of a list of topics in a message.
 _MAX_LISTED = 600
@@ -36,8 +38,11 @@ class Topics(NamedTuple):
     left_info: str | None
     right_info: str | None
     trajectory: str
-    """NavSatFix with `imu`, Odometry without."""
+    """NavSatFix or Odometry."""
     imu: str | None
+    """Of a NavSatFix; None: the attitude is that of its course."""
+    is_local: bool
+    """Whether the trajectory is an Odometry."""
 
 
 def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> Topics:
@@ -63,27 +68,22 @@ def choose_topics(types: Mapping[str, str], streams: Streams, source: Path) -> T
             f"{source}: drive.yaml: streams.trajectory: {trajectory} is a {kind}, expected {FIX} or {ODOMETRY}"
         )
     imu = (streams.imu or _only(types, IMU, "imu", source)) if kind == FIX else None
-    if kind == FIX and imu is None:
-        raise InputError(
-            f"{source}: {trajectory} has positions but no attitude, and the bag has no {IMU}; with an {ODOMETRY} topic name it "
-            "in drive.yaml (streams.trajectory) and add a georeference"
-        )
     left_info, right_info = streams.left_info or _info_of(left, infos), streams.right_info or _info_of(right, infos)
-    return Topics(left, right, left_info, right_info, trajectory, imu)
+    return Topics(left, right, left_info, right_info, trajectory, imu, kind == ODOMETRY)
 
 
 def _cameras(types: Mapping[str, str], streams: Streams, source: Path) -> tuple[str, str]:
     if streams.left and streams.right:
         return streams.left, streams.right
-    for kind in (COMPRESSED, RAW):
+    for kind in (COMPRESSED, RAW, VIDEO):
         topics = sorted(t for t, k in types.items() if k == kind)
         sides = [[t for t in topics if side in t.lower() and other not in t.lower()]
                  for side, other in (("left", "right"), ("right", "left"))]  # fmt: skip
         if len(sides[0]) == 1 and len(sides[1]) == 1:
             return streams.left or sides[0][0], streams.right or sides[1][0]
     raise InputError(
-        f"{source}: the topics of the left and the right camera are unknown: expected one {COMPRESSED} or {RAW} topic each "
-        f"with left and right in its name; name them in drive.yaml (streams.left, streams.right); {_listing(types)}"
+        f"{source}: the topics of the left and the right camera are unknown: expected one {COMPRESSED}, {RAW} or {VIDEO} topic "
+        f"each with left and right in its name; name them in drive.yaml (streams.left, streams.right); {_listing(types)}"
     )
 
 
@@ -97,9 +97,11 @@ def _only(types: Mapping[str, str], kind: str, key: str, source: Path) -> str | 
 
 
 def _info_of(topic: str, infos: set[str]) -> str | None:
-    """The CameraInfo topic in the nearest namespace of an image topic."""
+    """The camera_info in the nearest namespace of an image topic, else the only CameraInfo in its own."""
     namespaces = PurePosixPath(topic).parents
-    return next((name for parent in namespaces if (name := str(parent / "camera_info")) in infos), None)
+    beside = [name for name in infos if PurePosixPath(name).parent == namespaces[0]]
+    named = (name for parent in namespaces if (name := str(parent / "camera_info")) in infos)
+    return next(named, beside[0] if len(beside) == 1 else None)
 
 
 def _listing(types: Mapping[str, str]) -> str:
@@ -129,16 +131,33 @@ def is_rectified_topic(topic: str) -> bool:
 
 def _camera_info(message: Any, *, rectified: bool) -> dict[str, Any]:
     """A CameraInfo message under the keys of its YAML file."""
-    projection = np.asarray(message.p, dtype=np.float64).reshape(3, 4)
+    (x, y, width, height), (across, down) = _part_of(message)
+    # Points of the calibration's images -> points of the stored ones; both count from the centre of a pixel.
+    stored = np.array(
+        [[1 / across, 0, (0.5 - x) / across - 0.5], [0, 1 / down, (0.5 - y) / down - 0.5], [0, 0, 1]], dtype=np.float64
+    )
+    projection = stored @ np.asarray(message.p, dtype=np.float64).reshape(3, 4)
     return {
-        "image_width": int(message.width),
-        "image_height": int(message.height),
-        "camera_matrix": projection[:, :3] if rectified else np.asarray(message.k).reshape(3, 3),
+        "image_width": width // across,
+        "image_height": height // down,
+        "camera_matrix": projection[:, :3] if rectified else stored @ np.asarray(message.k).reshape(3, 3),
         "distortion_model": "plumb_bob" if rectified else str(message.distortion_model) or "plumb_bob",
         "distortion_coefficients": [] if rectified else np.asarray(message.d),
         "rectification_matrix": np.eye(3) if rectified else np.asarray(message.r).reshape(3, 3),
         "projection_matrix": projection,
     }
+
+
+def _part_of(message: Any) -> tuple[tuple[int, int, int, int], tuple[int, int]]:
+    """The part of the calibration's images that is stored (x, y, width, height), and how many of its pixels are one, across and
+    down: region of interest and binning of a CameraInfo."""
+    roi: Any = getattr(message, "roi", None)
+    part = (0, 0, message.width, message.height)
+    if roi is not None and roi.width and roi.height:
+        part = (roi.x_offset, roi.y_offset, roi.width, roi.height)
+    across, down = (max(int(getattr(message, f"binning_{axis}", 1)), 1) for axis in "xy")
+    x, y, width, height = map(int, part)
+    return (x, y, width, height), (across, down)
 
 
 def transforms_of(message: Any) -> dict[tuple[str, str], Floats]:
