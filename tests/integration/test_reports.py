@@ -232,7 +232,8 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
     assert facts.size_at(since) == 0
     assert [row["notes"] for row in facts.drives] == [None, ["Clean <b>the lens</b>."]]
     for told in (
-        "3 drives failed", "no usable pose", "1 object was removed", "removed", "Clean &lt;b&gt;the lens&lt;/b&gt;.",
+        "3 drives or other entries failed", "no usable pose", "1 object was removed", "removed",
+        "Clean &lt;b&gt;the lens&lt;/b&gt;.",
     ):  # fmt: skip
         assert told in page
     write_receipt(shown, replace(failed("7", "failed", reason="no calibration"), drive_path=str(tmp_path)), tmp_path)

@@ -112,7 +112,7 @@ def test_a_lost_connection_names_postgresql_and_what_to_do(database_url: str) ->
         with pytest.raises(
             DatabaseError, match=r"^Maps cannot be read: .*\. PostgreSQL was stopped .*: start it and run"
         ):
-            read(conn, "Maps cannot be read", "schema.search_path")
+            read(conn, "Maps cannot be read", "schema.session")
 
 
 def test_idle_connections_are_kept_alive(database_url: str, monkeypatch: pytest.MonkeyPatch) -> None:

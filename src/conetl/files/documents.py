@@ -125,8 +125,8 @@ def require_size(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> None:
 class XmlFile(FileIO):
     """A large XML file, read in large blocks: expat parses an unfinished tag again with every block."""
 
-    def __init__(self, path: Path) -> None:
-        require_size(path)
+    def __init__(self, path: Path, max_bytes: int = MAX_TEXT_BYTES) -> None:
+        require_size(path, max_bytes)
         super().__init__(path)
 
     def read(self, size: int | None = -1, /) -> bytes:

@@ -133,8 +133,9 @@ class _Search:
         """The entries of a folder: itself, or what is in it."""
         above = (*above, folder.resolve())
         try:
-            if (folder / DRIVE_YAML).is_symlink():
-                self.require_readable(folder / DRIVE_YAML)  # before it is opened to find the format
+            for name in (DRIVE_YAML, *_PARTS):  # before they are opened to find the format
+                if (folder / name).is_symlink():
+                    self.require_readable(folder / name)
             found = find_format(folder)
             if depth == 0:
                 return [_of_format(folder, found) if found else self._deepest(folder)]

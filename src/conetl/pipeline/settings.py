@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 from urllib.parse import urlsplit
@@ -103,7 +104,7 @@ class Settings(BaseSettings):
         if not roots:
             return
         real_roots = [root if is_remote(root) else root.resolve() for root in roots]
-        for found in (path, *(links_of(path) if links else ())):
+        for found in chain([path], links_of(path) if links else ()):  # each before the search follows it
             real = found if is_remote(found) else found.resolve()
             if ".." in real.parts or not any(root == real or root in real.parents for root in real_roots):
                 raise InputError(

@@ -18,7 +18,7 @@ import numpy as np
 from conetl.files.documents import XmlFile, input_errors, library_errors
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.text import floats, head_bytes
+from conetl.readers.trajectories.text import MAX_TEXT_BYTES, floats, head_bytes
 from conetl.readers.trajectories.times import TimeFormat, TimeReader, time_reader
 
 _PIECE = 50_000
@@ -98,7 +98,7 @@ def _records(path: Path, settings: TrajectoryFile, notes: list[str], *, add_geoi
     points, found, empty = _Points(), 0, 0
     read_times = time_reader(TimeFormat(settings.scale("UTC"), "stamp"))
     not_gpx = library_errors(f"{path}: this is not GPX", expat.ExpatError, LookupError)
-    with not_gpx, input_errors(path), XmlFile(path) as file:
+    with not_gpx, input_errors(path), XmlFile(path, MAX_TEXT_BYTES) as file:
         try:
             while block := file.read():
                 before = found + len(points.rows)

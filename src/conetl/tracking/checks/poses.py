@@ -85,7 +85,9 @@ def check_trajectory(
         _measured(frame_pairs, rig, measured.start, limits),
         _agreement(frame_pairs, rig, measured, good, residual),
         *([_not_adjusted(measured, residual)] if trajectory.outcome is RefinementOutcome.NOT_CONVERGED else []),
-        check_jumps(frame_pairs, rig, measured, good, limits.jumps, params.clock_sigma_s),
+        _with_every(
+            check_jumps(frame_pairs, rig, measured, good, limits.jumps, params.clock_sigma_s), frame_pairs, rig
+        ),
         check_turn_jumps(frame_pairs, rig, measured, good, limits.jumps),
         _clock(trajectory.clock, params),
         *check_path(trajectory, params, limits.path),
@@ -229,6 +231,12 @@ def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> tuple[tuple[s
     along, across = (ahead * steps_m).sum(axis=1), ahead[:, 0] * steps_m[:, 1] - ahead[:, 1] * steps_m[:, 0]
     aside_deg = float(np.degrees(np.median(np.abs(np.arctan2(across, along)))))
     return (("aside",), {"aside_deg": aside_deg}) if aside_deg > _ASIDE_DEG else ((), {})
+
+
+def _with_every(finding: Finding, frame_pairs: Sequence[FramePair], rig: Rig) -> Finding:
+    """A finding of jumps, which begins with what is wrong with the log alone."""
+    says, facts = _against_itself(frame_pairs, rig)
+    return finding.saying(*says, *finding.says, **facts) if says in (("repeated",), ("scatter",)) else finding
 
 
 def _agreement(
