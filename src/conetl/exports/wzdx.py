@@ -30,7 +30,7 @@ from conetl.model.base import Record, ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE
 from conetl.model.map_records import MapFeature
-from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import WorkZone
 
 _CC0 = "https://creativecommons.org/publicdomain/zero/1.0/"

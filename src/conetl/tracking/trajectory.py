@@ -134,9 +134,10 @@ def refine_trajectory(
         return as_logged(RefinementOutcome.NO_MEASUREMENT, "no two consecutive frame pairs could be compared")
     sparse = is_interpolated(frame_pairs)
     common_sigmas = [params.scale_sigma, _TURN_RAD_PER_M] if sparse else [params.scale_sigma]
-    errors = errors or log_errors_of(frame_pairs, rig, measured, params)
-    log = read_log(frame_pairs, rig, params, errors, measured)
-    good = plausible_motions(log, measured, params.scale_sigma, rough_log(frame_pairs, rig, measured, params))
+    rough = rough_log(frame_pairs, rig, measured, params)
+    errors = errors or _log_errors_of(frame_pairs, rough, measured, params)
+    log = read_log(frame_pairs, rig, params, errors, rough.renewed)
+    good = plausible_motions(log, measured, params.scale_sigma, rough)
 
     def path_of(rotations: Floats) -> PathFit:
         # Where most motions contradict the log, they show what is wrong with it.
@@ -186,14 +187,13 @@ def refine_trajectory(
     )  # fmt: skip
 
 
-def log_errors_of(
-    frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, params: TrajectoryParams
+def _log_errors_of(
+    frame_pairs: Sequence[FramePair], log: LoggedPoses, measured: MeasuredMotions, params: TrajectoryParams
 ) -> LogErrors | None:
     """The errors of the log by the motions that do not contradict them; None if none could be compared.
 
     Two rounds: which motions are plausible depends on the errors.
     """
-    log = rough_log(frame_pairs, rig, measured, params)
     kept = only(measured, plausible_motions(log, measured, params.scale_sigma))
     solved = adjust(log, kept, (), params.robust_sigmas, [params.scale_sigma]) if len(kept.start) else None
     records = stated_errors(frame_pairs, log.renewed)
@@ -203,9 +203,10 @@ def log_errors_of(
 def rough_log(
     frame_pairs: Sequence[FramePair], rig: Rig, measured: MeasuredMotions, params: TrajectoryParams
 ) -> LoggedPoses:
-    """The log with errors as they are known before they are estimated."""
-    errors = rough_errors(read_log(frame_pairs, rig, params), measured, params)
-    return read_log(frame_pairs, rig, params, errors, measured)
+    """The log with errors as they are known before they are estimated, and with its steps."""
+    log = read_log(frame_pairs, rig, params)
+    renewed = np.append(0.0, np.cumsum(log_steps(log, measured)))
+    return read_log(frame_pairs, rig, params, rough_errors(log, measured, params), renewed)
 
 
 def only(motions: MeasuredMotions, chosen: Bools) -> MeasuredMotions:
@@ -237,18 +238,15 @@ def read_log(
     rig: Rig,
     params: TrajectoryParams,
     errors: LogErrors | None = None,
-    measured: MeasuredMotions | None = None,
+    renewed: Floats | None = None,
 ) -> LoggedPoses:
-    """The log with the model of its errors: estimated ones, or as assumed. measured: motions that show its steps."""
-    steps = None if measured is None else log_steps(read_log(frame_pairs, rig, params), measured)
+    """The log with the model of its errors: estimated ones, or as assumed. renewed: see `StatedErrors`."""
     errors = errors or assumed_errors(params)
     white, fast, slow, smooth, fast_s, slow_s, smooth_s, jitter_s, factor = (
         errors.by_axis(field)
         for field in ("white", "fast", "slow", "smooth", "fast_s", "slow_s", "smooth_s", "jitter_s", "factor")
     )
-    times_s, stated, between, apart_s, renewed = records = stated_errors(
-        frame_pairs, None if steps is None else np.append(0, np.cumsum(steps))
-    )
+    times_s, stated, between, apart_s, renewed = records = stated_errors(frame_pairs, renewed)
     step_s = np.maximum(np.diff(times_s), LEAST_STEP_S)
     usual_s = float(np.median(step_s))
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in frame_pairs])

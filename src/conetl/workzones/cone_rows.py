@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from conetl.model.arrays import Floats
-from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, Knot, Taper
 
 _WINDOW = 8

@@ -20,7 +20,7 @@ from conetl.files.documents import read_yaml_model
 from conetl.geometry.linear_reference import locate, spacing_beside
 from conetl.model.arrays import Floats
 from conetl.model.base import Record
-from conetl.model.params import LayoutParams, WorkZoneParams
+from conetl.model.work_zone_params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import ConeRow, LayoutFinding, Level, Rule, Taper, ZoneHistory, ZoneLayout
 from conetl.workzones.road_lines import lanes_at
 

@@ -12,7 +12,7 @@ from scipy.spatial import KDTree
 
 from conetl.geometry.linear_reference import directions_at, locate, project, resampled, smoothed, spaced, stations
 from conetl.model.arrays import Bools, Floats, Ints
-from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import AxisSource, DrivePath, LaneBands, LaneLine
 
 _STEP_M = 2.0

@@ -19,7 +19,7 @@ from scipy.spatial import KDTree
 from conetl.geometry.linear_reference import spacing_beside
 from conetl.model.arrays import Floats, Ints
 from conetl.model.map_records import FeatureVersion, MapFeature
-from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, ZoneHistory
 from conetl.workzones.road_lines import axes_of, passes_beside
 

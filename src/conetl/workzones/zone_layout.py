@@ -10,8 +10,8 @@ from conetl.geometry.linear_reference import directions_at, locate, project
 from conetl.geometry.packing import cov_matrices
 from conetl.model.arrays import Floats
 from conetl.model.map_records import MapFeature
-from conetl.model.params import WorkZoneParams
 from conetl.model.rig import Side
+from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import (
     AxisSource,
     DrivePath,

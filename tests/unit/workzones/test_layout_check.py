@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conetl.model.params import LayoutParams, WorkZoneParams
+from conetl.model.work_zone_params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, Level, Rule
 from conetl.workzones import layout_check
 from conetl.workzones.layout_check import FOOT_M, MILE_KM

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from conetl.model.map_records import FeatureVersion
-from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath
 from conetl.workzones.work_zones import chain_stations, zones_over_time
 from conetl.workzones.zone_layout import describe, layout_of

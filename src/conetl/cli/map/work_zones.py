@@ -24,7 +24,7 @@ from conetl.exports.text_files import export_layout_geojson, finding_as_dict
 from conetl.files.documents import read_yaml_model
 from conetl.model.base import Record
 from conetl.model.errors import InputError
-from conetl.model.params import LayoutParams, WorkZoneParams
+from conetl.model.work_zone_params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import LayoutFinding, Level, WorkZone
 from conetl.pipeline.maps.work_zones import read_zones, zone_as_dict
 from conetl.workzones import layout_check

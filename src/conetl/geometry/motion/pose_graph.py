@@ -35,7 +35,7 @@ _LEAST_FRESH = 1e-10
 
 @dataclass(frozen=True)
 class LoggedPoses:
-    """The logged trajectory and the model of its errors: drift (first-order Gauss-Markov) and white noise."""
+    """The logged trajectory and the model of its errors: smooth ones, drift (first-order Gauss-Markov) and white noise."""
 
     rotations: Floats
     positions: Floats

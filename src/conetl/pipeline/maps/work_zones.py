@@ -17,7 +17,7 @@ from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.map_records import FeatureVersion, MapFeature
-from conetl.model.params import WorkZoneParams
+from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, WorkZone, ZoneHistory
 from conetl.workzones.work_zones import zones_over_time
 from conetl.workzones.zone_layout import describe, layout_of

@@ -11,7 +11,7 @@ from conetl.model.health import Finding
 from conetl.model.params import TrajectoryParams
 from conetl.tracking.log.log_errors import GROUPS, LogErrors, assumed_errors, compared_frames
 from conetl.tracking.log.path_difference import ASIDE, LEVER, SCALE, UNKNOWN, UP, measured_cov
-from conetl.tracking.log.path_fit import PathFit, fitted_changes, sigma_of_likeness
+from conetl.tracking.log.path_fit import PathFit, fitted_changes, sigma_of_any_shape
 from conetl.tracking.trajectory import RefinedTrajectory, RefinementOutcome
 
 DISTANCES, SIGMAS = "distances by images and by GNSS/INS", "stated sigmas of the poses"
@@ -67,7 +67,7 @@ def _heights(fit: PathFit, errors: LogErrors) -> Finding:
     changes = np.concatenate([fit.changes, climbs], axis=2)
     prior = np.append(fit.prior, _HEIGHTS_PRIOR)
     found, cov = fitted_changes(difference, records, errors, changes, prior)
-    alike = sigma_of_likeness(records, changes, prior)[-1]
+    alike = sigma_of_any_shape(records, changes, prior)[-1]
     # Errors of the measured path look like climbs that GNSS/INS does not have: the factor is too small by their share.
     frames = compared_frames(records)
     even = np.column_stack([np.ones(len(frames)), difference.driven_m[frames]])

@@ -69,9 +69,9 @@ def check_trajectory(
     if not params.refine or len(frame_pairs) < 2:
         return []
     measured = measured_motions(frame_pairs, motions, params)
-    log = read_log(frame_pairs, rig, params, trajectory.errors, measured)
-    none = np.zeros(0, dtype=bool)
     rough = rough_log(frame_pairs, rig, measured, params)
+    log = read_log(frame_pairs, rig, params, trajectory.errors, rough.renewed)
+    none = np.zeros(0, dtype=bool)
     good = plausible_motions(log, measured, params.scale_sigma, rough) if len(measured.start) else none
     if len(frame_pairs) <= _LEAST_INTERVALS:
         return [check_jumps(frame_pairs, rig, measured, good, limits.jumps, params.clock_sigma_s)]
@@ -85,7 +85,7 @@ def check_trajectory(
         _measured(frame_pairs, rig, measured.start, limits),
         _agreement(frame_pairs, rig, measured, good, residual),
         *([_not_adjusted(measured, residual)] if trajectory.outcome is RefinementOutcome.NOT_CONVERGED else []),
-        _with_every(
+        _with_fault_of_log(
             check_jumps(frame_pairs, rig, measured, good, limits.jumps, params.clock_sigma_s), frame_pairs, rig
         ),
         check_turn_jumps(frame_pairs, rig, measured, good, limits.jumps),
@@ -233,7 +233,7 @@ def _against_itself(frame_pairs: Sequence[FramePair], rig: Rig) -> tuple[tuple[s
     return (("aside",), {"aside_deg": aside_deg}) if aside_deg > _ASIDE_DEG else ((), {})
 
 
-def _with_every(finding: Finding, frame_pairs: Sequence[FramePair], rig: Rig) -> Finding:
+def _with_fault_of_log(finding: Finding, frame_pairs: Sequence[FramePair], rig: Rig) -> Finding:
     """A finding of jumps, which begins with what is wrong with the log alone."""
     says, facts = _against_itself(frame_pairs, rig)
     return finding.saying(*says, *finding.says, **facts) if says in (("repeated",), ("scatter",)) else finding

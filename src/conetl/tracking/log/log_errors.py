@@ -54,7 +54,7 @@ _LEFT = 0.1
 #: Variance of the mean of a fast error relative to that of its changes.
 _FAST_MEAN = 1.0
 #: Of normal errors, from the median of their absolute values; what the white part leaves at least.
-_SIGMA_OF_MEDIAN, _LEAST_SLOW = 1.4826, 1e-3
+SIGMA_OF_MEDIAN, _LEAST_SLOW = 1.4826, 1e-3
 #: Stated sigmas that differ by less than this factor have the same cause.
 _SAME_SIGMA = 1.1
 _LEAST_VAR = 1e-6
@@ -141,7 +141,7 @@ def rough_errors(log: LoggedPoses, motions: MeasuredMotions, params: TrajectoryP
     bends = np.diff(each, axis=0)[np.diff(motions.start) == 1]
     if not len(bends):
         return assumed
-    scatter = _SIGMA_OF_MEDIAN * np.median(np.abs(bends), axis=0) / 6**0.5
+    scatter = SIGMA_OF_MEDIAN * np.median(np.abs(bends), axis=0) / 6**0.5
     total = np.median(np.hypot(log.own, log.drift), axis=0)
     shares = np.minimum((scatter / total) ** 2, 1.0 - _LEAST_SLOW)
     rough = [float(shares[list(axes)].max()) for axes in GROUPS]

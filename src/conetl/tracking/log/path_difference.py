@@ -78,7 +78,7 @@ def rising(times_s: Floats) -> Floats:
 
 
 def path_changes(difference: PathDifference) -> Floats:
-    """(K, 3, 7) m: by how much the logged path differs from the measured one for each unit of `ROTATED` to `CLOCK`."""
+    """(K, 3, 7) m: by how much the logged path differs from the measured one for each unit of `SCALE` to `CLOCK`."""
     path = difference.path_m
     changes = np.zeros((len(path), 3, 7))
     changes[:, :, SCALE] = -path

@@ -94,7 +94,7 @@ def fit_path(
     return PathFit(
         found,
         np.sqrt(np.diag(cov)),
-        np.hypot(np.sqrt(np.diag(cov)), sigma_of_likeness(records, changes, prior)),
+        np.hypot(np.sqrt(np.diag(cov)), sigma_of_any_shape(records, changes, prior)),
         stated,
         prior,
         records,
@@ -104,7 +104,7 @@ def fit_path(
     )
 
 
-def sigma_of_likeness(records: StatedErrors, changes: Floats, prior: Floats) -> Floats:
+def sigma_of_any_shape(records: StatedErrors, changes: Floats, prior: Floats) -> Floats:
     """(C,): sigmas of changes (K, 3, C) if the errors of the log have just the shape of one of them.
 
     Of all errors whose mean square is the stated one, those that look most like what the log does not contain: a third of the

@@ -7,6 +7,7 @@ import numpy as np
 from conetl.geometry import pose as se3
 from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions, motion_residuals
 from conetl.model.arrays import Bools, Floats, Ints
+from conetl.tracking.log.log_errors import SIGMA_OF_MEDIAN
 
 #: Chi-square of 6 degrees of freedom at 1e-6, beyond which an interval contradicts GNSS/INS.
 _GATE_CHI2 = 38.3
@@ -14,8 +15,6 @@ _NEIGHBOURS = 4
 _LONE_SIGMAS = 4.5
 #: A step of the log is so many times as rough as the images there, beyond so many sigmas of most differences, and rare.
 _STEPS_BY, _STEP_SIGMAS, _MOST_STEPS = 2.0, 8.0, 0.05
-#: Of normal errors, from the median of their absolute values.
-_SIGMA_OF_MEDIAN = 1.4826
 
 
 def log_steps(log: LoggedPoses, motions: MeasuredMotions) -> Bools:
@@ -41,7 +40,7 @@ def log_steps(log: LoggedPoses, motions: MeasuredMotions) -> Bools:
     sigma[seen] = np.sqrt(np.diagonal(motions.cov[:, 3:, 3:], axis1=1, axis2=2).max(axis=1))
     usual = np.full(len(every), np.median(of_log))
     usual[seen] = np.median(differs[seen])
-    steps = differs > _STEP_SIGMAS * np.hypot(sigma, _SIGMA_OF_MEDIAN * usual)
+    steps = differs > _STEP_SIGMAS * np.hypot(sigma, SIGMA_OF_MEDIAN * usual)
     steps &= of_log > _STEPS_BY * of_images
     return steps if steps.mean() <= _MOST_STEPS else np.zeros(len(every), dtype=bool)
 
@@ -55,11 +54,11 @@ def plausible_motions(
     differs from these neighbours by more: then GNSS/INS steps, as where a receiver finds other satellites. rough: the log with
     errors as assumed beforehand (`rough_errors`); a motion that these explain contradicts nothing.
     """
-    k = motions.start
-    residual, inside = _within_errors(log, motions, scale_sigma)
+    k, parts = motions.start, motion_residuals(log, log.rotations, log.positions, motions, 0.0)
+    residual, from_first, _ = parts
+    inside = _within_errors(log, motions, parts, scale_sigma)
     if rough is not None and not inside.all():
-        inside |= _within_errors(rough, motions, scale_sigma)[1]
-    _, from_first, _ = motion_residuals(log, log.rotations, log.positions, motions, 0.0)
+        inside |= _within_errors(rough, motions, parts, scale_sigma)
     change = (
         log.drift[k] ** 2 * 2 * (1 - log.correlation[k]) + log.noise[k] ** 2 + log.noise[k + 1] ** 2 + log.change[k]
     )
@@ -76,10 +75,11 @@ def plausible_motions(
     return np.asarray((inside | steps) & ~(known & lone.any(axis=1)))
 
 
-def _within_errors(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: float) -> tuple[Floats, Bools]:
-    """(M, 6) measured minus logged motions, and (M,) whether the errors of both explain them."""
-    k = motions.start
-    residual, from_first, from_second = motion_residuals(log, log.rotations, log.positions, motions, 0.0)
+def _within_errors(
+    log: LoggedPoses, motions: MeasuredMotions, parts: tuple[Floats, Floats, Floats], scale_sigma: float
+) -> Bools:
+    """(M,): whether the errors of both explain how they differ. parts: of `motion_residuals`."""
+    k, (residual, from_first, from_second) = motions.start, parts
     # What both poses have in common counts too: an attitude error turns the distance between them to the side.
     kept = log.correlation[k] * log.drift[k + 1] / log.drift[k]
     fresh = log.drift[k + 1] ** 2 * (1 - log.correlation[k] ** 2) + log.noise[k + 1] ** 2 + log.change[k]
@@ -88,7 +88,7 @@ def _within_errors(log: LoggedPoses, motions: MeasuredMotions, scale_sigma: floa
     spread += _moved(from_first + from_second * kept[:, None, :], log.drift[k] ** 2)
     spread[:, 3:, 3:] += scaled[:, :, None] * scaled[:, None, :]
     chi2 = np.einsum("mi,mi->m", residual, np.linalg.solve(spread, residual[:, :, None])[:, :, 0])
-    return residual, chi2 <= _GATE_CHI2
+    return np.asarray(chi2 <= _GATE_CHI2)
 
 
 def _moved(jacobian: Floats, variance: Floats) -> Floats:
