@@ -323,7 +323,10 @@ def _write(root: Path, settings: Mapping[str, Any], missing: Sequence[Missing], 
 def _answers(folder: Path, missing: Sequence[Missing], *, yes: bool, as_json: bool) -> dict[str, Any]:
     """Values of what is missing, by their keys: those that are proposed, or else those that a person types at a terminal."""
     if yes:
-        return {each.key: each.suggestion for each in missing if each.suggestion is not None and each.required}
+        taken = [each for each in missing if each.suggestion is not None and each.required]
+        for each in () if as_json else taken:
+            say(f"  {each.key} {in_yaml(each.suggestion)}, as proposed: {each.text}")
+        return {each.key: each.suggestion for each in taken}
     if as_json or not _is_terminal():
         return {}
     say(f"{folder}: these values are missing:\n{_listed(missing)}")
