@@ -24,6 +24,7 @@ from threading import Thread
 from typing import Any
 
 import httpx
+import psutil
 import pytest
 
 from conetl.db.cluster.cluster import cluster_status
@@ -121,10 +122,12 @@ class Desk:
         return processes_with(TOKEN, read_services(self.home)[service].token)
 
     def kill_service(self, name: str) -> None:
-        """What a power cut does to a worker: kill -9, its runs included."""
-        for pid in self.processes_of(name):
+        """What a power cut does to a worker: kill -9, its runs included. Waits until they are gone, and their ports free."""
+        killed = self.processes_of(name)
+        for pid in killed:
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
+        until(lambda: not any(map(psutil.pid_exists, killed)), f"the end of {name}")
 
     def kill_postgresql(self) -> None:
         """The cluster of this home: its first process, then those that it started."""
