@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from base64 import b64decode, b64encode
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import StrEnum
 from itertools import chain, pairwise
 from typing import Annotated, NamedTuple
@@ -15,7 +15,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
@@ -39,6 +39,9 @@ from conetl.model.rig import Rig
 PAUSE_S = 5.0
 #: Expected motions may scatter by this much from one interval to the next, beyond it they are means of at most so many around.
 _MOST_SCATTER_M, _MOST_SCATTER_RAD, _MOST_AROUND = 0.1, 0.01, 10
+#: A log steps where its motion differs by more from the median of so many, in metres and as a share: too far for points to be
+#: followed.
+_STEP_M, _STEP_SHARE, _STEP_OF = 0.3, 0.3, 9
 #: Stated sigma of sparse positions from which on they show a motion only in the mean over some of them.
 _COARSE_M = 0.2
 
@@ -116,12 +119,19 @@ def motions_to_try(frame_pairs: Sequence[FramePair], rig: Rig) -> list[list[Floa
     """Of each interval the expected motions that may be near enough to follow points by.
 
     A log that scatters is smoothed, so that motions are those of some intervals in the mean. Across a pause without images, the
-    motion of the interval before is tried, too, and where positions are sparse, the mean of those around.
+    motion of the interval before is tried, too, where the log steps, the median of those around, and where positions are sparse,
+    their mean.
     """
     expected = _without_scatter(np.array(expected_motions(frame_pairs, rig)).reshape(-1, 4, 4))
     pauses = np.diff([pair.captured_at_ns for pair in frame_pairs]) > 1e9 * PAUSE_S
+    usual = _filtered(expected, lambda parts: median_filter(parts, (_STEP_OF, 1), mode="nearest"))
+    off_m, usual_m = (np.linalg.norm(part[:, :3, 3], axis=1) for part in (expected - usual, usual))
+    steps = off_m > np.maximum(_STEP_M, _STEP_SHARE * usual_m)
     before = [*expected[:1], *expected[:-1]]
-    found = [[one, other] if pause else [one] for one, other, pause in zip(expected, before, pauses, strict=True)]
+    found = [
+        [one, *([other] if pause else []), *([around] if step else [])]
+        for one, other, around, pause, step in zip(expected, before, usual, pauses, steps, strict=True)
+    ]
     sparse_s = [pair.pose.interpolated.apart_s for pair in frame_pairs if pair.pose.interpolated is not None]
     if sparse_s and max(np.median([pair.pose.sigma_enu_m[:2] for pair in frame_pairs], axis=0)) > _COARSE_M:
         lasts_s = float(np.median(np.diff([pair.captured_at_ns for pair in frame_pairs]))) * 1e-9
@@ -143,10 +153,15 @@ def _without_scatter(motions: Floats) -> Floats:
 
 def _mean_motions(motions: Floats, around: int) -> Floats:
     """(N, 4, 4) means of the motions (N, 4, 4) of an interval and so many before and after it."""
-    if not around:
+    return _filtered(motions, lambda parts: uniform_filter1d(parts, 2 * around + 1, axis=0, mode="reflect"))
+
+
+def _filtered(motions: Floats, method: Callable[[Floats], Floats]) -> Floats:
+    """(N, 4, 4) motions whose rotation vectors and translations, together (N, 6), are filtered."""
+    if not len(motions):
         return motions
     parts = np.hstack([Rotation.from_matrix(motions[:, :3, :3]).as_rotvec(), motions[:, :3, 3]])
-    parts = uniform_filter1d(parts, 2 * around + 1, axis=0, mode="reflect")
+    parts = method(parts)
     return se3.se3(Rotation.from_rotvec(parts[:, :3]).as_matrix(), parts[:, 3:])
 
 

@@ -24,7 +24,7 @@ from conetl.geometry.motion.stereo_motion import RelativeMotion, StereoCameras, 
 from conetl.geometry.motion.stereo_tracks import expected_motions, motions_of, shifts_between
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import left_SE3_right
-from conetl.model.arrays import Floats, Image, Ints
+from conetl.model.arrays import Bools, Floats, Image, Ints
 from conetl.model.check_params import ExposureCheckParams
 from conetl.model.drive import FramePair, Track
 from conetl.model.health import Finding
@@ -32,6 +32,7 @@ from conetl.model.params import TrajectoryParams
 from conetl.model.rig import Rig, Side
 from conetl.perception.visual_odometry import follow_drive
 from conetl.perception.working_size import ImageReader
+from conetl.tracking.log.log_errors import SIGMA_OF_MEDIAN
 from conetl.tracking.self_calibration import DOUBTFUL_SIGMAS, is_ahead
 
 EXPOSURES, DOUBLED = "exposures of both cameras", "images of one instant"
@@ -47,6 +48,8 @@ _LEAST_SPANS = 8
 _LEAST_CHANGE = 0.02
 #: Objects are one interval's travel apart to this many metres; shorter travel does not separate the images of one object.
 _APART_M, _LEAST_STEP_M = 0.15, 0.3
+#: Images contradict a log by this many sigmas of its scatter against them.
+_CLEAR_SIGMAS = 8.0
 #: At most this many intervals are tried.
 _MOST_TRIED = 40
 #: Images of another path contradict the log by this many times the change of an even log, which turns by no more than this much
@@ -184,9 +187,13 @@ def check_lost_frames(
     uneven = limits.uneven_share
     even = np.abs(speeds[1:-1] - (speeds[:-2] + speeds[2:]) / 2) < uneven * speeds[1:-1]
     ratios = np.linalg.norm(shifts_between(pairs, motions), axis=1)
-    ratios /= [max(float(np.linalg.norm(expected[:3, 3])), 1e-6) for expected in expected_motions(pairs, rig)]
+    expected_m = np.array(
+        [max(float(np.linalg.norm(expected[:3, 3])), 1e-6) for expected in expected_motions(pairs, rig)]
+    )
+    ratios /= expected_m
     usual = np.abs(ratios - 1) < 2 * uneven
     alone = even & usual[:-2] & ~usual[1:-1] & usual[2:] & (lengths_m[1:-1] > _LEAST_STEP_M)
+    alone &= _is_clear((ratios - 1) * expected_m)[1:-1]
     suspected = (np.flatnonzero(alone) + 1).tolist()
 
     def ratio(k: int, factor: float) -> float:
@@ -205,6 +212,12 @@ def check_lost_frames(
     ]
     facts = {"first": found[0]} if found else {}
     return Finding(check="frames lost by both cameras", value=float(len(found)), facts=facts)
+
+
+def _is_clear(off_m: Floats) -> Bools:
+    """(N,): which differences (N,) between images and log exceed the scatter of most; so do those that were not measured."""
+    off_m = np.abs(off_m - np.nanmedian(off_m))
+    return np.asarray(~(off_m < _CLEAR_SIGMAS * SIGMA_OF_MEDIAN * np.nanmedian(off_m)))
 
 
 def _shifts_m(first: FramePair, second: FramePair, rig: Rig, read: ImageReader, params: TrajectoryParams) -> Floats:
@@ -237,7 +250,8 @@ def check_recording(
     )
     even = (uneven_m < limits.elsewhere_m / _EVEN_TIMES) & (uneven_rad < _EVEN_RAD) & (uneven_s < seconds[1:-1] / 2)
     usual = sizes_m < limits.elsewhere_m / _EVEN_TIMES
-    suspected = np.flatnonzero(even & usual[:-2] & ~(sizes_m[1:-1] < limits.elsewhere_m) & usual[2:]) + 1
+    clear = _is_clear(sizes_m)[1:-1] & ~(sizes_m[1:-1] < limits.elsewhere_m)
+    suspected = np.flatnonzero(even & usual[:-2] & clear & usual[2:]) + 1
     found = [
         pairs[k].frame_index
         for k in evenly_spaced(suspected.tolist(), _MOST_TRIED)
