@@ -18,7 +18,6 @@ FOLDERS = ("exports", "images", "inbox", "logs", "plans", "prefect", "receipts",
 #: What `share_home` shares; the others hold secrets (the log of the view its token), or images and drives of others.
 SHARED = ("exports", "results")
 PREFECT_LOGIN, VIEW_TOKEN, WRITER_TOKEN = "prefect_login", "view_token", "writer_token"
-SECRETS = (PREFECT_LOGIN, VIEW_TOKEN, WRITER_TOKEN)
 MIN_SECRET_LENGTH = 16
 _OTHERS, _GROUP = 0o007, 0o070
 
