@@ -110,6 +110,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("map export --out feed.json --format wzdx", 2, "publisher"),
     ("map export --out feed.json --format wzdx --road-name A --feed feed.yaml", 2, "feed.yaml: colour.*known"),
     ("map export --out feed.json --format wzdx --feed feed.yaml", 2, "feed.yaml.*road_names"),
+    ("map export --out feed.xml --format datex2 --publisher A --road-name B", 2, "country.*--country"),
     ("map picture x.gif", 2, "x.gif.*png"),
     ("map picture x.png --size big", 2, "big.*240x160"),
     ("map picture x.png --bbox 1,2,3", 2, "1,2,3.*west,south,east,north"),
