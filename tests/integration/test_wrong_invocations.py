@@ -100,6 +100,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("map revert 9", 2, "9.*map log"),
     ("map revert qqqq", 2, "qqqq"),
     ("report drive nosuch", 2, "nosuch"),
+    ("report quality --checkpoints missing.csv", 2, "missing.csv"),
     ("drive accept nosuch", 2, "nosuch"),
     ("base drop roads", 2, "roads.*base list"),
     ("map export --out x.shp", 2, "x.shp.*--format"),
