@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from conetl.db.connection import Connection, or_infinity, read
 from conetl.db.map.decision_store import read_decisions
@@ -57,13 +57,6 @@ class PositionalAccuracy(Record):
     verdict: str | None = None
     """None below 30 check points."""
     statement: str
-
-
-class Figure(Record):
-    """A line of the page."""
-
-    figure: str
-    value: Any
 
 
 class Measure(Record):
@@ -254,18 +247,39 @@ def write_quality_page(path: Path, quality: MapQuality) -> Path:
     ]
     left = max(len(quality.squares) - _MAX_ROWS, 0)
     sections = [
-        _table("Positional accuracy", "RMSE_H, RMSE_V and RMSE_3D include the check points' own errors; NSSDA does not.",
-            [] if found is None else [Figure(figure=name.replace("_", " "), value=value) for name, value in found]),
+        *([] if found is None else [_positions(found)]),
         _table("Measures by element (ISO 19157-1)", "", quality.measures),
-        _table("Age", "Since drives passed a square, and since an object was observed; last row: longer ago.", quality.ages),
+        Section("Age", "Since drives passed a square, and since an object was last observed.", ("days", "squares", "objects"),
+            [(f"up to {one.up_to_days}" if one.up_to_days else "more", one.squares, one.features) for one in quality.ages]),
         _table("Coverage", f"Squares of 256 m that drives passed, the oldest first; {left} more are in the JSON.",
             quality.squares[:_MAX_ROWS]),
         _table("From road to map", "From the end of a drive to its changes on the map; backfills and holds count.", [latency]),
-        _table("Audits", "Offending rows, of all maps of the database.",
-            [Figure(figure=name, value=count) for name, count in quality.audits.items()]),
+        Section("Audits", "Offending rows, of all maps of the database.", ("audit", "rows"),
+            [(name.replace("_", " "), count) for name, count in quality.audits.items()]),
     ]  # fmt: skip
     title = f"Quality of the map {quality.map_name}"
     return write_page(path, render("accuracy.html.j2", title=title, summary=summary, sections=sections))
+
+
+def _positions(found: PositionalAccuracy) -> Section:
+    agrees = "contradict" if found.contradicts_sigmas else "agree with"
+    figures = {
+        "Mean of the differences, east, north, up": found.mean_enu_m,
+        "RMSE of the differences, east, north, up": found.rmse_differences_enu_m,
+        "RMSE of the check points, east, north, up": found.rmse_points_enu_m,
+        "RMSE_H": found.rmse_h_m,
+        "RMSE_V": found.rmse_v_m,
+        "RMSE_3D": found.rmse_3d_m,
+        "NSSDA, horizontal, 95 %": found.nssda_horizontal_m,
+        "NSSDA, vertical, 95 %": found.nssda_vertical_m,
+    }
+    note = (
+        f"{found.tested} of {found.check_points} check points carry an object. The differences {agrees} the stated sigmas. "
+        "RMSE_H, RMSE_V and RMSE_3D include the check points' own errors; NSSDA does not."
+    )
+    return Section(
+        "Positional accuracy", note, ("figure", "m"), [(name, _cell(value)) for name, value in figures.items()]
+    )
 
 
 def _table(heading: str, note: str, records: Sequence[Record]) -> Section:
@@ -278,7 +292,8 @@ def _cell(value: object) -> str:
         return ", ".join(map(_cell, value))
     if isinstance(value, datetime):
         return f"{value:%Y-%m-%d %H:%M}"
-    return "" if value is None else f"{value:.4f}" if isinstance(value, float) else str(value)
+    text = f"{value:.4f}".rstrip("0").rstrip(".") if isinstance(value, float) else value
+    return "" if text is None else str(text)
 
 
 def _age_classes(
