@@ -24,24 +24,15 @@ from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_y
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.image_times import UnknownTimeError
 from conetl.readers.drives.proposals import (
-    FILE_KEYS,
     Proposal,
     check_start,
     propose,
     stated_time,
     still_valid,
     suggested,
-)
-from conetl.readers.drives.proposals.template import (
-    RIG,
-    Missing,
-    in_yaml,
-    is_key,
-    is_template,
-    is_text,
-    similar_keys,
     template,
 )
+from conetl.readers.drives.proposals.template import FILE_KEYS, RIG, Missing, in_yaml, is_text
 from conetl.readers.drives.summary import summarise
 from conetl.readers.drives.video import NAME, Preview, preview
 from conetl.readers.drives.video_timing import Timing
@@ -143,8 +134,8 @@ def _given(root: Path, texts: Sequence[str]) -> dict[str, Any]:
         key, sign, value = (part.strip() for part in text.partition("="))
         if not sign or not key:
             raise InputError(f"--set {shown(text)}: expected KEY=VALUE, like images.every=2")
-        if not is_key(key):
-            near = similar_keys(key)
+        if not template.is_key(key):
+            near = template.similar_keys(key)
             hint = f"did you mean {' or '.join(near)}?" if near else "they are listed in docs/reference/drives.md"
             raise InputError(f"--set {key}: {DRIVE_YAML} has no such key; {hint}")
         given[key] = (value or None) if is_text(key) else parse_yaml(f"--set {key}", value)
@@ -177,7 +168,7 @@ def _as_in_folder(root: Path, name: str) -> str:
 def _earlier(root: Path, *, force: bool) -> dict[str, Any]:
     """What an earlier drive.yaml states. Raises InputError where its comments or errors are those of a person."""
     path = root / DRIVE_YAML
-    if path.is_file() and not force and not is_template(path):
+    if path.is_file() and not force and not template.is_template(path):
         raise InputError(
             f"{path} was not written by 'conetl init': edit it, or use --force to rewrite it: its settings are kept, its "
             "comments are not"
@@ -200,9 +191,7 @@ def _tried(root: Path, proposal: Proposal) -> tuple[Preview | None, list[Missing
     try:
         return _previewed(root, proposal.settings, proposal.rig), []
     except UnknownTimeError as error:
-        known = proposal.recorded and suggested(root, proposal.settings, proposal.recorded, error.key)
-        value, reason = known or (None, None)
-        return None, [Missing(error.key, error.cause if reason is None else f"{error.cause}. {reason}", value)]
+        return None, [suggested(root, proposal.settings, proposal.recorded, Missing(error.key, error.cause))]
     except ConetlError as error:
         _write(root, proposal.settings, [], proposal.rig)
         raise _unreadable(root, str(error)) from error
@@ -314,7 +303,9 @@ def _write(root: Path, settings: Mapping[str, Any], missing: Sequence[Missing], 
     with atomic_files(*(root / name for name in names)) as unfinished:
         if rig is not None:
             write_rig_yaml(rig, unfinished[0])
-        unfinished[-1].write_text(template(settings, [each for each in missing if each.required]), encoding="utf-8")
+        unfinished[-1].write_text(
+            template.template(settings, [each for each in missing if each.required]), encoding="utf-8"
+        )
 
 
 # --------------------------------------------------------------------------- questions
@@ -347,13 +338,11 @@ def _is_terminal() -> bool:
 
 def _listed(missing: Sequence[Missing]) -> str:
     """The values, each with its option, the reason and what is proposed."""
-    return "".join(f"  {_as_option(each)}\n      {_reason(each)}\n" for each in missing)
-
-
-def _reason(missing: Missing) -> str:
-    if not missing.required:
-        return f"{missing.text}. May be left out."
-    return missing.text + (f". --yes takes {in_yaml(missing.suggestion)}" if missing.suggestion is not None else "")
+    text = ""
+    for each in missing:
+        proposed = f". --yes takes {in_yaml(each.suggestion)}" if each.suggestion is not None else ""
+        text += f"  {_as_option(each)}\n      {each.text}{proposed if each.required else '. May be left out.'}\n"
+    return text
 
 
 def _as_option(missing: Missing) -> str:
@@ -367,13 +356,9 @@ def _stop(folder: Path, settings: Mapping[str, Any], missing: Sequence[Missing],
     """List what is missing."""
     again = f"conetl init {quote(str(folder))}"
     if as_json:
-        listed = [
-            {
-                "option": _as_option(each), "key": each.key, "text": each.text, "proposal": each.suggestion,
-                "required": each.required,
-            }
-            for each in missing
-        ]  # fmt: skip
+        names = ("option", "key", "text", "proposal", "required")
+        values = ((_as_option(each), each.key, each.text, each.suggestion, each.required) for each in missing)
+        listed = [dict(zip(names, each, strict=True)) for each in values]
         print_json({"settings": settings, "missing": listed, "next": [again]})
     complain(
         f"{folder / DRIVE_YAML} was written, but these values are missing:\n{_listed(missing)}State them with these options, or "

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from conetl.files.documents import shown
 from conetl.model.errors import InputError
-from conetl.model.rig import Side
+from conetl.model.rig import SIDES, Side
 from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.perception.video import VIDEO_SUFFIXES, VideoFacts, video_facts
 from conetl.readers.drives.drive_yaml import inside
@@ -59,6 +59,11 @@ class Files(NamedTuple):
     """Files that may be too long to read for a plan: trajectories and videos."""
     listed: Mapping[str, Sequence[str]] = {}
     """Names of the files in other folders."""
+
+    @property
+    def trajectory(self) -> Path:
+        """The last log."""
+        return [*self.logs.values()][-1]
 
     @property
     def image_count(self) -> int:
@@ -133,6 +138,17 @@ def sides_of(names: Sequence[str]) -> dict[Side, list[str]]:
         if left or right:
             return {"left": left, "right": right}
     return {"left": [], "right": []}
+
+
+def with_likely_sides(known: Mapping[Side, str], names: Sequence[str]) -> dict[Side, str]:
+    """The names of both cameras' streams, as far as they show it: of two streams, the other one is known with the first."""
+    likely = sides_of(names)
+    found = {side: likely[side][0] for side in SIDES if len(likely[side]) == 1} | dict(known)
+    unknown = [side for side in SIDES if side not in found]
+    unused = [name for name in names if name not in found.values()]
+    if len(names) == 2 and len(unknown) == len(unused) == 1:
+        found[unknown[0]] = unused[0]
+    return found
 
 
 def _levels(root: Path) -> Iterator[list[Path]]:

@@ -17,7 +17,7 @@ from conetl.model.errors import ConetlError, ServiceError, is_storage_error
 from conetl.readers.drives import find_format, kitti
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings
-from conetl.readers.drives.pairs import Source
+from conetl.readers.drives.pairs import ContentHash, Source
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ def read_header(folder: Path) -> DriveHeader:
                 pass  # raises OSError where it cannot be listed: then it may hold a drive
         files = (found or kitti).scan(folder, settings)
         facts.add(files)
-        source = Source(folder, folder.resolve(), settings, facts.content, settings.map_srid, None, files)
+        source = Source(folder, folder.resolve(), settings, ContentHash(), settings.map_srid, None, files)
         (found or kitti).read_header(source, facts)
         if not facts.frame_pairs:
             problem = f"there are no images in {files.left.name} and {files.right.name}"

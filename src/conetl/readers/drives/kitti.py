@@ -16,27 +16,28 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 from conetl.files.documents import input_errors, read_bytes
 from conetl.files.storage import NOT_A_FILE, fetch, is_present, is_remote, object_bytes
-from conetl.model.drive import MAX_FRAME_INDEX, Drive
+from conetl.model.drive import MAX_FRAME_INDEX, Drive, Pose
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
 from conetl.readers.drives import oxts
 from conetl.readers.drives.camera_files import Files, Stream, image_files, names_in
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
-from conetl.readers.drives.formats import HeaderFacts, samples_of
+from conetl.readers.drives.formats import HeaderFacts, add_settings, samples_of
 from conetl.readers.drives.pairs import (
     ContentHash,
+    Frame,
+    ImageFile,
     PairError,
     Source,
-    UsablePair,
-    check_images,
-    drive_of_pairs,
+    by_stem,
+    drive_of_frames,
     first_size,
-    images_ahead,
 )
 from conetl.readers.drives.poses import checked_srid
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
@@ -63,40 +64,34 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     path, root, settings, content = source[:4]
     calibration = calibration_path(path, settings)
     rejections: list[Rejection] = []
-    files = source.files or scan(path, settings)
-    left, right = (_numbered_images(stream, rejections) for stream in files[:2])
+    streams = (source.files or scan(path, settings))[:2]
+    left, right = (_numbered_images(stream, rejections) for stream in streams)
     if not left and not right:
         raise InputError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
-    size = first_size((paths[0] for _, paths in sorted(left.items())), content)
-    rig = read_rig_for(root, calibration, size, settings, content)
+    rig = read_rig_for(source, calibration, first_size((files[0].path for _, files in sorted(left.items())), content))
     name = f"{settings.cameras.left}/timestamps.txt"
-    stamps = _stamps(root, name, settings, content)
-    times = {number: stamp for number, stamp in stamps.items() if isinstance(stamp, int)}
-    split = _split_triggers(root, settings, stamps, content)
-    oxts_stamps = _stamps(root, OXTS_STAMPS, settings, content) if (root / OXTS_STAMPS).is_file() else {}
+    stamps = _stamps(source, name)
+    split = _split_triggers(source, stamps)
+    oxts_stamps = _stamps(source, OXTS_STAMPS) if (root / OXTS_STAMPS).is_file() else {}
     srid, track, bad_records = _trajectory(source, oxts_stamps)
     # A frame with a time stamp and a pose, but without images, is lost too: copied in part, or to another folder.
     numbers = sorted(left.keys() | right.keys() | stamps.keys() & (track.rows.keys() | bad_records.keys()))
+    times = {n: time for n in numbers if isinstance(time := stamps.get(n), int) and n not in split}
+    wrong = {n: text for n, text in stamps.items() if isinstance(text, str)}
+    wrong |= {n: f"the time {text}" for n, text in misplaced(times).items()}
+    wrong = {n: f"{name}, line {n + 1}: {text}" for n, text in wrong.items()} | split
 
-    pairs: dict[int, UsablePair] = {}
-    misplaced_at = misplaced({number: times[number] for number in numbers if number in times and number not in split})
-    wrong = {number: str(stamp) for number, stamp in stamps.items() if number not in times}
-    wrong |= {number: f"the time {text}" for number, text in misplaced_at.items()}
-    wrong_times = {number: f"{name}, line {number + 1}: {text}" for number, text in wrong.items()} | split
-    for number in images_ahead(numbers, left, right, content):
-        try:
-            images = check_images(left.get(number, []), right.get(number, []), rig, content, root)
-            if number not in stamps:
-                lines = f"{name} has {len(stamps)} lines, line {number + 1} is needed for this frame"
-                raise PairError(RejectionReason.TIMESTAMP_MISSING, lines)
-            if number in wrong_times:
-                raise PairError(RejectionReason.TIMESTAMP_INVALID, wrong_times[number])
-            _check_pose(number, times[number], bad_records, track, root)
-        except PairError as error:
-            rejections.append(error.rejection(f"frame pair {number}", number))
-        else:
-            pairs[number] = *images, times[number], oxts.pose_at(track, number, times[number])
-    return drive_of_pairs(pairs, rejections, len(numbers), source, rig, srid)
+    def frame(n: int) -> Frame:
+        problem = PairError(RejectionReason.TIMESTAMP_INVALID, wrong.get(n, ""))
+        if n not in stamps:
+            lines = f"{name} has {len(stamps)} lines, line {n + 1} is needed for this frame"
+            problem = PairError(RejectionReason.TIMESTAMP_MISSING, lines)
+        captured = problem if n in wrong or n not in stamps else times[n]
+        return Frame(
+            n, str(n), left.get(n, ()), right.get(n, ()), captured, partial(_pose_at, n, bad_records, track, root)
+        )
+
+    return drive_of_frames([*map(frame, numbers)], source, rig, srid, rejections)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:
@@ -124,13 +119,12 @@ def scan(path: Path, settings: DriveYaml) -> Files:
 
 def read_header(source: Source, header: HeaderFacts) -> None:
     """The times of the left images; calibration and OXTS files must be there."""
-    path, root, settings = source[:3]
-    stamps = f"{settings.cameras.left}/timestamps.txt"
-    header.set_times([*_stamps(root, stamps, settings, ContentHash()).values()], path / stamps)
-    read_rig_for(path, calibration_path(path, settings), None, settings, ContentHash())
+    stamps = f"{source.settings.cameras.left}/timestamps.txt"
+    header.set_times([*_stamps(source, stamps).values()], source.path / stamps)
+    read_rig_for(source, calibration_path(source.path, source.settings), None)
     records = source.files.listed.get("oxts/data", []) if source.files is not None else []
     if not any(is_number(Path(name).stem) for name in records):
-        raise _no_poses(path)
+        raise _no_poses(source.path)
 
 
 def calibration_path(folder: Path, settings: DriveYaml) -> Path:
@@ -151,19 +145,16 @@ def calibration_path(folder: Path, settings: DriveYaml) -> Path:
     )
 
 
-def read_rig_for(
-    root: Path, path: Path, size: tuple[int, int] | None, settings: DriveYaml, content: ContentHash
-) -> Rig:
+def read_rig_for(source: Source, path: Path, size: tuple[int, int] | None) -> Rig:
     """The rig for left images of this size, with the chain from the IMU; its files are added to the content hash."""
-    numbers = int(settings.cameras.left[-1]), int(settings.cameras.right[-1])
+    settings = source.settings
+    left, right = (int(name[-1]) for name in (settings.cameras.left, settings.cameras.right))
     rig = read_kitti_rig(
-        path, images=size, left=numbers[0], right=numbers[1], body_required=True,
-        rig_id=settings.rig_id, sigma_px=settings.sigmas.image_px,
+        path, images=size, left=left, right=right, body_required=True, rig_id=settings.rig_id, sigma_px=settings.sigmas.image_px
     )  # fmt: skip
     for name in (path.name, VELO_TO_CAM, IMU_TO_VELO):
-        content.add(f"calibration/{name}", read_bytes(path.parent / name))
-    if (root / DRIVE_YAML).is_file():
-        content.add(DRIVE_YAML, read_bytes(root / DRIVE_YAML))
+        source.content.add(f"calibration/{name}", read_bytes(path.parent / name))
+    add_settings(source.content, source.root, (DRIVE_YAML,))
     return rig
 
 
@@ -172,7 +163,7 @@ def camera_folder(root: Path, name: str, settings: DriveYaml) -> Path:
     return (inside(root, name, DRIVE_YAML) if "cameras" in settings.model_fields_set else root / name) / "data"
 
 
-def _numbered_images(stream: Stream, rejections: list[Rejection]) -> dict[int, list[Path]]:
+def _numbered_images(stream: Stream, rejections: list[Rejection]) -> dict[int, list[ImageFile]]:
     """Images by the number that is their name; images without a number are rejected, hidden files do not count."""
     for path in stream.paths:
         if not is_number(path.stem):
@@ -188,38 +179,38 @@ def is_number(stem: str) -> bool:
     return stem.isascii() and stem.isdigit() and int(stem) <= MAX_FRAME_INDEX
 
 
-def _numbered(paths: Iterable[Path]) -> dict[int, list[Path]]:
+def _numbered(paths: Iterable[Path]) -> dict[int, list[ImageFile]]:
     """Files by the number that is their name; others are left out."""
-    found: dict[int, list[Path]] = {}
-    for path in sorted(paths):
-        if is_number(path.stem):
-            found.setdefault(int(path.stem), []).append(path)
+    found: dict[int, list[ImageFile]] = {}
+    for stem, files in by_stem(sorted(paths)).items():
+        if is_number(stem):
+            found.setdefault(int(stem), []).extend(files)
     return found
 
 
-def _stamps(root: Path, name: str, settings: DriveYaml, content: ContentHash) -> dict[int, int | str]:
+def _stamps(source: Source, name: str, content: ContentHash | None = None) -> dict[int, int | str]:
     """Times of a timestamps.txt, see `parse_timestamps`. Raises InputError."""
-    text = content.text(root, name, "expected one line with a time stamp for each frame number")
-    return parse_timestamps(text, settings.timestamps_timezone)
+    text = (content or source.content).text(
+        source.root, name, "expected one line with a time stamp for each frame number"
+    )
+    return parse_timestamps(text, source.settings.timestamps_timezone)
 
 
-def _split_triggers(
-    root: Path, settings: DriveYaml, left: Mapping[int, int | str], content: ContentHash
-) -> dict[int, str]:
+def _split_triggers(source: Source, left: Mapping[int, int | str]) -> dict[int, str]:
     """What is wrong with the times of right images, by frame number; nothing without their timestamps.txt.
 
     The file is part of the content hash only where it rejects a pair: else the hash of drives would change that earlier
     versions ingested with the same result.
     """
-    name = f"{settings.cameras.right}/timestamps.txt"
-    if not (root / name).is_file():
+    name = f"{source.settings.cameras.right}/timestamps.txt"
+    if not (source.root / name).is_file():
         return {}
     own = ContentHash()
-    right = _stamps(root, name, settings, own)
-    found = {number: trigger_problem(time, right.get(number), settings) for number, time in left.items()}
+    right = _stamps(source, name, own)
+    found = {number: trigger_problem(time, right.get(number), source.settings) for number, time in left.items()}
     wrong = {number: f"{name}, line {number + 1}: {problem}" for number, problem in found.items() if problem}
     if wrong:
-        content.add(name, own.hexdigest().encode())
+        source.content.add(name, own.hexdigest().encode())
     return wrong
 
 
@@ -264,20 +255,21 @@ def _read_oxts(source: Source) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
     files = _numbered(data.glob("*.txt")) if data.is_dir() else {}
     if not files:
         raise _no_poses(source.path)
-    fetch([path for paths in files.values() for path in paths], fresh=True)
+    fetch([file.path for same in files.values() for file in same], fresh=True)
     records: dict[int, OxtsRecord] = {}
     bad: dict[int, str] = {}
-    for number, paths in files.items():
-        if not (is_remote(paths[0]) or is_present(paths[0])):
+    for number, same in files.items():
+        path = same[0].path
+        if not (is_remote(path) or is_present(path)):
             bad[number] = NOT_A_FILE
             continue
         try:
-            if not is_remote(paths[0]) and paths[0].stat().st_size > MAX_RECORD_BYTES:
+            if not is_remote(path) and path.stat().st_size > MAX_RECORD_BYTES:
                 raise ValueError(f"expected a record of at most {MAX_RECORD_BYTES:,} bytes")
-            raw = object_bytes(paths[0]) if is_remote(paths[0]) else paths[0].read_bytes()
-            source.content.add(f"oxts/data/{paths[0].name}", raw)
-            if len(paths) > 1:
-                raise ValueError(f"{len(paths)} files have this number: {', '.join(path.name for path in paths)}")
+            raw = object_bytes(path) if is_remote(path) else path.read_bytes()
+            source.content.add(f"oxts/data/{path.name}", raw)
+            if len(same) > 1:
+                raise ValueError(f"{len(same)} files have this number: {', '.join(file.path.name for file in same)}")
             text = raw.decode("utf-8", errors="replace")
             records[number] = parse_oxts(text, accuracy_required=source.settings.sigmas.horizontal_m is None)
         except ValueError as error:
@@ -292,8 +284,8 @@ def _no_poses(folder: Path) -> InputError:
     )
 
 
-def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.OxtsTrajectory, root: Path) -> None:
-    """Raise PairError unless there is a pose of this number at about the image's time."""
+def _pose_at(number: int, bad: Mapping[int, str], track: oxts.OxtsTrajectory, root: Path, captured: int) -> Pose:
+    """The pose of a frame. Raises PairError unless there is a record of this number at about the image's time."""
     name = f"oxts/data/{number:010d}.txt"
     if number in bad:
         path = root / name
@@ -305,6 +297,7 @@ def _check_pose(number: int, captured: int, bad: Mapping[int, str], track: oxts.
     if number not in track.rows:
         raise PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
     require_same_time(captured, track.times_ns[track.rows[number]])
+    return oxts.pose_at(track, number, captured)
 
 
 def require_same_time(captured: int, pose_at: int | None) -> None:

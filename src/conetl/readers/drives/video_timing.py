@@ -131,10 +131,7 @@ def _later(image: Image | None, offset_ns: int) -> Image | None:
 
 
 def _at(camera: CameraImages, start_ns: int) -> list[Image]:
-    return [
-        Image(start_ns + round(time_s * 1e9), path)
-        for time_s, path in zip(camera.times_s.tolist(), camera.paths, strict=True)
-    ]
+    return camera.at([start_ns + round(time_s * 1e9) for time_s in camera.times_s.tolist()])
 
 
 def needed_span(cameras: Sequence[CameraImages], settings: DriveYaml, root: Path) -> tuple[int, int] | None:

@@ -100,13 +100,8 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     if not couples:
         raise InputError(f"{path}: there are no images on {topics.left} and {topics.right}")
     pose_at = poses_at([stamp for couple in couples if (stamp := pairs.time_of(couple)) is not None])
-
-    def hash_of(path: Path) -> str:
-        return "" if content.headers_only else path.stem  # an unpacked image is named by its hash
-
-    return pairs.drive_of_couples(
-        couples, {"left": topics.left, "right": topics.right}, source, rig, srid, pose_at, hash_of
-    )
+    names: dict[Side, str] = {"left": topics.left, "right": topics.right}
+    return pairs.drive_of_couples(couples, names, source, rig, srid, pose_at)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:
@@ -336,7 +331,9 @@ def _read_images(
                 path = unpack(data, ".jpg" if header.format == "jpeg" else f".{header.format}", folder)
         except ImageFileError as error:
             problem = pairs.PairError(error.reason, str(error), path=_name_of(topic, image.stamp))
-        found[topic][number] = image._replace(path=path, problem=problem)
+        # An unpacked image is named by its hash.
+        sha256 = "" if content.headers_only else path.stem
+        found[topic][number] = image._replace(path=path, problem=problem, sha256=sha256)
 
     for message in bag.messages(list(sides)):
         topic, fields = message.topic, message.content
@@ -365,7 +362,7 @@ def _read_images(
             for number, data in decoder.rest():
                 add(topic, number, data)
         if content.headers_only:  # the others are not decoded
-            found[topic][1:] = [image._replace(problem=None) for image in found[topic][1:]]
+            found[topic][1:] = [image._replace(problem=None, sha256="") for image in found[topic][1:]]
     return found
 
 

@@ -14,8 +14,7 @@ from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.readers.drives import pose_rows
 from conetl.readers.drives.camera_files import names_in
-from conetl.readers.drives.proposals.proposal import TABLE_SUFFIXES, Proposal, value_at
-from conetl.readers.drives.proposals.template import Missing
+from conetl.readers.drives.proposals.template import TABLE_SUFFIXES, Proposal
 from conetl.readers.trajectories import read_trajectory, trajectory_format
 from conetl.readers.trajectories.recorded import RecordedTrajectory
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -37,22 +36,21 @@ _REMEDY = re.compile(r"(?:[:;.?]) (?:put|name them) (?=.*drive\.yaml)", re.IGNOR
 def add_trajectory(root: Path, proposal: Proposal) -> RecordedTrajectory | None:
     """The trajectory as far as it can be read; what it does not state is missing."""
     settings = proposal.settings.setdefault("trajectory", {})
-    candidates = pose_rows.find_logs(root) if "file" not in settings else []
-    candidates = [path for path in candidates if path != root / str(proposal.settings["images"].get("timestamps"))]
-    if len(candidates) == 1:
-        settings["file"] = candidates[0].relative_to(root).as_posix()
-    elif "file" not in settings:
-        names = ", ".join(path.relative_to(root).as_posix() for path in candidates) or "none was recognised"
-        if not candidates and (tables := names_in(root, TABLE_SUFFIXES)):
-            names += f"; there is {', '.join(tables)}"
-        first = candidates[0].relative_to(root).as_posix() if candidates else None
-        proposal.missing.append(Missing("trajectory.file", f"Found: {names}", first))
-        return None
+    if "file" not in settings:
+        times = root / str(proposal.settings["images"].get("timestamps"))
+        names = [path.relative_to(root).as_posix() for path in pose_rows.find_logs(root) if path != times]
+        if len(names) != 1:
+            found = ", ".join(names) or "none was recognised"
+            if not names and (tables := names_in(root, TABLE_SUFFIXES)):
+                found += f"; there is {', '.join(tables)}"
+            proposal.need("trajectory.file", f"Found: {found}", names[0] if names else None)
+            return None
+        settings["file"] = names[0]
     path = root / settings["file"]
     if pose_rows.looks_like(path):
         proposal.found.append(f"trajectory {settings['file']}: poses of the left camera, one row per image")
-        _add_local(proposal, "it has no position on the earth")
-        _add_sigma(proposal, "it states none")
+        proposal.need("georeference", "it has no position on the earth")
+        proposal.need("sigmas.horizontal_m", "it states none")
         return None
     recorded = _read_as_far_as_known(path, settings, proposal)
     if recorded is None:
@@ -63,20 +61,10 @@ def add_trajectory(root: Path, proposal: Proposal) -> RecordedTrajectory | None:
     if kind == "table":
         proposal.found.extend(f"{recorded.name}: {text}" for key, text in _TAKEN.items() if key not in settings)
     if recorded.is_local:
-        _add_local(proposal, f"{settings['file']} has x, y, z in a frame of its own")
+        proposal.need("georeference", f"{settings['file']} has x, y, z in a frame of its own")
     if not np.isfinite(recorded.sigma[:, :2]).any():
-        _add_sigma(proposal)
+        proposal.need("sigmas.horizontal_m")
     return recorded
-
-
-def _add_local(proposal: Proposal, cause: str) -> None:
-    if "georeference" not in proposal.settings:
-        proposal.missing.append(Missing("georeference", cause))
-
-
-def _add_sigma(proposal: Proposal, cause: str | None = None) -> None:
-    if value_at(proposal.settings, "sigmas.horizontal_m") is None:
-        proposal.missing.append(Missing("sigmas.horizontal_m", cause))
 
 
 def _read_as_far_as_known(path: Path, settings: Mapping[str, Any], proposal: Proposal) -> RecordedTrajectory | None:
@@ -93,26 +81,15 @@ def _read_as_far_as_known(path: Path, settings: Mapping[str, Any], proposal: Pro
                 if len(tried) == len(settings):
                     raise
                 return None  # what was tried may be wrong
-            value = _day_of(path) if unstated == "date" else _TRIED.get(unstated)
-            proposal.missing.append(Missing(f"trajectory.{unstated}", _REMEDY.split(str(error))[0], value))
-            if value is None:
-                _add_possible(proposal, path, str(error), tried)
+            changed = str(np.datetime64(int(path.stat().st_mtime), "s").astype("datetime64[D]"))
+            value = changed if unstated == "date" else _TRIED.get(unstated)
+            proposal.need(f"trajectory.{unstated}", _REMEDY.split(str(error))[0], value)
+            if value is None:  # what may be missing, too, of a table whose columns are unknown
+                if "date" not in tried and _TIME_OF_DAY.search(str(error)):
+                    proposal.need("trajectory.date", "if no column has the day", changed, required=False)
+                proposal.need("sigmas.horizontal_m", "if no column has them", required=False)
                 return None
             tried[unstated] = value
-
-
-def _add_possible(proposal: Proposal, path: Path, error: str, tried: Mapping[str, Any]) -> None:
-    """What may be missing, too, of a table whose columns are unknown."""
-    if "date" not in tried and _TIME_OF_DAY.search(error):
-        cause = "if no column has the day"
-        proposal.missing.append(Missing("trajectory.date", cause, _day_of(path), required=False))
-    if value_at(proposal.settings, "sigmas.horizontal_m") is None:
-        proposal.missing.append(Missing("sigmas.horizontal_m", "if no column has them", required=False))
-
-
-def _day_of(path: Path) -> str:
-    """When a file was changed last (UTC)."""
-    return str(np.datetime64(int(path.stat().st_mtime), "s").astype("datetime64[D]"))
 
 
 def _may_be_columns(path: Path, settings: Mapping[str, Any], error: str) -> bool:

@@ -12,8 +12,7 @@ from conetl.model.rig import Rig
 from conetl.readers.drives import pose_rows
 from conetl.readers.drives.camera_files import names_in
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, Mount
-from conetl.readers.drives.proposals.proposal import Proposal, value_at
-from conetl.readers.drives.proposals.template import RIG, Missing
+from conetl.readers.drives.proposals.template import RIG, Proposal, value_at
 from conetl.readers.rigs import RIG_SUFFIXES, RIG_YAML, FoundRigs, find_rigs, read_given_rig
 
 
@@ -38,15 +37,17 @@ def add_rig(root: Path, rig_file: Path | None, proposal: Proposal, size: tuple[i
                 cause += " 'conetl calibrate' makes one from images of a board."
             if not found and of_other_size and "crop" not in proposal.settings["images"]:
                 cause += " If these images are a part of larger ones, or were padded or binned, state images.crop."
-            proposal.missing.append(Missing(RIG, cause + f" It replaces {RIG_YAML}." * replaces))
+            proposal.need(RIG, cause + f" It replaces {RIG_YAML}." * replaces)
             return None
         path, rig, kind = found[0]
     image_size = f"{rig.left.width_px} x {rig.left.height_px}"
     proposal.found.append(f"calibration {path.name} ({kind}): {image_size}, baseline {rig.baseline_m:.3f} m")
     if "mount" in proposal.settings:
         proposal.found.append(_mounted(Mount.model_validate(proposal.settings["mount"])))
-    elif rigs.body_is_left_camera(rig) and not _has_pose_rows(root, proposal.settings):
-        proposal.missing.append(Missing("mount"))
+    elif rigs.body_is_left_camera(rig):
+        log = value_at(proposal.settings, "trajectory.file")
+        if log is None or not pose_rows.looks_like(root / log):  # else the poses are those of the left camera
+            proposal.need("mount")
     return None if path == root / RIG_YAML else rig
 
 
@@ -78,16 +79,9 @@ def _numbers_of(rig: Rig) -> tuple[object, ...]:
     return *cameras, round(rig.baseline_m, 4)
 
 
-def _has_pose_rows(root: Path, settings: Mapping[str, Any]) -> bool:
-    """Whether the poses are those of the left camera."""
-    name = value_at(settings, "trajectory.file")
-    return name is not None and pose_rows.looks_like(root / name)
-
-
 def rigs_in(root: Path, size: tuple[int, int] | None) -> FoundRigs:
     """The calibrations in a folder for images of a size."""
-    names = {*names_in(root, RIG_SUFFIXES)} - {DRIVE_YAML}
-    return find_rigs([root / name for name in sorted(names)], size)
+    return find_rigs([root / name for name in names_in(root, RIG_SUFFIXES) if name != DRIVE_YAML], size)
 
 
 def _mounted(mount: Mount) -> str:
