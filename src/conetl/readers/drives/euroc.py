@@ -31,7 +31,8 @@ from conetl.readers.drives import pairs
 from conetl.readers.drives.camera_files import Files, folder_stream
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
-from conetl.readers.drives.poses import Samples, at, placed
+from conetl.readers.drives.poses import Samples, placed
+from conetl.readers.drives.sparse_poses import pose_reader
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import Node
 from conetl.readers.trajectories import read_trajectory
@@ -63,10 +64,9 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     couples = pairs.pair_by_stamp(left, right, settings.pair_tolerance_ns)
     if not couples:
         raise InputError(f"{path}: there are no images in {names['left']}/data.csv")
-
-    return pairs.drive_of_couples(
-        couples, names, source, rig, srid, lambda time_ns: se3.to_pose(*at(track, time_ns, settings.max_pose_gap_ns))
-    )
+    exposures_ns = [time for couple in couples if (time := pairs.time_of(couple)) is not None]
+    pose_at = pose_reader(track, exposures_ns, settings.max_pose_gap_s)
+    return pairs.drive_of_couples(couples, names, source, rig, srid, pose_at)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:

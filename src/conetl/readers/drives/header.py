@@ -14,7 +14,7 @@ from conetl.files.names import printable, require_utf8
 from conetl.files.storage import is_remote
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import ConetlError, ServiceError, is_storage_error
-from conetl.readers.drives import find_format, kitti
+from conetl.readers.drives import OpenDrive, find_format, kitti
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings
 from conetl.readers.drives.pairs import ContentHash, Source
@@ -45,6 +45,13 @@ class DriveHeader:
     @property
     def captured_from(self) -> datetime | None:
         return None if self.captured_from_ns is None else utc_from_ns(self.captured_from_ns)
+
+
+def remarks_of(opened: OpenDrive) -> tuple[str, ...]:
+    """The remarks of a drive that can be read."""
+    facts = HeaderFacts()
+    opened.format.read_header(opened.source._replace(content=ContentHash()), facts)
+    return tuple(printable(remark) for remark in facts.remarks)
 
 
 def read_header(folder: Path) -> DriveHeader:

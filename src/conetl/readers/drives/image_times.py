@@ -37,6 +37,10 @@ class CameraImages(NamedTuple):
         """The images with these times."""
         return [Image(*each) for each in zip(stamps, self.paths, [None] * len(self.paths), self.sha256s, strict=True)]
 
+    def from_start(self, start_ns: int) -> list[Image]:
+        """The images of a video that began then."""
+        return self.at([start_ns + round(time_s * 1e9) for time_s in self.times_s.tolist()])
+
 
 class UnknownTimeError(InputError):
     """The images do not show when they were taken. key: that of drive.yaml that states it; remedy: how to write it."""

@@ -272,6 +272,10 @@ class Image(NamedTuple):
     sha256: str | None = None
     """As of `ImageFile`."""
 
+    def later(self, offset_ns: int) -> Image:
+        """The same image by another clock."""
+        return self if isinstance(self.stamp, str) else self._replace(stamp=self.stamp + offset_ns)
+
 
 Couple = tuple[Image | None, Image | None]
 

@@ -262,18 +262,15 @@ def _trajectory(
 ) -> tuple[int, Callable[[Sequence[int]], Callable[[int], Pose]]]:
     """EPSG code of the map, and a function that gives, for all exposures, the body's pose at each. Raises InputError."""
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
-    sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
     raw = found.samples[topics.trajectory]
-    if topics.is_local:
-        srid, placed = poses.georeferenced(source, raw.name, raw.map_SE3_body)
-        track = poses.without_wild_fixes(raw._replace(map_SE3_body=se3.compose(placed, sensor_SE3_body)))
-        return srid, lambda _: lambda time_ns: se3.to_pose(*poses.at(track, time_ns, gap_ns))
     if topics.imu is None:
-        recorded = RecordedTrajectory(
-            raw.name, np.array(raw.times_ns), raw.map_SE3_body[:, :3, 3], False, None, raw.sigma, raw.bad
+        rotations, positions = (raw.map_SE3_body[:, :3, :3] if topics.is_local else None), raw.map_SE3_body[:, :3, 3]
+        times = np.array(raw.times_ns)
+        recorded = RecordedTrajectory(raw.name, times, positions, topics.is_local, rotations, raw.sigma, raw.bad)
+        srid, track = poses.placed(with_course(recorded), source, sensor_R_body if topics.is_local else np.eye(3))
+        return srid, lambda times_ns: pose_reader(
+            track, times_ns, source.settings.max_pose_gap_s, from_course=not topics.is_local
         )
-        srid, track = poses.placed(with_course(recorded), source, np.eye(3))
-        return srid, lambda times_ns: pose_reader(track, times_ns, source.settings.max_pose_gap_s, from_course=True)
     antenna_m = _antenna(topics, found, source.settings, path)
     attitude = found.samples[topics.imu]
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T

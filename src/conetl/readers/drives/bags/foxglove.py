@@ -25,7 +25,7 @@ def kind_of(name: str) -> str:
     return _KINDS.get(last, name) if package in ("foxglove", "foxglove_msgs") else name
 
 
-def protobuf_reader(name: str, descriptors: bytes) -> Callable[[bytes], Any]:
+def protobuf_reader(name: str, descriptors: bytes) -> Callable[[bytes, str], Any]:
     """A function that reads messages of a schema in protobuf; descriptors: its FileDescriptorSet, imports first.
 
     Raises TypeError, KeyError or DecodeError where the schema is damaged.
@@ -34,7 +34,7 @@ def protobuf_reader(name: str, descriptors: bytes) -> Callable[[bytes], Any]:
     for file in FileDescriptorSet.FromString(descriptors).file:
         pool.Add(file)
     read = GetMessageClass(pool.FindMessageTypeByName(name)).FromString
-    return lambda data: as_ros(read(data))
+    return lambda data, _: read(data)
 
 
 def as_ros(message: Any) -> Any:
