@@ -72,6 +72,9 @@ class Files(NamedTuple):
         return len(left | right) if left & right else max(len(left), len(right))
 
 
+NO_FILES = Files(Stream("", ()), Stream("", ()))
+
+
 def folder_stream(root: Path, name: str, remedy: str) -> Stream:
     """The images of a folder. Raises InputError where it is missing; remedy: what to do."""
     if not (root / name).is_dir():

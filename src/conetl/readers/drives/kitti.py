@@ -64,8 +64,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     path, root, settings, content = source[:4]
     calibration = calibration_path(path, settings)
     rejections: list[Rejection] = []
-    streams = (source.files or scan(path, settings))[:2]
-    left, right = (_numbered_images(stream, rejections) for stream in streams)
+    left, right = (_numbered_images(stream, rejections) for stream in source.files[:2])
     if not left and not right:
         raise InputError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
     rig = read_rig_for(source, calibration, first_size((files[0].path for _, files in sorted(left.items())), content))
@@ -122,9 +121,7 @@ def read_header(source: Source, header: HeaderFacts) -> None:
     stamps = f"{source.settings.cameras.left}/timestamps.txt"
     header.set_times([*_stamps(source, stamps).values()], source.path / stamps)
     read_rig_for(source, calibration_path(source.path, source.settings), None)
-    records = source.files.listed.get("oxts/data", []) if source.files is not None else []
-    if not any(is_number(Path(name).stem) for name in records):
-        raise _no_poses(source.path)
+    _record_files(source)
 
 
 def calibration_path(folder: Path, settings: DriveYaml) -> Path:
@@ -251,10 +248,7 @@ def _trajectory(source: Source, stamps: Mapping[int, int | str]) -> tuple[int, o
 
 def _read_oxts(source: Source) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
     """Valid OXTS records and, for the others, what is wrong with them, by frame number."""
-    data = source.root / "oxts" / "data"
-    files = _numbered(data.glob("*.txt")) if data.is_dir() else {}
-    if not files:
-        raise _no_poses(source.path)
+    files = _record_files(source)
     fetch([file.path for same in files.values() for file in same], fresh=True)
     records: dict[int, OxtsRecord] = {}
     bad: dict[int, str] = {}
@@ -277,11 +271,15 @@ def _read_oxts(source: Source) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
     return records, bad
 
 
-def _no_poses(folder: Path) -> InputError:
-    return InputError(
-        f"{folder}: there are no poses in oxts/data (one file of 30 numbers per frame); without a trajectory use "
-        "'conetl locate' on single pairs"
-    )
+def _record_files(source: Source) -> dict[int, list[ImageFile]]:
+    """The OXTS files by the number that is their name. Raises InputError where there are none."""
+    found = _numbered(source.root / "oxts/data" / name for name in source.files.listed.get("oxts/data", ()))
+    if not found:
+        raise InputError(
+            f"{source.path}: there are no poses in oxts/data (one file of 30 numbers per frame); without a trajectory use "
+            "'conetl locate' on single pairs"
+        )
+    return found
 
 
 def _pose_at(number: int, bad: Mapping[int, str], track: oxts.OxtsTrajectory, root: Path, captured: int) -> Pose:

@@ -22,7 +22,7 @@ from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.image_headers import inspect_image
 from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
-from conetl.readers.drives.camera_files import Files
+from conetl.readers.drives.camera_files import NO_FILES, Files
 from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.trajectories.times import misplaced, wrong_clocks
 
@@ -85,7 +85,7 @@ class Source(NamedTuple):
     """EPSG code of the map, where it is stated."""
     images_folder: Path | None = None
     """Where the images of a bag are unpacked to."""
-    files: Files | None = None
+    files: Files = NO_FILES
     """What the format's `scan` found."""
 
 

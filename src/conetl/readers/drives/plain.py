@@ -116,7 +116,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
     path, settings = source.path, source.settings
     rig = read_plain_rig(source)
-    left, right = (by_stem(stream.paths) for stream in (source.files or scan(path, settings))[:2])
+    left, right = (by_stem(stream.paths) for stream in source.files[:2])
     if not left and not right:
         raise InputError(f"{path}: there are no images (*.jpg, *.png) in left and right")
     found = Rows(path / TRAJECTORY)

@@ -79,14 +79,14 @@ def preview(root: Path, settings: DriveYaml, rig: Rig | None = None) -> Preview:
 
     rig: likewise; None where rig.yaml has it. Raises as `read`.
     """
-    return _read(Source(root, root.resolve(), settings, ContentHash(headers_only=True), settings.map_srid), rig)
+    content, files = ContentHash(headers_only=True), scan(root, settings)
+    return _read(Source(root, root.resolve(), settings, content, settings.map_srid, None, files), rig)
 
 
 def _read(source: Source, rig: Rig | None = None) -> Preview:
     """The drive. rig: instead of rig.yaml's. Raises InputError."""
     root, settings, content = source[1:4]
-    files = source.files or scan(source.path, settings)
-    trajectory = files.trajectory
+    files, trajectory = source.files, source.files.trajectory
     of_cameras = pose_rows.looks_like(trajectory)
     rig, sensor_R_body = _rig(source, rig, of_cameras=of_cameras)
     rig = with_stated_shutters(rig, settings.shutter)
@@ -124,7 +124,7 @@ def scan(path: Path, settings: DriveYaml) -> Files:
 
 def read_header(source: Source, header: HeaderFacts) -> None:
     """Times only where drive.yaml states when the first frame was taken; the rig must be there."""
-    root, settings, files = source.root, source.settings, source.files or scan(source.path, source.settings)
+    root, settings, files = source.root, source.settings, source.files
     left, has_sigma = files.left, settings.sigmas.vertical_m is not None
     header.remarks += remarks_on(files.trajectory, settings.trajectory, has_vertical_sigma=has_sigma)
     _rig(source, of_cameras=pose_rows.looks_like(files.trajectory))
