@@ -22,7 +22,7 @@ from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import Rig
 from conetl.perception.images import IMAGE_SUFFIXES
-from conetl.readers.drives import find_format, kitti, oxts, plain
+from conetl.readers.drives import find_format, kitti, plain
 from conetl.readers.drives.drive_yaml import read_drive_yaml
 from conetl.readers.drives.pairs import ContentHash, PairError, Source, first_size
 from conetl.readers.drives.plain import TRAJECTORY, Row, Rows, pose_of_row, read_plain_rig, time_of_row
@@ -254,8 +254,8 @@ class ArrivingKitti(_Arriving):
         before = self._record_of(f"oxts/data/{number - 1:0{len(key)}d}.txt") if before_at is not None else None
         if before is not None and before_at is not None and pose_at is not None:
             records[number - 1], times[number - 1] = before, before_at
-        track = oxts.trajectory(records, times, srid, self.source.settings.sigmas)
-        return oxts.pose_at(track, number, captured)
+        track = kitti.oxts_trajectory(records, times, srid, self.source.settings.sigmas)
+        return kitti.oxts_pose(track, number, captured)
 
     def _record_of(self, name: str) -> OxtsRecord | None:
         """An OXTS record; None until it is complete."""

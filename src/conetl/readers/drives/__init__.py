@@ -20,9 +20,9 @@ from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import bags, euroc, kitti, plain, video
 from conetl.readers.drives.camera_files import image_files, names_in
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
+from conetl.readers.drives.drive_yaml import named_in_yaml, read_drive_yaml
 from conetl.readers.drives.formats import DriveFormat, with_stated_shutters
-from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
+from conetl.readers.drives.pairs import ContentHash, Source, no_images, without_frozen
 from conetl.readers.stated_sigmas import implausible_sigma
 from conetl.readers.surveyed_points import read_surveyed_points
 from conetl.tracking.error_propagation import common_axes
@@ -89,6 +89,8 @@ def read_drive(
     found, source = path
     settings = source.settings
     with storage_errors(source.path), _of_the_drive():
+        if not (found.UNPACKS or source.files.image_count):
+            raise no_images(source.path, source.files.left.name, source.files.right.name)
         control_file = _control_file(source)
         drive, rejections = found.read(source)
         drive = drive.model_copy(update={"rig": with_stated_shutters(drive.rig, settings.shutter)})
@@ -133,10 +135,8 @@ def _control_file(source: Source) -> Path | None:
     if source.settings.control_points is None:
         return None
     folder = source.root.parent if source.root.is_file() else source.root
-    path = inside(folder, source.settings.control_points.file, DRIVE_YAML)
-    if not path.is_file():
-        raise InputError(f"{path}: the control points are missing")
-    source.content.add(source.settings.control_points.file, path.read_bytes())
+    path = named_in_yaml(folder, source.settings.control_points.file, "the control points are")
+    source.content.add_file(source.settings.control_points.file, path)
     return path
 
 

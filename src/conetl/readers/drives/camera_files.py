@@ -75,11 +75,11 @@ class Files(NamedTuple):
 NO_FILES = Files(Stream("", ()), Stream("", ()))
 
 
-def folder_stream(root: Path, name: str, remedy: str) -> Stream:
-    """The images of a folder. Raises InputError where it is missing; remedy: what to do."""
-    if not (root / name).is_dir():
+def folder_stream(root: Path, folder: Path, name: str, remedy: str) -> Stream:
+    """The images of a folder, by its name in the drive. Raises InputError where it is missing; remedy: what to do."""
+    if not folder.is_dir():
         raise InputError(f"{root}: the folder {name} is missing; {remedy}")
-    return Stream(name, tuple(image_files(root / name)))
+    return Stream(name, tuple(image_files(folder)))
 
 
 def names_in(data: Path, suffixes: Collection[str]) -> list[str]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -55,18 +56,15 @@ def matches(path: Path) -> bool:
 
 def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
-    path, root, settings, content = source[:4]
-    add_settings(content, root)
+    settings = source.settings
+    add_settings(source.content, source.root)
     names = _camera_names(settings)
     left, right = (_images(source, name) for name in names.values())
     rig, sensor_R_body = _read_rig(source)
     srid, track = _trajectory(source, sensor_R_body)
     couples = pairs.pair_by_stamp(left, right, settings.pair_tolerance_ns)
-    if not couples:
-        raise InputError(f"{path}: there are no images in {names['left']}/data.csv")
-    exposures_ns = [time for couple in couples if (time := pairs.time_of(couple)) is not None]
-    pose_at = pose_reader(track, exposures_ns, settings.max_pose_gap_s)
-    return pairs.drive_of_couples(couples, names, source, rig, srid, pose_at)
+    poses_at = partial(pose_reader, track, max_gap_s=settings.max_pose_gap_s)
+    return pairs.drive_of_couples(couples, names, source, rig, srid, poses_at)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:
@@ -75,7 +73,9 @@ def scan(path: Path, settings: DriveYaml) -> Files:
     trajectories = [_stream_folder(root, name) for name in _trajectory_names(settings)]
     cameras = [_stream_folder(root, name) for name in _camera_names(settings).values()]
     left, right = (
-        folder_stream(root, f"{camera.relative_to(root).as_posix()}/data", "expected the images of its data.csv")
+        folder_stream(
+            root, camera / "data", f"{camera.relative_to(root).as_posix()}/data", "expected the images of data.csv"
+        )
         for camera in cameras
     )
     small = [camera / name for camera in cameras for name in ("data.csv", SENSOR_YAML)]

@@ -17,7 +17,7 @@ from conetl.model.errors import ConetlError, ServiceError, is_storage_error
 from conetl.readers.drives import OpenDrive, find_format, kitti
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings
-from conetl.readers.drives.pairs import ContentHash, Source
+from conetl.readers.drives.pairs import ContentHash, Source, no_images
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def read_header(folder: Path) -> DriveHeader:
         if settings.control_points is not None and folder.is_dir():
             path = inside(folder, settings.control_points.file, DRIVE_YAML)
             if path.is_file():
-                facts.content.add(settings.control_points.file, path.read_bytes())
+                facts.content.add_file(settings.control_points.file, path)
         facts.content.add("drive_id", drive_id.encode())
         if not is_remote(folder):
             require_utf8(folder)
@@ -82,7 +82,7 @@ def read_header(folder: Path) -> DriveHeader:
         source = Source(folder, folder.resolve(), settings, ContentHash(), settings.map_srid, None, files)
         (found or kitti).read_header(source, facts)
         if not facts.frame_pairs:
-            problem = f"there are no images in {files.left.name} and {files.right.name}"
+            problem = f"{no_images(folder, files.left.name, files.right.name)}"
     except OSError as error:
         problem = f"this cannot be read: {error.strerror or error}: {error.filename or folder}"
         readable = False

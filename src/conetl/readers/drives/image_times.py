@@ -11,7 +11,7 @@ from conetl.files.documents import read_bytes
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.perception.video import VideoIndex
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, named_in_yaml
 from conetl.readers.drives.pairs import Image, Source
 from conetl.readers.drives.poses import Samples
 from conetl.readers.trajectories.times import clock_problem, decimal_ns, parse_timestamp, times_of_names
@@ -88,10 +88,7 @@ def times_of(
         remedy = f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
         remedy += "right_timestamps where the right ones have others"
         raise UnknownTimeError("images.timestamps", root, cause, remedy)
-    file = inside(root, name, DRIVE_YAML)
-    if not file.is_file():
-        raise InputError(f"{file}: the time stamps of the images, which {DRIVE_YAML} names, are missing")
-    data = read_bytes(file, _MOST_TIME_BYTES)
+    data = read_bytes(named_in_yaml(root, name, "the time stamps of the images are"), _MOST_TIME_BYTES)
     source.content.add(name, data)
     texts = texts_of_file(data.decode("utf-8-sig", errors="replace").splitlines(), paths)
     if len(texts) != len(paths):

@@ -18,16 +18,21 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
 
 from conetl.files.documents import input_errors, read_bytes
 from conetl.files.storage import NOT_A_FILE, fetch, is_present, is_remote, object_bytes
+from conetl.geometry import geodesy
+from conetl.geometry import pose as se3
+from conetl.model.arrays import Floats
 from conetl.model.drive import MAX_FRAME_INDEX, Drive, Pose
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
-from conetl.readers.drives import oxts
-from conetl.readers.drives.camera_files import Files, Stream, image_files, names_in
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
+from conetl.readers.drives.camera_files import Files, Stream, folder_stream, names_in
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Sigmas, inside, named_in_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings, samples_of
 from conetl.readers.drives.pairs import (
     ContentHash,
@@ -39,7 +44,7 @@ from conetl.readers.drives.pairs import (
     drive_of_frames,
     first_size,
 )
-from conetl.readers.drives.poses import checked_srid
+from conetl.readers.drives.poses import checked_srid, stated_sigmas, wild_fixes
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 from conetl.readers.trajectories.oxts import MAX_RECORD_BYTES, OxtsRecord, parse_oxts
 from conetl.readers.trajectories.times import clock_problem, misplaced, parse_timestamps
@@ -48,7 +53,22 @@ NAME, TITLE = "kitti", "KITTI raw layout"
 READS_OBJECTS, UNPACKS = True, False
 MAX_CLOCK_DIFFERENCE_NS = 500_000_000
 """Image and OXTS record of one number that are farther apart in time do not belong together."""
+MAX_GAP_NS = 500_000_000
+"""Poses farther apart in time than this are not interpolated."""
 OXTS_STAMPS = "oxts/timestamps.txt"
+
+
+class OxtsTrajectory(NamedTuple):
+    """Poses of the IMU by frame number, and their times where they are known."""
+
+    rows: dict[int, int]
+    """Row of the arrays by frame number, both rising; of the valid records."""
+    map_SE3_body: Floats
+    """(N, 4, 4)"""
+    sigma: Floats
+    """(N, 6): easting, northing, height (m), roll, pitch, yaw (rad)."""
+    times_ns: list[int | None]
+    """By row; None where the time is unknown."""
 
 
 def matches(path: Path) -> bool:
@@ -65,8 +85,6 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     calibration = calibration_path(path, settings)
     rejections: list[Rejection] = []
     left, right = (_numbered_images(stream, rejections) for stream in source.files[:2])
-    if not left and not right:
-        raise InputError(f"{path}: there are no images (*.png, *.jpg) in {settings.cameras.left}/data")
     rig = read_rig_for(source, calibration, first_size((files[0].path for _, files in sorted(left.items())), content))
     name = f"{settings.cameras.left}/timestamps.txt"
     stamps = _stamps(source, name)
@@ -96,15 +114,11 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
 def scan(path: Path, settings: DriveYaml) -> Files:
     """Images, calibration, time stamps, and the names and some contents of the OXTS files."""
     root, cameras = path.resolve(), settings.cameras
-    streams = []
-    for name in (cameras.left, cameras.right):
-        folder = camera_folder(root, name, settings)
-        if not folder.is_dir():
-            raise InputError(
-                f"{path}: the folder {name}/data is missing; expected KITTI's layout with left images in image_02/data and right "
-                "images in image_03/data"
-            )
-        streams.append(Stream(f"{name}/data", tuple(image_files(folder))))
+    remedy = "expected KITTI's layout with left images in image_02/data and right images in image_03/data"
+    left, right = (
+        folder_stream(root, camera_folder(root, name, settings), f"{name}/data", remedy)
+        for name in (cameras.left, cameras.right)
+    )
     data = root / "oxts" / "data"
     records = {"oxts/data": names_in(data, (".txt",))} if data.is_dir() else {}
     names = [OXTS_STAMPS, f"{cameras.left}/timestamps.txt"]
@@ -113,7 +127,7 @@ def scan(path: Path, settings: DriveYaml) -> Files:
     with suppress(InputError):  # raised later; a drive without it has another header than with it
         calibration = calibration_path(path, settings)
         small |= {name: calibration.parent / name for name in (calibration.name, VELO_TO_CAM, IMU_TO_VELO)}
-    return Files(streams[0], streams[1], small, listed=records)
+    return Files(left, right, small, listed=records)
 
 
 def read_header(source: Source, header: HeaderFacts) -> None:
@@ -128,10 +142,7 @@ def calibration_path(folder: Path, settings: DriveYaml) -> Path:
     """Path of calib_cam_to_cam.txt of a drive folder, given as the user named it. Raises InputError."""
     root = folder.resolve()
     if settings.calibration is not None:
-        path = inside(root, settings.calibration, DRIVE_YAML)
-        if path.is_file():
-            return path
-        raise InputError(f"{root / DRIVE_YAML}: 'calibration' names {settings.calibration}, which does not exist")
+        return named_in_yaml(root, settings.calibration, "the calibration is")
     # Before the parent of the resolved folder that of the given path: the drive folder may be a symbolic link.
     for parent in (root, folder.absolute().parent, root.parent):
         if (parent / CAM_TO_CAM).is_file():
@@ -228,7 +239,7 @@ def trigger_problem(left: int | str, right: int | str | None, settings: DriveYam
     )
 
 
-def _trajectory(source: Source, stamps: Mapping[int, int | str]) -> tuple[int, oxts.OxtsTrajectory, dict[int, str]]:
+def _trajectory(source: Source, stamps: Mapping[int, int | str]) -> tuple[int, OxtsTrajectory, dict[int, str]]:
     """EPSG code of the map, the poses in it, and what is wrong with the other OXTS records, by frame number."""
     folder, settings = source.path, source.settings
     records, bad = _read_oxts(source)
@@ -239,10 +250,12 @@ def _trajectory(source: Source, stamps: Mapping[int, int | str]) -> tuple[int, o
     srid = checked_srid(source.map_srid, start.lat_deg, start.lon_deg, folder)
     times = {number: stamp for number, stamp in stamps.items() if isinstance(stamp, int)}
     with input_errors(folder):
-        track = oxts.trajectory(records, times, srid, settings.sigmas)
-        if wild := oxts.wild_records(track):
+        track = oxts_trajectory(records, times, srid, settings.sigmas)
+        timed = [(number, row, t) for number, row in track.rows.items() if (t := track.times_ns[row]) is not None]
+        found = wild_fixes([t for *_, t in timed], track.map_SE3_body[[row for _, row, _ in timed], :3, 3])
+        if wild := {timed[k][0]: text for k, text in found.items()}:
             kept = {number: record for number, record in records.items() if number not in wild}
-            track = oxts.trajectory(kept, times, srid, settings.sigmas)
+            track = oxts_trajectory(kept, times, srid, settings.sigmas)
     return srid, track, bad | wild
 
 
@@ -282,7 +295,7 @@ def _record_files(source: Source) -> dict[int, list[ImageFile]]:
     return found
 
 
-def _pose_at(number: int, bad: Mapping[int, str], track: oxts.OxtsTrajectory, root: Path, captured: int) -> Pose:
+def _pose_at(number: int, bad: Mapping[int, str], track: OxtsTrajectory, root: Path, captured: int) -> Pose:
     """The pose of a frame. Raises PairError unless there is a record of this number at about the image's time."""
     name = f"oxts/data/{number:010d}.txt"
     if number in bad:
@@ -295,7 +308,7 @@ def _pose_at(number: int, bad: Mapping[int, str], track: oxts.OxtsTrajectory, ro
     if number not in track.rows:
         raise PairError(RejectionReason.POSE_MISSING, f"{name}: there is no such file", path=name)
     require_same_time(captured, track.times_ns[track.rows[number]])
-    return oxts.pose_at(track, number, captured)
+    return oxts_pose(track, number, captured)
 
 
 def require_same_time(captured: int, pose_at: int | None) -> None:
@@ -306,3 +319,59 @@ def require_same_time(captured: int, pose_at: int | None) -> None:
             RejectionReason.TIMESTAMP_INVALID,
             f"image and pose are {apart * 1e-9:.3f} s apart by their time stamps, allowed 0.5 s: clocks or time zones differ",
         )
+
+
+def oxts_trajectory(
+    records: Mapping[int, OxtsRecord], times_ns: Mapping[int, int], srid: int, sigmas: Sigmas
+) -> OxtsTrajectory:
+    """Poses in the map frame: positions by the map projection, yaw turned from true to grid east by the convergence.
+
+    Raises ValueError where the map CRS cannot express the positions.
+    """
+    numbers = sorted(records)
+    table = np.array([records[number] for number in numbers])
+    positions = geodesy.to_map(srid, table[:, 0], table[:, 1], table[:, 2])
+    grid_yaw = table[:, 5] + geodesy.grid_convergence_rad(srid, table[:, 0], table[:, 1])
+    poses = se3.se3(se3.rotation_from_rpy(table[:, 3], table[:, 4], grid_yaw), positions)
+    recorded = np.full((len(numbers), 6), np.nan)
+    recorded[:, :2] = table[:, [6]]
+    rows = {number: row for row, number in enumerate(numbers)}
+    return OxtsTrajectory(rows, poses, stated_sigmas(recorded, sigmas), [times_ns.get(number) for number in numbers])
+
+
+def oxts_pose(track: OxtsTrajectory, number: int, exposure_ns: int) -> Pose:
+    """Pose at the exposure of a frame that has a valid record.
+
+    The pose is interpolated between the records before and after the exposure (straight line, slerp). Where one of them is
+    missing (first and last frame, beside a gap of more than 0.5 s) the motion between the record of the same number and its
+    other neighbour is extrapolated, by at most the time between them. Where that is impossible too, the record of the same
+    number is used, and the distance that the body may have driven is added to the sigma of its position. A record without a
+    time is used as it is.
+    """
+    row = track.rows[number]
+    end, weight, apart_m = _neighbour(track, row, exposure_ns)
+    sigma = track.sigma[row].copy()
+    sigma[:3] = np.hypot(sigma[:3], apart_m)
+    return se3.to_pose(se3.interpolate(track.map_SE3_body[row], track.map_SE3_body[end], weight), sigma)
+
+
+def _neighbour(track: OxtsTrajectory, row: int, time_ns: int) -> tuple[int, float, float]:
+    """The row to interpolate with from `row`, and its weight at a time: 0 at `row`, 1 at it.
+
+    The record beyond the time, else that on the other side with a negative weight, down to -1. Where both are unusable `row`
+    itself, and the distance (m) that the body may have driven.
+    """
+    t0, speed = track.times_ns[row], 0.0
+    if t0 is None or t0 == time_ns:
+        return row, 0.0, 0.0
+    late_ns = time_ns - t0
+    for other in (row + 1, row - 1) if late_ns > 0 else (row - 1, row + 1):
+        t1 = track.times_ns[other] if 0 <= other < len(track.times_ns) else None
+        if t1 is None or t1 == t0:
+            continue
+        step_ns = t1 - t0
+        if abs(late_ns) <= abs(step_ns) <= MAX_GAP_NS:
+            return other, late_ns / step_ns, 0.0
+        moved_m = np.linalg.norm(track.map_SE3_body[other, :3, 3] - track.map_SE3_body[row, :3, 3])
+        speed = max(speed, float(moved_m) / abs(step_ns))
+    return row, 0.0, speed * abs(late_ns)

@@ -191,6 +191,11 @@ def first_size(paths: Iterable[Path], content: ContentHash | None = None) -> tup
     return None
 
 
+def no_images(path: Path, left: str, right: str) -> InputError:
+    """The error of a drive without images, by the names of their streams."""
+    return InputError(f"{path}: there are no images in {left} and {right}")
+
+
 #: Images in object storage are requested for so many frame pairs at a time.
 _FRAMES_AT_ONCE = 8
 
@@ -278,6 +283,8 @@ class Image(NamedTuple):
 
 
 Couple = tuple[Image | None, Image | None]
+#: Given the times of all exposures (UTC ns), a function that gives the pose of the body at each of them or raises PairError.
+PosesAt = Callable[[Sequence[int]], Callable[[int], Pose]]
 
 
 def pair_by_stamp(left: Sequence[Image], right: Sequence[Image], tolerance_ns: int) -> list[Couple]:
@@ -327,15 +334,17 @@ def drive_of_couples(
     source: Source,
     rig: Rig,
     srid: int,
-    pose_at: Callable[[int], Pose],
+    poses_at: PosesAt,
 ) -> tuple[Drive, list[Rejection]]:
     """The drive and the rejections of its pairs. frame_index is the number of the couple, from 0.
 
-    names: of the two image streams. pose_at: pose of the body at a time (UTC ns), raises PairError. Raises InputError where no
-    pair is left.
+    names: of the two image streams. Raises InputError where no pair is left.
     """
+    if not couples:
+        raise no_images(source.path, names["left"], names["right"])
     times = [time_of(couple) for couple in couples]
     wrong = misplaced({n: time for n, time in enumerate(times) if time is not None})
+    pose_at = poses_at([time for time in times if time is not None])
     frames: list[Frame] = []
     for n, (time, images) in enumerate(zip(times, couples, strict=True)):
         problem = next((image.problem for image in images if image is not None and image.problem), None)

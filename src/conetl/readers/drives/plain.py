@@ -117,8 +117,6 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     path, settings = source.path, source.settings
     rig = read_plain_rig(source)
     left, right = (by_stem(stream.paths) for stream in source.files[:2])
-    if not left and not right:
-        raise InputError(f"{path}: there are no images (*.jpg, *.png) in left and right")
     found = Rows(path / TRAJECTORY)
     found.add(_trajectory(source))
     good = [row for row in found.by_stem.values() if isinstance(row, Row)]
@@ -154,7 +152,9 @@ def scan(path: Path, settings: DriveYaml) -> Files:
     """Images, rig and trajectory."""
     del settings
     root = path.resolve()
-    left, right = (folder_stream(root, side, "expected left/ and right/ with the same stems") for side in SIDES)
+    left, right = (
+        folder_stream(root, root / side, side, "expected left/ and right/ with the same stems") for side in SIDES
+    )
     return Files(left, right, {name: root / name for name in (RIG_YAML, TRAJECTORY)})
 
 

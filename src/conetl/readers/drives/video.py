@@ -12,6 +12,7 @@ Frames are decoded as the pipeline goes and never unpacked to disk. Their times 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,7 +39,7 @@ from conetl.readers.drives.camera_files import (
     stream_of,
     with_likely_sides,
 )
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, named_in_yaml, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, no_rig, rig_on_body, with_stated_shutters
 from conetl.readers.drives.image_times import CameraImages, listed, stated_start, times_of
 from conetl.readers.drives.pairs import ContentHash, Source, drive_of_couples, file_digest, time_of
@@ -106,10 +107,10 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     if exposures_ns and not any(track.times_ns[0] <= stamp <= track.times_ns[-1] for stamp in exposures_ns):
         records = of_images((min(exposures_ns), max(exposures_ns)), track.times_ns)
         raise InputError(f"{trajectory}: there are no records{records}")
-    pose_at = pose_reader(track, exposures_ns, settings.max_pose_gap_s, from_course=from_course)
+    poses_at = partial(pose_reader, track, max_gap_s=settings.max_pose_gap_s, from_course=from_course)
     left, right = cameras
     names: dict[Side, str] = {"left": left.name, "right": right.name}
-    drive, rejections = drive_of_couples(timing.couples, names, source, rig, srid, pose_at)
+    drive, rejections = drive_of_couples(timing.couples, names, source, rig, srid, poses_at)
     return Preview(timing, drive.model_copy(update={"clock_sigma_s": timing.clock.sigma_s or None}), rejections)
 
 
@@ -237,10 +238,9 @@ def camera_streams(root: Path, settings: Images) -> tuple[Stream, Stream]:
 
 def _trajectory_file(root: Path, settings: DriveYaml) -> Path:
     """The trajectory. Raises InputError where drive.yaml names none and there is not just one."""
-    named = settings.trajectory.file
-    found = pose_rows.find_logs(root) if named is None else [inside(root, named, DRIVE_YAML)]
-    if named is not None and not (found[0].is_file() or found[0].is_dir()):
-        raise InputError(f"{found[0]}: the trajectory is missing")
+    if settings.trajectory.file is not None:
+        return named_in_yaml(root, settings.trajectory.file, "the trajectory is", folder=True)
+    found = pose_rows.find_logs(root)
     if len(found) != 1:
         names = ", ".join(path.name for path in found) or "none"
         raise InputError(

@@ -14,8 +14,9 @@ NAME.drive.yaml and NAME.rig.yaml beside it). Times are the header stamps, UTC.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -97,11 +98,8 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
         srid, poses_at = _trajectory(topics, recorded, source, sensor_R_body)
         images = _read_images(bag, topics, rig, content, source.images_folder, root)
     couples = pairs.pair_by_stamp(images[topics.left], images[topics.right], settings.pair_tolerance_ns)
-    if not couples:
-        raise InputError(f"{path}: there are no images on {topics.left} and {topics.right}")
-    pose_at = poses_at([stamp for couple in couples if (stamp := pairs.time_of(couple)) is not None])
     names: dict[Side, str] = {"left": topics.left, "right": topics.right}
-    return pairs.drive_of_couples(couples, names, source, rig, srid, pose_at)
+    return pairs.drive_of_couples(couples, names, source, rig, srid, poses_at)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:
@@ -259,8 +257,8 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
 
 def _trajectory(
     topics: Topics, found: _Recorded, source: pairs.Source, sensor_R_body: Floats
-) -> tuple[int, Callable[[Sequence[int]], Callable[[int], Pose]]]:
-    """EPSG code of the map, and a function that gives, for all exposures, the body's pose at each. Raises InputError."""
+) -> tuple[int, pairs.PosesAt]:
+    """EPSG code of the map, and the poses of the body in it. Raises InputError."""
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
     raw = found.samples[topics.trajectory]
     if topics.imu is None:
@@ -268,9 +266,8 @@ def _trajectory(
         times = np.array(raw.times_ns)
         recorded = RecordedTrajectory(raw.name, times, positions, topics.is_local, rotations, raw.sigma, raw.bad)
         srid, track = poses.placed(with_course(recorded), source, sensor_R_body if topics.is_local else np.eye(3))
-        return srid, lambda times_ns: pose_reader(
-            track, times_ns, source.settings.max_pose_gap_s, from_course=not topics.is_local
-        )
+        max_gap_s = source.settings.max_pose_gap_s
+        return srid, partial(pose_reader, track, max_gap_s=max_gap_s, from_course=not topics.is_local)
     antenna_m = _antenna(topics, found, source.settings, path)
     attitude = found.samples[topics.imu]
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T

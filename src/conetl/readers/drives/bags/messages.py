@@ -34,8 +34,7 @@ from rosbags.typesys.store import Typestore
 
 from conetl.files.documents import library_errors, read_yaml
 from conetl.model.errors import InputError
-from conetl.readers.drives.bags.foxglove import as_ros, kind_of, protobuf_reader
-from conetl.readers.drives.bags.topics import CAMERA_INFO, TRANSFORMS, USED_TYPES
+from conetl.readers.drives.bags.topics import CAMERA_INFO, TRANSFORMS, USED_TYPES, as_ros, kind_of, protobuf_reader
 
 METADATA = "metadata.yaml"
 ROS1_SUFFIX = ".bag"

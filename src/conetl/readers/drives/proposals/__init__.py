@@ -8,8 +8,7 @@ from typing import Any
 
 from conetl.perception.video import VIDEO_SUFFIXES
 from conetl.readers.drives.proposals.images import add_images, check_start, stated_time, suggested
-from conetl.readers.drives.proposals.log import add_trajectory
-from conetl.readers.drives.proposals.rig import add_rig
+from conetl.readers.drives.proposals.log_and_rig import add_rig, add_trajectory
 from conetl.readers.drives.proposals.template import FILE_KEYS, Proposal, value_at
 
 __all__ = ["FILE_KEYS", "Proposal", "check_start", "propose", "stated_time", "still_valid", "suggested"]

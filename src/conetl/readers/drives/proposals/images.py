@@ -24,7 +24,7 @@ from conetl.readers.drives.image_times import (
     times_of,
 )
 from conetl.readers.drives.pairs import ContentHash, Source, first_size
-from conetl.readers.drives.proposals.rig import rigs_in
+from conetl.readers.drives.proposals.log_and_rig import rigs_in
 from conetl.readers.drives.proposals.template import FILE_KEYS, TABLE_SUFFIXES, Missing, Proposal, value_at
 from conetl.readers.rigs import read_given_rig
 from conetl.readers.trajectories import trajectory_format
