@@ -6,6 +6,7 @@ For plans over many drives. The header identifies a drive; its exact content is 
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 from conetl.files.names import printable, require_utf8
 from conetl.files.storage import is_remote
 from conetl.model.base import utc_from_ns
-from conetl.model.errors import ConetlError, ServiceError, is_storage_error
+from conetl.model.errors import ConetlError, InputError, ServiceError, is_storage_error
 from conetl.readers.drives import OpenDrive, find_format, kitti
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings
@@ -48,9 +49,10 @@ class DriveHeader:
 
 
 def remarks_of(opened: OpenDrive) -> tuple[str, ...]:
-    """The remarks of a drive that can be read."""
+    """The remarks of a drive that can be read, as of its header."""
     facts = HeaderFacts()
-    opened.format.read_header(opened.source._replace(content=ContentHash()), facts)
+    with suppress(InputError):
+        opened.format.read_header(opened.source._replace(content=ContentHash()), facts)
     return tuple(printable(remark) for remark in facts.remarks)
 
 

@@ -36,12 +36,12 @@ from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Sigmas, insi
 from conetl.readers.drives.formats import HeaderFacts, add_settings, samples_of
 from conetl.readers.drives.pairs import (
     ContentHash,
-    Frame,
     ImageFile,
     PairError,
+    RecordedPair,
     Source,
     by_stem,
-    drive_of_frames,
+    drive_of_pairs,
     first_size,
 )
 from conetl.readers.drives.poses import checked_srid, stated_sigmas, wild_fixes
@@ -98,17 +98,17 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     wrong |= {n: f"the time {text}" for n, text in misplaced(times).items()}
     wrong = {n: f"{name}, line {n + 1}: {text}" for n, text in wrong.items()} | split
 
-    def frame(n: int) -> Frame:
+    def frame(n: int) -> RecordedPair:
         problem = PairError(RejectionReason.TIMESTAMP_INVALID, wrong.get(n, ""))
         if n not in stamps:
             lines = f"{name} has {len(stamps)} lines, line {n + 1} is needed for this frame"
             problem = PairError(RejectionReason.TIMESTAMP_MISSING, lines)
         captured = problem if n in wrong or n not in stamps else times[n]
-        return Frame(
+        return RecordedPair(
             n, str(n), left.get(n, ()), right.get(n, ()), captured, partial(_pose_at, n, bad_records, track, root)
         )
 
-    return drive_of_frames([*map(frame, numbers)], source, rig, srid, rejections)
+    return drive_of_pairs([*map(frame, numbers)], source, rig, srid, rejections)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:

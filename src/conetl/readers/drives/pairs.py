@@ -120,7 +120,7 @@ class PairError(Exception):
         )  # fmt: skip
 
 
-class Frame(NamedTuple):
+class RecordedPair(NamedTuple):
     """One frame pair of a recording, before its images are checked."""
 
     number: int
@@ -138,7 +138,7 @@ class Frame(NamedTuple):
     """Why its images are not read."""
 
 
-def _check_images(frame: Frame, rig: Rig, content: ContentHash, root: Path) -> list[ImageFile]:
+def _check_images(frame: RecordedPair, rig: Rig, content: ContentHash, root: Path) -> list[ImageFile]:
     """Both images of a pair.
 
     Header, size (of the images as stored: raw, where the rig was rectified) and end marker are checked, nothing is decoded.
@@ -200,8 +200,8 @@ def no_images(path: Path, left: str, right: str) -> InputError:
 _FRAMES_AT_ONCE = 8
 
 
-def drive_of_frames(
-    frames: Sequence[Frame], source: Source, rig: Rig, srid: int, rejections: Iterable[Rejection] = ()
+def drive_of_pairs(
+    frames: Sequence[RecordedPair], source: Source, rig: Rig, srid: int, rejections: Iterable[Rejection] = ()
 ) -> tuple[Drive, list[Rejection]]:
     """The drive of the frame pairs that can be used, and the rejections of the others and of files that are of none.
 
@@ -345,7 +345,7 @@ def drive_of_couples(
     times = [time_of(couple) for couple in couples]
     wrong = misplaced({n: time for n, time in enumerate(times) if time is not None})
     pose_at = poses_at([time for time in times if time is not None])
-    frames: list[Frame] = []
+    frames: list[RecordedPair] = []
     for n, (time, images) in enumerate(zip(times, couples, strict=True)):
         problem = next((image.problem for image in images if image is not None and image.problem), None)
         if None in images:
@@ -362,8 +362,8 @@ def drive_of_couples(
             [ImageFile(i.path, i.sha256)] if i is not None and (i.sha256 is not None or i.path.is_file()) else []
             for i in images
         )
-        frames.append(Frame(n, str(n), left, right, time or 0, pose_at, problem))
-    return drive_of_frames(frames, source, rig, srid)
+        frames.append(RecordedPair(n, str(n), left, right, time or 0, pose_at, problem))
+    return drive_of_pairs(frames, source, rig, srid)
 
 
 def time_of(couple: Couple) -> int | None:

@@ -32,7 +32,7 @@ from conetl.model.rig import SIDES, Rig
 from conetl.readers.drives.camera_files import Files, folder_stream
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, no_rig, overrides, own_rig
-from conetl.readers.drives.pairs import Frame, PairError, Source, by_stem, drive_of_frames
+from conetl.readers.drives.pairs import PairError, RecordedPair, Source, by_stem, drive_of_pairs
 from conetl.readers.drives.poses import checked_srid, stated_sigmas, wild_fixes
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import rectified_rig
@@ -133,7 +133,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     order = {stem: found.numbers.get(stem, len(found.by_stem) + i) for i, stem in enumerate(stems)}
     misplaced_at = misplaced({order[stem]: t for stem in stems if isinstance(t := times.get(stem), int)})
 
-    def frame(stem: str) -> Frame:
+    def frame(stem: str) -> RecordedPair:
         captured, number = times.get(stem), order[stem]
         reason, text = RejectionReason.TIMESTAMP_INVALID, captured if isinstance(captured, str) else None
         if stem not in found.by_stem:
@@ -143,9 +143,9 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
         elif number in misplaced_at:
             text = f"{TRAJECTORY}: captured_at of '{stem}' {misplaced_at[number]}"
         time = captured if isinstance(captured, int) and text is None else PairError(reason, str(text))
-        return Frame(number, f"'{stem}'", left.get(stem, []), right.get(stem, []), time, lambda _: poses[stem])
+        return RecordedPair(number, f"'{stem}'", left.get(stem, []), right.get(stem, []), time, lambda _: poses[stem])
 
-    return drive_of_frames([*map(frame, sorted(stems, key=order.__getitem__))], source, rig, srid)
+    return drive_of_pairs([*map(frame, sorted(stems, key=order.__getitem__))], source, rig, srid)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:
