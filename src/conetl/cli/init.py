@@ -19,19 +19,11 @@ from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, InputError
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.checks.stereo_check import TRIGGER, check_stereo
 from conetl.perception.video import frame_of, video_facts
-from conetl.readers.drives import find_format, kitti, plain, zed_recording
+from conetl.readers.drives import find_format, kitti, plain, proposals, zed_recording
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml, stated
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.image_times import UnknownTimeError
-from conetl.readers.drives.proposals import (
-    Proposal,
-    check_start,
-    propose,
-    stated_time,
-    still_valid,
-    suggested,
-    template,
-)
+from conetl.readers.drives.proposals import Proposal, template
 from conetl.readers.drives.proposals.template import FILE_KEYS, RIG, Missing, in_yaml, is_text
 from conetl.readers.drives.summary import summarise
 from conetl.readers.drives.video import NAME, Preview, preview
@@ -81,12 +73,12 @@ def init(
             raise InputError(f"{folder} is already a drive ({drive_format}): write its settings into {DRIVE_YAML}")
         _finish(folder, f"{folder} is already a drive ({drive_format}); it needs no {DRIVE_YAML}.", {}, as_json)
         return
-    kept = still_valid(_earlier(root, force=force), _with({}, given))
+    kept = proposals.still_valid(_earlier(root, force=force), _with({}, given))
     if kept and not as_json:
         say(f"  kept from {DRIVE_YAML}: {', '.join(kept)} (delete the file to start over)")
     stated_now = validated(stated(_with(kept, given)), DriveYaml, "--set").model_dump(mode="json", exclude_unset=True)
     rig_file = None if rig is None else root / _as_in_folder(root, str(rig))
-    proposal = propose(root, stated_now, rig_file)
+    proposal = proposals.propose(root, stated_now, rig_file)
     for line in () if as_json else proposal.found:
         say(f"  {line}")
     if any(each.required for each in proposal.missing):
@@ -95,7 +87,7 @@ def init(
             rig_file = root / _as_in_folder(root, str(answers.pop(RIG)))
         if answers or rig_file is not None:
             answered = validated(stated(_with(proposal.settings, answers)), DriveYaml, "--set")
-            proposal = propose(root, answered.model_dump(mode="json", exclude_unset=True), rig_file)
+            proposal = proposals.propose(root, answered.model_dump(mode="json", exclude_unset=True), rig_file)
     settings, stated_images = proposal.settings, dict(proposal.settings["images"])
     found, missing = _tried(root, proposal)
     if found is None:
@@ -187,11 +179,11 @@ def _tried(root: Path, proposal: Proposal) -> tuple[Preview | None, list[Missing
     if any(each.required for each in proposal.missing):
         return None, proposal.missing
     if proposal.recorded is not None:
-        check_start(root, proposal.settings, proposal.recorded)
+        proposals.check_start(root, proposal.settings, proposal.recorded)
     try:
         return _previewed(root, proposal.settings, proposal.rig), []
     except UnknownTimeError as error:
-        return None, [suggested(root, proposal.settings, proposal.recorded, Missing(error.key, error.cause))]
+        return None, [proposals.suggested(root, proposal.settings, proposal.recorded, Missing(error.key, error.cause))]
     except ConetlError as error:
         _write(root, proposal.settings, [], proposal.rig)
         raise _unreadable(root, str(error)) from error
@@ -232,7 +224,7 @@ def _add_timing(settings: dict[str, Any], timing: Timing) -> None:
     """What the images showed, so that it is not searched again."""
     images = settings["images"]
     if timing.start_ns is not None:
-        images["start"] = stated_time(timing.start_ns)
+        images["start"] = proposals.stated_time(timing.start_ns)
         if "layout" not in images:
             images["right_offset_s"] = round(timing.right_offset_s, 6)
     if timing.clock.sigma_s:
@@ -280,7 +272,7 @@ def _estimated(timing: Timing, stated_images: Mapping[str, Any]) -> str:
         text += f"\nEstimated from the images: the right file begins {timing.right_offset_s:g} s after the left one."
     if timing.start_ns is not None and timing.clock.sigma_s and "start" not in stated_images:
         text += (
-            f"\nTime of the first left frame, estimated from the images: {stated_time(timing.start_ns)} "
+            f"\nTime of the first left frame, estimated from the images: {proposals.stated_time(timing.start_ns)} "
             f"+-{1000 * timing.clock.sigma_s:.0f} ms. If you know the exact time, set images.start."
         )
     return text

@@ -14,10 +14,13 @@ from conetl.perception.video import VideoIndex
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, named_in_yaml
 from conetl.readers.drives.pairs import Image, Source
 from conetl.readers.drives.poses import Samples
+from conetl.readers.trajectories import trajectory_format
 from conetl.readers.trajectories.times import clock_problem, decimal_ns, parse_timestamp, times_of_names
 
 #: A file of time stamps of `MAX_FRAMES` lines.
 _MOST_TIME_BYTES = 128_000_000
+#: Larger ones are not looked for.
+_MOST_TRIED_BYTES = 4_000_000
 _DAY_S = 86_400.0
 
 
@@ -108,6 +111,22 @@ def times_of(
 def texts_of_file(lines: Sequence[str], paths: Sequence[Path]) -> list[str]:
     """The time stamps of images in the lines of a file: beside their names, or one line per image."""
     return _by_name(lines, paths) or of_images([x for x in lines if x.strip() and x[0] != "#"], paths)
+
+
+def times_in(path: Path, paths: Sequence[Path]) -> list[str]:
+    """The time stamps of images in a file."""
+    return texts_of_file(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), paths)
+
+
+def has_times(path: Path, paths: Sequence[Path], settings: DriveYaml) -> bool:
+    """Whether a file has one time per image, and nothing else."""
+    if not path.is_file() or path.stat().st_size > _MOST_TRIED_BYTES:
+        return False
+    texts = times_in(path, paths)
+    if len(texts) != len(paths) or trajectory_format(path) is not None:
+        return False
+    good = [isinstance(t := stamp(text, settings), int) and not clock_problem(t) for text in texts]
+    return counts_from_start(texts) or sum(good) > len(texts) // 2
 
 
 def counts_from_start(texts: Sequence[str]) -> bool:

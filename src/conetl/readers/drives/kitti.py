@@ -31,19 +31,11 @@ from conetl.model.drive import MAX_FRAME_INDEX, Drive, Pose
 from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
+from conetl.readers.drives import pairs
 from conetl.readers.drives.camera_files import Files, Stream, folder_stream, names_in
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Sigmas, inside, named_in_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings, samples_of
-from conetl.readers.drives.pairs import (
-    ContentHash,
-    ImageFile,
-    PairError,
-    RecordedPair,
-    Source,
-    by_stem,
-    drive_of_pairs,
-    first_size,
-)
+from conetl.readers.drives.pairs import ImageFile, PairError, Source
 from conetl.readers.drives.poses import checked_srid, stated_sigmas, wild_fixes
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 from conetl.readers.trajectories.oxts import MAX_RECORD_BYTES, OxtsRecord, parse_oxts
@@ -85,7 +77,9 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     calibration = calibration_path(path, settings)
     rejections: list[Rejection] = []
     left, right = (_numbered_images(stream, rejections) for stream in source.files[:2])
-    rig = read_rig_for(source, calibration, first_size((files[0].path for _, files in sorted(left.items())), content))
+    rig = read_rig_for(
+        source, calibration, pairs.first_size((files[0].path for _, files in sorted(left.items())), content)
+    )
     name = f"{settings.cameras.left}/timestamps.txt"
     stamps = _stamps(source, name)
     split = _split_triggers(source, stamps)
@@ -98,17 +92,17 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     wrong |= {n: f"the time {text}" for n, text in misplaced(times).items()}
     wrong = {n: f"{name}, line {n + 1}: {text}" for n, text in wrong.items()} | split
 
-    def frame(n: int) -> RecordedPair:
+    def frame(n: int) -> pairs.RecordedPair:
         problem = PairError(RejectionReason.TIMESTAMP_INVALID, wrong.get(n, ""))
         if n not in stamps:
             lines = f"{name} has {len(stamps)} lines, line {n + 1} is needed for this frame"
             problem = PairError(RejectionReason.TIMESTAMP_MISSING, lines)
         captured = problem if n in wrong or n not in stamps else times[n]
-        return RecordedPair(
+        return pairs.RecordedPair(
             n, str(n), left.get(n, ()), right.get(n, ()), captured, partial(_pose_at, n, bad_records, track, root)
         )
 
-    return drive_of_pairs([*map(frame, numbers)], source, rig, srid, rejections)
+    return pairs.drive_of_pairs([*map(frame, numbers)], source, rig, srid, rejections)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:
@@ -190,13 +184,13 @@ def is_number(stem: str) -> bool:
 def _numbered(paths: Iterable[Path]) -> dict[int, list[ImageFile]]:
     """Files by the number that is their name; others are left out."""
     found: dict[int, list[ImageFile]] = {}
-    for stem, files in by_stem(sorted(paths)).items():
+    for stem, files in pairs.by_stem(sorted(paths)).items():
         if is_number(stem):
             found.setdefault(int(stem), []).extend(files)
     return found
 
 
-def _stamps(source: Source, name: str, content: ContentHash | None = None) -> dict[int, int | str]:
+def _stamps(source: Source, name: str, content: pairs.ContentHash | None = None) -> dict[int, int | str]:
     """Times of a timestamps.txt, see `parse_timestamps`. Raises InputError."""
     text = (content or source.content).text(
         source.root, name, "expected one line with a time stamp for each frame number"
@@ -213,7 +207,7 @@ def _split_triggers(source: Source, left: Mapping[int, int | str]) -> dict[int, 
     name = f"{source.settings.cameras.right}/timestamps.txt"
     if not (source.root / name).is_file():
         return {}
-    own = ContentHash()
+    own = pairs.ContentHash()
     right = _stamps(source, name, own)
     found = {number: trigger_problem(time, right.get(number), source.settings) for number, time in left.items()}
     wrong = {number: f"{name}, line {number + 1}: {problem}" for number, problem in found.items() if problem}

@@ -29,16 +29,8 @@ from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, index_video, region_of
-from conetl.readers.drives import pose_rows
-from conetl.readers.drives.camera_files import (
-    Files,
-    Stream,
-    facts_of,
-    find_streams,
-    names_in,
-    stream_of,
-    with_likely_sides,
-)
+from conetl.readers.drives import camera_files, pose_rows
+from conetl.readers.drives.camera_files import Files, Stream
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, named_in_yaml, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, no_rig, rig_on_body, with_stated_shutters
 from conetl.readers.drives.image_times import CameraImages, listed, stated_start, times_of
@@ -57,7 +49,9 @@ READS_OBJECTS, UNPACKS = False, False
 
 def matches(path: Path) -> bool:
     """True for a folder with video files, or with folders of images that drive.yaml names. (KITTI drives may hold videos.)"""
-    has_videos = path.is_dir() and not (path / "image_02").is_dir() and bool(names_in(path, VIDEO_SUFFIXES))
+    has_videos = (
+        path.is_dir() and not (path / "image_02").is_dir() and bool(camera_files.names_in(path, VIDEO_SUFFIXES))
+    )
     return has_videos or names_images(path)
 
 
@@ -130,7 +124,7 @@ def read_header(source: Source, header: HeaderFacts) -> None:
     header.remarks += remarks_on(files.trajectory, settings.trajectory, has_vertical_sigma=has_sigma)
     _rig(source, of_cameras=pose_rows.looks_like(files.trajectory))
     if left.is_video:
-        facts = facts_of(left)
+        facts = camera_files.facts_of(left)
         header.frame_pairs = facts.frames
         if (first_ns := stated_start(settings, root)) is not None:
             header.set_times([first_ns, first_ns + round(facts.duration_s * 1e9)], root / DRIVE_YAML)
@@ -223,16 +217,16 @@ def camera_streams(root: Path, settings: Images) -> tuple[Stream, Stream]:
     named = {"left": settings.left, "right": settings.left if settings.layout else settings.right}
     names: dict[Side, str] = {side: name for side in SIDES if (name := named[side])}
     if len(names) < len(SIDES):
-        videos = [stream.name for stream in find_streams(root) if stream.is_video]
+        videos = [stream.name for stream in camera_files.find_streams(root) if stream.is_video]
         whole: dict[Side, str] = dict.fromkeys(SIDES, videos[0]) if settings.layout and len(videos) == 1 else names
-        names = with_likely_sides(whole, videos)
+        names = camera_files.with_likely_sides(whole, videos)
         if unknown := [side for side in SIDES if side not in names]:
             raise InputError(
                 f"{root}: the {unknown[0]} camera's images cannot be identified (videos: {', '.join(videos) or 'none'}). Name "
                 f"them in {DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, layout: "
                 "left-right}' for one file with both"
             )
-    left, right = (stream_of(root, names[side], DRIVE_YAML) for side in SIDES)
+    left, right = (camera_files.stream_of(root, names[side], DRIVE_YAML) for side in SIDES)
     return left, right
 
 

@@ -18,20 +18,16 @@ from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.drives.image_times import (
     UnknownTimeError,
     counts_from_start,
-    stamp,
+    has_times,
     stated_start,
-    texts_of_file,
+    times_in,
     times_of,
 )
 from conetl.readers.drives.pairs import ContentHash, Source, first_size
 from conetl.readers.drives.proposals.log_and_rig import rigs_in
 from conetl.readers.drives.proposals.template import FILE_KEYS, TABLE_SUFFIXES, Missing, Proposal, value_at
 from conetl.readers.rigs import read_given_rig
-from conetl.readers.trajectories import trajectory_format
 from conetl.readers.trajectories.recorded import RecordedTrajectory
-from conetl.readers.trajectories.times import clock_problem
-
-_MOST_TIME_BYTES = 4_000_000
 
 
 def add_images(root: Path, rig_file: Path | None, proposal: Proposal) -> tuple[int, int] | None:
@@ -120,17 +116,16 @@ def _layout_of(root: Path, rig_file: Path | None, stream: Stream) -> str | None:
 
 def _add_times(root: Path, left: Stream, proposal: Proposal) -> None:
     """The times of image files: those of their names, or of the only file that has one for each of them."""
-    images = proposal.settings["images"]
-    source = Source(root, root, DriveYaml.model_validate(proposal.settings), ContentHash())
+    images, settings = proposal.settings["images"], DriveYaml.model_validate(proposal.settings)
     if "timestamps" not in images:
         try:
-            times_of(left.name, left.paths, None, source)
+            times_of(left.name, left.paths, None, Source(root, root, settings, ContentHash()))
             return
         except UnknownTimeError as error:
             above = left.paths[0].parent.parents
             folders = sorted({root, left.paths[0].parent, *(f for f in above if f.is_relative_to(root))})
             files = [folder / name for folder in folders for name in names_in(folder, TABLE_SUFFIXES)]
-            names = [file.relative_to(root).as_posix() for file in files if _has_times(file, left, source)]
+            names = [file.relative_to(root).as_posix() for file in files if has_times(file, left.paths, settings)]
             if len(names) != 1:
                 found = f"{', '.join(names)} each have one time per image. " if names else ""
                 proposal.need(error.key, found + error.cause)
@@ -138,26 +133,10 @@ def _add_times(root: Path, left: Stream, proposal: Proposal) -> None:
         images["timestamps"] = names[0]
         proposal.found.append(f"times of the images: {names[0]}")
     file = root / images["timestamps"]
-    if file.is_file() and counts_from_start(_texts_of(file, left)):
+    if file.is_file() and counts_from_start(times_in(file, left.paths)):
         changed = f"{np.datetime64(int(file.stat().st_mtime), 's')}Z".replace("T", " ")
         cause = f"{file.name} counts seconds from a time that it does not state; it was last changed at {changed}"
         proposal.need("images.start", cause, changed)
-
-
-def _texts_of(path: Path, left: Stream) -> list[str]:
-    """The times of images in a file."""
-    return texts_of_file(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), left.paths)
-
-
-def _has_times(path: Path, left: Stream, source: Source) -> bool:
-    """Whether a file has one time per image, and nothing else."""
-    if not path.is_file() or path.stat().st_size > _MOST_TIME_BYTES:
-        return False
-    texts = _texts_of(path, left)
-    if len(texts) != len(left.paths) or trajectory_format(path) is not None:
-        return False
-    good = [isinstance(t := stamp(text, source.settings), int) and not clock_problem(t) for text in texts]
-    return counts_from_start(texts) or sum(good) > len(texts) // 2
 
 
 def _check_images(root: Path, settings: Mapping[str, Any]) -> None:
