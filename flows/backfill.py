@@ -19,6 +19,7 @@ from pydantic import Field
 
 from conetl.db.connection import Connection
 from conetl.db.map.decision_store import held_drives, hold_events
+from conetl.db.map.map_store import find_map
 from conetl.db.receipt_store import Receipt, attempt_ends, end_crashed, latest_receipts, write_receipt
 from conetl.files.names import minutes, printable
 from conetl.files.storage import as_path
@@ -62,6 +63,8 @@ class Standing:
     """What a person has to correct while the batch waits."""
     strays: list[Receipt] = field(default_factory=list)
     """Of what is no drive, or not yet."""
+    map_existed: bool = False
+    """When the batch began."""
 
     @property
     def todo(self) -> int:
@@ -76,6 +79,11 @@ class Standing:
         """Drives on the map, without those on hold."""
         waiting = {drive.changeset_id for drive in self.held}
         return sum(receipt.done and receipt.changeset_id not in waiting for receipt in self.ended)
+
+    @property
+    def map_exists(self) -> bool:
+        """Whether the map must be there, unless it was renamed or deleted since."""
+        return self.map_existed or any(receipt.done for receipt in self.ended)
 
     @property
     def failed(self) -> list[Receipt]:
@@ -178,6 +186,7 @@ def _run_batch(
     look_at_s = standing.started + dispatch.WORKERS_GONE_S  # whether workers are there
     with database.connection() as conn:
         held_before = {drive.changeset_id for drive in held_drives(conn, map_name=settings.map_name)}
+        standing.map_existed = find_map(conn, settings.map_name) is not None
         known_events = set(hold_events(conn, map_name=settings.map_name))
     waiting: deque[tuple[PlanLine, int]] = deque((line, 1) for line in plan.todo)
     standing.ended += refuse(database, plan.refused, plan, settings)
@@ -225,10 +234,14 @@ def _start(
 ) -> dispatch.DriveRun:
     """Start a drive of the plan. On workers at most once for each try, also when this run itself was started again."""
     if standing.where == "here":
-        run, process = dispatch.start_here(line.header, settings, params, map_srid, standing.parallel)
+        run, process = dispatch.start_here(
+            line.header, settings, params, map_srid, standing.parallel, standing.map_exists
+        )
         return dispatch.DriveRun(line, number, run.id, process)
     key = f"{flow_run.id} {line.header.header_sha256} {line.starts + number}"
-    run = dispatch.start_on_worker(line.header, settings, params, map_srid, key, BACKFILL_QUEUE)
+    run = dispatch.start_on_worker(
+        line.header, settings, params, map_srid, key, BACKFILL_QUEUE, map_exists=standing.map_exists
+    )
     return dispatch.DriveRun(line, number, run.id, None)
 
 

@@ -117,16 +117,18 @@ def start_on_worker(
     map_srid: int | None,
     key: str,
     queue: str | None = None,
+    *,
+    map_exists: bool = False,
 ) -> FlowRun:
     """Queue the ingest of one drive for a worker, unless a run with this idempotency key exists; the run.
 
-    queue: of workers; None: the deployment's.
+    queue: of workers; None: the deployment's. map_exists: as of `ingest_drive`.
     """
     return cast(
         FlowRun,
         run_deployment(
             DRIVE_DEPLOYMENT,
-            parameters=_parameters(header, settings, params, map_srid),
+            parameters=_parameters(header, settings, params, map_srid, map_exists),
             flow_run_name=drive_run_name(header),
             tags=drive_tags(header, settings.map_name),
             idempotency_key=key,
@@ -137,10 +139,10 @@ def start_on_worker(
 
 
 def start_here(
-    header: DriveHeader, settings: Settings, params: IngestParams, map_srid: int | None, parallel: int
+    header: DriveHeader, settings: Settings, params: IngestParams, map_srid: int | None, parallel: int, map_exists: bool
 ) -> tuple[FlowRun, multiprocessing.process.BaseProcess]:
     """Start the ingest of one drive in a child of this process, one of `parallel`."""
-    parameters, name = _parameters(header, settings, params, map_srid), drive_run_name(header)
+    parameters, name = _parameters(header, settings, params, map_srid, map_exists), drive_run_name(header)
     context = FlowRunContext.get()
     assert context is not None and context.flow_run is not None
     with client() as api:
@@ -163,12 +165,15 @@ def start_here(
     return run, process
 
 
-def _parameters(header: DriveHeader, settings: Settings, params: IngestParams, map_srid: int | None) -> dict[str, Any]:
+def _parameters(
+    header: DriveHeader, settings: Settings, params: IngestParams, map_srid: int | None, map_exists: bool
+) -> dict[str, Any]:
     return {
         "drive": str(header.path),
         "map_name": settings.map_name,
         "map_srid": map_srid,
         "params": params.model_dump(mode="json"),
+        "map_exists": map_exists,
     }
 
 

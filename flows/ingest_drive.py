@@ -68,6 +68,7 @@ def ingest_drive(
     map_name: MapName = None,
     map_srid: MapSrid = None,
     params: IngestParams = IngestParams(),  # noqa: B008 -- frozen
+    map_exists: bool = False,
 ) -> State[Any]:
     """Ingest one drive: once, even if another process tries at the same time, with a receipt of the outcome.
 
@@ -80,6 +81,7 @@ def ingest_drive(
         map_name: Name of the map; default: CONETL_MAP_NAME of the worker.
         map_srid: EPSG code of the map; default: the UTM zone of the first drive.
         params: Parameters of all steps.
+        map_exists: Miss the drive where the map is gone, as it was renamed or deleted, instead of making it anew.
     """
     of_command = _of_command()
     settings, bar = of_command or (read_settings(map_name), None)
@@ -95,8 +97,8 @@ def ingest_drive(
             _describe_run(header, settings.map_name)
             report, error, problem = _finished(
                 lambda: ingest(
-                    as_path(drive), params, settings, map_srid=map_srid, database=database, executor=PrefectExecutor(),
-                    progress=progress_artifact(header.drive_id, bar), publish_new=publish_drive,
+                    as_path(drive), params, settings, map_srid=map_srid, map_exists=map_exists, database=database,
+                    executor=PrefectExecutor(), progress=progress_artifact(header.drive_id, bar), publish_new=publish_drive,
                     publish_known=publish_pending, flow_run_id=flow_run.id,
                 )
             )  # fmt: skip

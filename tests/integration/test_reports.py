@@ -254,6 +254,13 @@ def test_an_empty_and_an_invalid_night(shown: Any) -> None:
         read_night(shown, map_name="nowhere", since=begin, until=begin + timedelta(days=1))
 
 
+def test_entries_are_reported_before_the_first_drive_is_on_the_map(shown: Any) -> None:
+    begin = datetime(2001, 1, 1, tzinfo=UTC)
+    stray = {"drive_id": "a.zip", "drive_path": "/in/a.zip", "state": "not recognised", "reason": "an archive"}
+    night = read_night(shown, map_name="new", since=begin, until=begin + timedelta(days=1), drop_folder=[stray])
+    assert night.entries == [stray] and "an archive" in night_page(night)
+
+
 def test_the_web_view_serves_the_report(shown: Any) -> None:
     with view_of(shown.dsn) as client:
         answer = client.get("/api/maps/default/changesets/2/report")

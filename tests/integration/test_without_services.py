@@ -23,7 +23,8 @@ from prefect.client.schemas.filters import FlowRunFilter, FlowRunFilterName
 
 from conetl.cli.ingest import print_report
 from conetl.db.connection import connect, execute
-from conetl.db.map.map_store import list_changesets
+from conetl.db.map.archive import rename_map
+from conetl.db.map.map_store import find_map, list_changesets
 from conetl.db.receipt_store import is_published, pending_changesets
 from conetl.model.errors import DriveFolderError, StorageError
 from conetl.model.health import CALIBRATION, HealthCheck, HoldChange, Verdict
@@ -355,6 +356,30 @@ def test_what_could_not_be_published_is_said_and_told_by_a_later_run(
     assert [is_published(conn, one) for one in changesets] == [True] * 2
     assert in_the_way.is_file()
     assert list((home / "exports" / "reports").rglob("*.html"))
+
+
+@pytest.mark.usefixtures("prefect_here")
+def test_a_map_that_is_renamed_during_a_backfill_is_not_made_anew(
+    tmp_path: Path, conn: Any, database_url: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from flows import backfill, dispatch
+
+    for number in (1, 2):
+        cut_drive(SAMPLES[0], tmp_path / "drives" / f"2026-05-0{number}_run", f"2026-05-0{number}")
+    for name, value in (("HOME", str(tmp_path / "home")), ("DATABASE_URL", database_url), ("WORKERS", "1")):
+        monkeypatch.setenv(f"CONETL_{name}", value)
+    true = dispatch.start_here
+
+    def start(*arguments: Any) -> Any:
+        if find_map(conn) is not None:
+            rename_map(conn, "default", "older")
+        conn.rollback()
+        return true(*arguments)
+
+    monkeypatch.setattr(dispatch, "start_here", start)
+    state = backfill.backfill(str(tmp_path / "drives"), max_parallel=1, where="here", return_state=True)
+    assert state.name == "SomeFailed" and "the map default was renamed or deleted" in str(state.message)
+    assert [row["map_name"] for row in execute(conn, "select map_name from conetl.map")] == ["older"]
 
 
 _LOST_ANSWER = """

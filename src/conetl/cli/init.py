@@ -19,29 +19,12 @@ from conetl.model.errors import EXIT_NEEDS_ATTENTION, ConetlError, InputError
 from conetl.model.rig import SIDES, Rig
 from conetl.perception.checks.stereo_check import TRIGGER, check_stereo
 from conetl.perception.video import frame_of, video_facts
-from conetl.readers.drives import find_format, kitti, plain, zed_recording
+from conetl.readers.drives import find_format, kitti, plain, proposals, zed_recording
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, read_drive_yaml, stated
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.image_times import UnknownTimeError
-from conetl.readers.drives.proposals import (
-    FILE_KEYS,
-    Proposal,
-    check_start,
-    propose,
-    stated_time,
-    still_valid,
-    suggested,
-)
-from conetl.readers.drives.proposals.template import (
-    RIG,
-    Missing,
-    in_yaml,
-    is_key,
-    is_template,
-    is_text,
-    similar_keys,
-    template,
-)
+from conetl.readers.drives.proposals import Proposal, template
+from conetl.readers.drives.proposals.template import FILE_KEYS, RIG, Missing, in_yaml, is_text
 from conetl.readers.drives.summary import summarise
 from conetl.readers.drives.video import NAME, Preview, preview
 from conetl.readers.drives.video_timing import Timing
@@ -90,12 +73,12 @@ def init(
             raise InputError(f"{folder} is already a drive ({drive_format}): write its settings into {DRIVE_YAML}")
         _finish(folder, f"{folder} is already a drive ({drive_format}); it needs no {DRIVE_YAML}.", {}, as_json)
         return
-    kept = still_valid(_earlier(root, force=force), _with({}, given))
+    kept = proposals.still_valid(_earlier(root, force=force), _with({}, given))
     if kept and not as_json:
         say(f"  kept from {DRIVE_YAML}: {', '.join(kept)} (delete the file to start over)")
     stated_now = validated(stated(_with(kept, given)), DriveYaml, "--set").model_dump(mode="json", exclude_unset=True)
     rig_file = None if rig is None else root / _as_in_folder(root, str(rig))
-    proposal = propose(root, stated_now, rig_file)
+    proposal = proposals.propose(root, stated_now, rig_file)
     for line in () if as_json else proposal.found:
         say(f"  {line}")
     if any(each.required for each in proposal.missing):
@@ -104,7 +87,7 @@ def init(
             rig_file = root / _as_in_folder(root, str(answers.pop(RIG)))
         if answers or rig_file is not None:
             answered = validated(stated(_with(proposal.settings, answers)), DriveYaml, "--set")
-            proposal = propose(root, answered.model_dump(mode="json", exclude_unset=True), rig_file)
+            proposal = proposals.propose(root, answered.model_dump(mode="json", exclude_unset=True), rig_file)
     settings, stated_images = proposal.settings, dict(proposal.settings["images"])
     found, missing = _tried(root, proposal)
     if found is None:
@@ -143,8 +126,8 @@ def _given(root: Path, texts: Sequence[str]) -> dict[str, Any]:
         key, sign, value = (part.strip() for part in text.partition("="))
         if not sign or not key:
             raise InputError(f"--set {shown(text)}: expected KEY=VALUE, like images.every=2")
-        if not is_key(key):
-            near = similar_keys(key)
+        if not template.is_key(key):
+            near = template.similar_keys(key)
             hint = f"did you mean {' or '.join(near)}?" if near else "they are listed in docs/reference/drives.md"
             raise InputError(f"--set {key}: {DRIVE_YAML} has no such key; {hint}")
         given[key] = (value or None) if is_text(key) else parse_yaml(f"--set {key}", value)
@@ -177,7 +160,7 @@ def _as_in_folder(root: Path, name: str) -> str:
 def _earlier(root: Path, *, force: bool) -> dict[str, Any]:
     """What an earlier drive.yaml states. Raises InputError where its comments or errors are those of a person."""
     path = root / DRIVE_YAML
-    if path.is_file() and not force and not is_template(path):
+    if path.is_file() and not force and not template.is_template(path):
         raise InputError(
             f"{path} was not written by 'conetl init': edit it, or use --force to rewrite it: its settings are kept, its "
             "comments are not"
@@ -196,13 +179,11 @@ def _tried(root: Path, proposal: Proposal) -> tuple[Preview | None, list[Missing
     if any(each.required for each in proposal.missing):
         return None, proposal.missing
     if proposal.recorded is not None:
-        check_start(root, proposal.settings, proposal.recorded)
+        proposals.check_start(root, proposal.settings, proposal.recorded)
     try:
         return _previewed(root, proposal.settings, proposal.rig), []
     except UnknownTimeError as error:
-        known = proposal.recorded and suggested(root, proposal.settings, proposal.recorded, error.key)
-        value, reason = known or (None, None)
-        return None, [Missing(error.key, error.cause if reason is None else f"{error.cause}. {reason}", value)]
+        return None, [proposals.suggested(root, proposal.settings, proposal.recorded, Missing(error.key, error.cause))]
     except ConetlError as error:
         _write(root, proposal.settings, [], proposal.rig)
         raise _unreadable(root, str(error)) from error
@@ -243,7 +224,7 @@ def _add_timing(settings: dict[str, Any], timing: Timing) -> None:
     """What the images showed, so that it is not searched again."""
     images = settings["images"]
     if timing.start_ns is not None:
-        images["start"] = stated_time(timing.start_ns)
+        images["start"] = proposals.stated_time(timing.start_ns)
         if "layout" not in images:
             images["right_offset_s"] = round(timing.right_offset_s, 6)
     if timing.clock.sigma_s:
@@ -291,7 +272,7 @@ def _estimated(timing: Timing, stated_images: Mapping[str, Any]) -> str:
         text += f"\nEstimated from the images: the right file begins {timing.right_offset_s:g} s after the left one."
     if timing.start_ns is not None and timing.clock.sigma_s and "start" not in stated_images:
         text += (
-            f"\nTime of the first left frame, estimated from the images: {stated_time(timing.start_ns)} "
+            f"\nTime of the first left frame, estimated from the images: {proposals.stated_time(timing.start_ns)} "
             f"+-{1000 * timing.clock.sigma_s:.0f} ms. If you know the exact time, set images.start."
         )
     return text
@@ -314,7 +295,9 @@ def _write(root: Path, settings: Mapping[str, Any], missing: Sequence[Missing], 
     with atomic_files(*(root / name for name in names)) as unfinished:
         if rig is not None:
             write_rig_yaml(rig, unfinished[0])
-        unfinished[-1].write_text(template(settings, [each for each in missing if each.required]), encoding="utf-8")
+        unfinished[-1].write_text(
+            template.template(settings, [each for each in missing if each.required]), encoding="utf-8"
+        )
 
 
 # --------------------------------------------------------------------------- questions
@@ -347,13 +330,11 @@ def _is_terminal() -> bool:
 
 def _listed(missing: Sequence[Missing]) -> str:
     """The values, each with its option, the reason and what is proposed."""
-    return "".join(f"  {_as_option(each)}\n      {_reason(each)}\n" for each in missing)
-
-
-def _reason(missing: Missing) -> str:
-    if not missing.required:
-        return f"{missing.text}. May be left out."
-    return missing.text + (f". --yes takes {in_yaml(missing.suggestion)}" if missing.suggestion is not None else "")
+    text = ""
+    for each in missing:
+        proposed = f". --yes takes {in_yaml(each.suggestion)}" if each.suggestion is not None else ""
+        text += f"  {_as_option(each)}\n      {each.text}{proposed if each.required else '. May be left out.'}\n"
+    return text
 
 
 def _as_option(missing: Missing) -> str:
@@ -367,13 +348,9 @@ def _stop(folder: Path, settings: Mapping[str, Any], missing: Sequence[Missing],
     """List what is missing."""
     again = f"conetl init {quote(str(folder))}"
     if as_json:
-        listed = [
-            {
-                "option": _as_option(each), "key": each.key, "text": each.text, "proposal": each.suggestion,
-                "required": each.required,
-            }
-            for each in missing
-        ]  # fmt: skip
+        names = ("option", "key", "text", "proposal", "required")
+        values = ((_as_option(each), each.key, each.text, each.suggestion, each.required) for each in missing)
+        listed = [dict(zip(names, each, strict=True)) for each in values]
         print_json({"settings": settings, "missing": listed, "next": [again]})
     complain(
         f"{folder / DRIVE_YAML} was written, but these values are missing:\n{_listed(missing)}State them with these options, or "

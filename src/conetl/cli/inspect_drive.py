@@ -18,9 +18,9 @@ from conetl.model.health import Verdict
 from conetl.model.params import IngestParams
 from conetl.perception.checks.stereo_check import check_stereo
 from conetl.pipeline.settings import read_settings
-from conetl.readers.drives import find_format, read_drive
+from conetl.readers.drives import open_drive, read_drive
 from conetl.readers.drives.formats import DriveFormat
-from conetl.readers.drives.header import read_header
+from conetl.readers.drives.header import remarks_of
 from conetl.readers.drives.summary import DriveSummary, summarise
 from conetl.reports.html import render, write_page
 
@@ -46,10 +46,10 @@ def inspect(
     drive cannot be ingested. Exit code 1: it can, but too many frame pairs are lost, poses jump, or a health check did not pass.
     """
     settings = read_settings()
-    found, rejections = read_drive(drive, map_srid=map_srid, images_folder=settings.images_folder, headers_only=True)
-    ui.note(*read_header(drive).remarks)
-    kind = find_format(drive)
-    assert kind is not None  # it was read
+    opened = open_drive(drive, map_srid=map_srid, images_folder=settings.images_folder, headers_only=True)
+    found, rejections = read_drive(opened)
+    kind = opened.format
+    ui.note(*remarks_of(opened))
     summary = summarise(found, rejections)
     seconds = estimated_seconds(summary, settings.workers)
     checks = [] if kind.UNPACKS else judge_all(check_stereo(found)[1])  # here nothing is unpacked

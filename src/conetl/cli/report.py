@@ -9,8 +9,9 @@ from typing import Annotated, Any
 import typer
 
 from conetl.cli import console as ui
-from conetl.cli.database import open_map
+from conetl.cli.database import open_map, require_maps
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
+from conetl.pipeline.database import open_maps
 from conetl.pipeline.settings import read_settings
 
 
@@ -59,7 +60,7 @@ def night(
     settings = read_settings(map_name)
     begin, end = _period(day, since, until)
     path = output or settings.reports_folder / f"night-{end:%Y%m%dT%H%M%SZ}.html"
-    with open_map(map_name) as (conn, _):
+    with open_maps(require_maps(settings)) as conn:  # a first drive that failed has no map
         facts = write_night_page(
             conn, path, map_name=settings.map_name, since=begin, until=end, drop_folder=drop_folder_rows(settings)
         )

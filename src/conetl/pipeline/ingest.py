@@ -14,7 +14,7 @@ from uuid import UUID
 import httpx
 
 from conetl.db.connection import require_writer
-from conetl.db.map.map_store import find_map
+from conetl.db.map.map_store import find_map, map_gone
 from conetl.db.receipt_store import Receipt, StepTime, write_receipt
 from conetl.files.home import make_home
 from conetl.files.storage import forget_all
@@ -52,6 +52,7 @@ def ingest(
     settings: Settings | None = None,
     *,
     map_srid: int | None = None,
+    map_exists: bool = False,
     database: MapDatabase | None = None,
     executor: Executor | None = None,
     progress: Progress | None = None,
@@ -61,7 +62,8 @@ def ingest(
 ) -> IngestReport:
     """Read -> analyse -> commit -> publish one drive.
 
-    folder: a drive folder. map_srid: EPSG code of the map; default: the UTM zone of the drive. settings, executor, progress:
+    folder: a drive folder. map_srid: EPSG code of the map; default: the UTM zone of the drive. map_exists: the map was there when
+    the batch began, or since its first drive: if it is gone now, it is not made anew. settings, executor, progress:
     as for `analyse`; database: as for `commit`. publish_new, publish_known: called for a newly committed drive, and for one that
     was already on the map. The images of the drive are read once if they fit into `files.storage.CACHE_BYTES`; those of a larger
     drive are read again.
@@ -78,6 +80,8 @@ def ingest(
         steps = executor or stack.enter_context(ThreadExecutor(settings.workers))
         with db.connection() as conn:
             info = find_map(conn, settings.map_name)
+        if info is None and map_exists:
+            raise map_gone(str(folder), settings.map_name)
         srid = map_srid or (info.srid if info and info.counts else None)  # later drives use the map's own CRS
         drive, rejections = steps.run(read, folder, srid, settings.images_folder.resolve())
         changeset = changeset_of(drive, params, settings)

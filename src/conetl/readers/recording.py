@@ -22,10 +22,10 @@ from conetl.model.errors import InputError
 from conetl.model.rejections import RejectionReason
 from conetl.model.rig import Rig
 from conetl.perception.images import IMAGE_SUFFIXES
-from conetl.readers.drives import find_format, kitti, oxts, plain
-from conetl.readers.drives.drive_yaml import DriveYaml, read_drive_yaml
-from conetl.readers.drives.pairs import ContentHash, PairError, first_size
-from conetl.readers.drives.plain import TRAJECTORY, Rows, pose_of_row, read_plain_rig, time_of_row
+from conetl.readers.drives import find_format, kitti, plain
+from conetl.readers.drives.drive_yaml import read_drive_yaml
+from conetl.readers.drives.pairs import ContentHash, PairError, Source, first_size
+from conetl.readers.drives.plain import TRAJECTORY, Row, Rows, pose_of_row, read_plain_rig, time_of_row
 from conetl.readers.drives.poses import checked_srid
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.trajectories.oxts import FIELD_COUNT, MAX_RECORD_BYTES, OxtsRecord, parse_oxts
@@ -53,18 +53,17 @@ def open_arriving(folder: Path) -> ArrivingDrive | None:
             f"{folder}: a drive of the format '{found.NAME}' cannot be watched, only KITTI raw and plain folders: "
             "ingest it when it is complete"
         )
-    if found is plain:
-        couples, path = _Couples(root / "left", root / "right"), root / TRAJECTORY
-        return ArrivingPlain(
-            root=root, settings=read_drive_yaml(root), couples=couples, rows=Rows(path), file=GrowingFile(path)
-        )
     settings = read_drive_yaml(root)
+    source = Source(folder, root, settings, ContentHash())
+    if found is plain:
+        path = root / TRAJECTORY
+        return ArrivingPlain(source, _Couples(root / "left", root / "right"), Rows(path), GrowingFile(path))
     if not (root / settings.cameras.left).is_dir():
         return None
     left, right = (
         kitti.camera_folder(root, name, settings) for name in (settings.cameras.left, settings.cameras.right)
     )
-    return ArrivingKitti(root=root, settings=settings, couples=_Couples(left, right), folder=folder)
+    return ArrivingKitti(source, _Couples(left, right))
 
 
 @dataclass
@@ -111,7 +110,7 @@ def _names(folder: Path) -> set[str]:
         return set()
 
 
-@dataclass(kw_only=True)
+@dataclass
 class _Arriving:
     """One drive that is being recorded; `ArrivingPlain` and `ArrivingKitti` answer the same questions.
 
@@ -121,17 +120,20 @@ class _Arriving:
     map, if it exists. Raises PairError where pose or time are wrong.
     """
 
-    root: Path
-    settings: DriveYaml
+    source: Source
+    """Without what is read of it."""
     couples: _Couples
-    _rig: Rig | None = None
+    _rig: Rig | None = field(default=None, init=False)
 
     @property
     def drive_id(self) -> str:
-        return self.settings.id_of(self.root)
+        return self.source.settings.id_of(self.source.root)
+
+    def _checked_srid(self, map_srid: int | None, at: OxtsRecord | Row) -> int:
+        return checked_srid(map_srid or self.source.settings.map_srid, at.lat_deg, at.lon_deg, self.source.root)
 
 
-@dataclass(kw_only=True)
+@dataclass
 class ArrivingPlain(_Arriving):
     """A plain folder; its pairs are ordered by the rows of trajectory.csv, those without a row come last."""
 
@@ -153,8 +155,8 @@ class ArrivingPlain(_Arriving):
         return self.rows.numbers.get(pair.key, BEHIND), pair.key
 
     def rig(self) -> Rig | None:
-        if self._rig is None and (self.root / RIG_YAML).is_file():
-            self._rig = read_plain_rig(self.root, self.settings, ContentHash())
+        if self._rig is None and (self.source.root / RIG_YAML).is_file():
+            self._rig = read_plain_rig(self.source)
         return self._rig
 
     def frame_pair(self, pair: ArrivingPair, map_srid: int | None) -> tuple[FramePair, int] | None:
@@ -163,11 +165,12 @@ class ArrivingPlain(_Arriving):
             return None
         if isinstance(row, str):
             raise PairError(RejectionReason.POSE_INVALID, row)
-        captured = time_of_row(row, self.settings.timestamps_timezone)
+        captured = time_of_row(row, self.source.settings.timestamps_timezone)
         if isinstance(captured, str):
             raise PairError(RejectionReason.TIMESTAMP_INVALID, captured)
-        srid = checked_srid(map_srid or self.settings.map_srid, row.lat_deg, row.lon_deg, self.root)
-        return _record(self.rows.numbers[pair.key], pair, captured, pose_of_row(row, srid, self.settings.sigmas)), srid
+        srid = self._checked_srid(map_srid, row)
+        pose = pose_of_row(row, srid, self.source.settings.sigmas)
+        return _record(self.rows.numbers[pair.key], pair, captured, pose), srid
 
 
 @dataclass
@@ -206,12 +209,10 @@ class GrowingFile:
         self._lines += whole
 
 
-@dataclass(kw_only=True)
+@dataclass
 class ArrivingKitti(_Arriving):
     """A folder in KITTI's layout."""
 
-    folder: Path
-    """As the user named it: the calibration may be beside it."""
     _stamps: dict[str, GrowingFile] = field(default_factory=dict)
     """By the file's name."""
 
@@ -223,28 +224,26 @@ class ArrivingKitti(_Arriving):
 
     def rig(self) -> Rig | None:
         """Requires the size of a complete image: it decides whether the images are rectified."""
-        if self._rig is None:
-            size = first_size(self.couples.left_paths())
-            if size is not None:
-                path = kitti.calibration_path(self.folder, self.settings)
-                self._rig = kitti.read_rig_for(self.root, path, size, self.settings, ContentHash())
+        if self._rig is None and (size := first_size(self.couples.left_paths())) is not None:
+            path = kitti.calibration_path(self.source.path, self.source.settings)
+            self._rig = kitti.read_rig_for(self.source, path, size)
         return self._rig
 
     def frame_pair(self, pair: ArrivingPair, map_srid: int | None) -> tuple[FramePair, int] | None:
-        number = int(pair.key)
-        name = f"oxts/data/{pair.key}.txt"
-        captured = self._time(f"{self.settings.cameras.left}/timestamps.txt", number)
-        record = self._record_of(name)
+        number, settings = int(pair.key), self.source.settings
+        captured, right_at = (
+            self._time(f"{name}/timestamps.txt", number) for name in (settings.cameras.left, settings.cameras.right)
+        )
+        record = self._record_of(f"oxts/data/{pair.key}.txt")
         if captured is None or record is None:
             return None
-        right_at = self._time(f"{self.settings.cameras.right}/timestamps.txt", number)
-        if (problem := kitti.trigger_problem(captured, right_at, self.settings)) is not None:
+        if (problem := kitti.trigger_problem(captured, right_at, settings)) is not None:
             raise PairError(RejectionReason.TIMESTAMP_INVALID, problem)
         pose_at = self._time(kitti.OXTS_STAMPS, number)
-        if pose_at is None and (self.root / kitti.OXTS_STAMPS).is_file():
+        if pose_at is None and (self.source.root / kitti.OXTS_STAMPS).is_file():
             return None
         kitti.require_same_time(captured, pose_at)
-        srid = checked_srid(map_srid or self.settings.map_srid, record.lat_deg, record.lon_deg, self.root)
+        srid = self._checked_srid(map_srid, record)
         return _record(number, pair, captured, self._pose(pair.key, record, pose_at, captured, srid)), srid
 
     def _pose(self, key: str, record: OxtsRecord, pose_at: int | None, captured: int, srid: int) -> Pose:
@@ -255,12 +254,12 @@ class ArrivingKitti(_Arriving):
         before = self._record_of(f"oxts/data/{number - 1:0{len(key)}d}.txt") if before_at is not None else None
         if before is not None and before_at is not None and pose_at is not None:
             records[number - 1], times[number - 1] = before, before_at
-        track = oxts.trajectory(records, times, srid, self.settings.sigmas)
-        return oxts.pose_at(track, number, captured)
+        track = kitti.oxts_trajectory(records, times, srid, self.source.settings.sigmas)
+        return kitti.oxts_pose(track, number, captured)
 
     def _record_of(self, name: str) -> OxtsRecord | None:
         """An OXTS record; None until it is complete."""
-        path = self.root / name
+        path = self.source.root / name
         if not is_present(path):
             return None
         with path.open("rb") as file:
@@ -268,17 +267,17 @@ class ArrivingKitti(_Arriving):
         if len(text.split()) < FIELD_COUNT:
             return None
         try:
-            return parse_oxts(text, accuracy_required=self.settings.sigmas.horizontal_m is None)
+            return parse_oxts(text, accuracy_required=self.source.settings.sigmas.horizontal_m is None)
         except ValueError as error:
             raise PairError(RejectionReason.POSE_INVALID, f"{name}: {error}") from error
 
     def _time(self, name: str, number: int) -> int | None:
         """UTC nanoseconds of line `number`; None until it is complete."""
-        line = self._stamps.setdefault(name, GrowingFile(self.root / name)).line(number)
+        line = self._stamps.setdefault(name, GrowingFile(self.source.root / name)).line(number)
         if line is None:
             return None
         try:
-            return parse_timestamp(line, self.settings.timestamps_timezone)
+            return parse_timestamp(line, self.source.settings.timestamps_timezone)
         except ValueError as error:
             raise PairError(RejectionReason.TIMESTAMP_INVALID, f"{name}, line {number + 1}: {error}") from error
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from conetl.db.connection import Connection, database_errors, query
 from conetl.db.map.decision_store import held_drives, hold_events
-from conetl.db.map.map_store import list_changesets, read_paths, require_map
+from conetl.db.map.map_store import find_map, list_changesets, read_paths, require_map
 from conetl.model.arrays import Floats
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
@@ -53,6 +53,7 @@ class NightFacts:
     changes: list[Row]
     """Of point objects, confirmations excluded; at most `_MAX_ROWS`, each with the `total` and how many are `gone`."""
     srid: int
+    """0 before the first drive is on the map."""
     paths_m: list[Floats]
     """(N, 2) each: drive paths of the period."""
     rejections: list[Row]
@@ -97,11 +98,12 @@ def read_night(
 ) -> NightFacts:
     """Facts of a period; read-only. drop_folder: what is in it and no drive, as `entries.as_rows`.
 
-    Raises InputError for an unknown map or an empty period.
+    A map that does not exist yet has a report, too, if there is something to say of it: a first drive that failed, entries of the
+    drop folder. Raises InputError for an unknown map or an empty period.
     """
     if until <= since:
         raise InputError(f"the report would end ({until:%Y-%m-%d %H:%M}) before it begins ({since:%Y-%m-%d %H:%M})")
-    srid = require_map(conn, map_name).srid
+    info = find_map(conn, map_name)
     period = {"map_name": map_name, "since": since, "until": until}
     with database_errors(f"The map {map_name} cannot be read"):
         drives = query(conn, "reports.night_drives", **period)
@@ -123,6 +125,8 @@ def read_night(
     new = [row for row in drop_folder if (row["drive_path"], row["drive_id"]) not in reported]
     waiting = [row for row in new if row["state"] == "arriving"]
     failures += [row | unseen for row in new if row["state"] != "arriving"]
+    if info is None and not (failures or waiting):
+        require_map(conn, map_name)
     for row in drives:
         row.update(vars(changeset := changesets[row["changeset_id"]]))
         row["captured_at"] = utc_from_ns(changeset.captured_from_ns)
@@ -141,7 +145,7 @@ def read_night(
         failures,
         waiting,
         changes,
-        srid,
+        info.srid if info else 0,
         paths_m,
         rejections,
         markings,

@@ -258,6 +258,19 @@ def test_pairs_are_made_within_the_tolerance(late_ms: int, kept: int, tmp_path: 
     assert all("5 ms" in r.detail for r in rejections)
 
 
+@pytest.mark.parametrize("name", ["euroc", "odometry bag"])
+@pytest.mark.parametrize(("every", "marked"), [(1, False), (4, True), (5, False)])
+def test_sparse_records_of_any_format_are_interpolated_alike(
+    name: str, every: int, marked: bool, tmp_path: Path
+) -> None:
+    """By a spline, whose poses are marked: those between two records do not count as measurements of their own."""
+    some = [f if i % every == 0 else replace(f, oxts=None) for i, f in enumerate(FRAMES)]
+    drive, rejections = read(WRITERS[name](tmp_path / "run", some, RIG))
+    last = (len(FRAMES) - 1) // every * every
+    assert [r.reason for r in rejections] == [R.POSE_MISSING] * (len(FRAMES) - 1 - last)
+    assert {pair.pose.interpolated is not None for pair in drive.frame_pairs} == {marked}
+
+
 def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path) -> None:
     file = WRITERS["mcap file"](tmp_path / "run", FRAMES[:3], RIG)
     file.write_bytes(file.read_bytes()[:-20_000])

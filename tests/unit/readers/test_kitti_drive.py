@@ -18,7 +18,7 @@ from conetl.geometry import geodesy
 from conetl.model.drive import Drive, Pose
 from conetl.model.errors import DriveFolderError
 from conetl.model.rejections import RejectionReason
-from conetl.readers.drives import oxts, read_drive
+from conetl.readers.drives import kitti, read_drive
 from conetl.readers.drives.drive_yaml import Sigmas
 from conetl.readers.drives.header import read_header
 from conetl.readers.trajectories.oxts import OxtsRecord
@@ -261,8 +261,8 @@ def poses_of_a_straight_drive(numbers: range, late_ns: int) -> tuple[np.ndarray,
     degrees = 15.0 * 0.1 / 111_412.84 / math.cos(math.radians(49.0))  # of longitude, about 1.5 m
     records = {n: OxtsRecord(49.0, 8.4 + n * degrees, 110.0, 0.0, 0.0, 0.0, 0.02) for n in numbers}
     times = {n: 10**18 + n * 10**8 for n in numbers}
-    track = oxts.trajectory(records, times, 32632, Sigmas())
-    poses = {n: oxts.pose_at(track, n, times[n] + late_ns) for n in numbers}
+    track = kitti.oxts_trajectory(records, times, 32632, Sigmas())
+    poses = {n: kitti.oxts_pose(track, n, times[n] + late_ns) for n in numbers}
     velocity = (track.map_SE3_body[-1, :3, 3] - track.map_SE3_body[0, :3, 3]) / ((numbers[-1] - numbers[0]) * 0.1)
     true = track.map_SE3_body[:, :3, 3] + velocity * late_ns * 1e-9
     return np.linalg.norm(

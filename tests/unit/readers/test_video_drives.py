@@ -285,6 +285,7 @@ def test_names_of_images_that_are_frame_numbers_need_a_file_of_times(tmp_path: P
     said = missing(init(root, "images.start=2026-03-02 09:41:07Z"))["images.timestamps"]
     assert "names of the images in left (0000.jpg to 0015.jpg) are not times" in said
     assert "images.start is for videos" in said
+    assert "are not times" in str(read_header(root).problem), "a plan says so, too"
     (root / "times.txt").write_text("\n".join(f"{p.captured_at_ns}" for p in sample.frame_pairs))
     (root / "local.txt").write_text("\n".join(f"{p.captured_at_ns + 3600 * 10**9}" for p in sample.frame_pairs))
     assert "local.txt, times.txt each have one time per image" in missing(init(root))["images.timestamps"]

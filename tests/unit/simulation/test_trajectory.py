@@ -12,7 +12,7 @@ from pyproj import Geod, Transformer
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry.rig import body_SE3_camera
-from conetl.readers.drives import oxts
+from conetl.readers.drives import kitti
 from conetl.readers.drives.drive_yaml import Sigmas
 from conetl.readers.rigs import read_rig
 from conetl.readers.trajectories.oxts import parse_oxts
@@ -40,7 +40,7 @@ def test_reader_gets_the_true_poses_back_from_noiseless_records(pass_number: int
     simulate.write_oxts(tmp_path, _exact(poses, times), ["stamp"] * len(times))
     files = sorted((tmp_path / "oxts" / "data").glob("*.txt"))
     records = {int(path.stem): parse_oxts(path.read_text()) for path in files}
-    read = oxts.trajectory(records, {}, trajectory.MAP_SRID, Sigmas())
+    read = kitti.oxts_trajectory(records, {}, trajectory.MAP_SRID, Sigmas())
     np.testing.assert_allclose(read.map_SE3_body[:, :3, 3], poses[:, :3, 3], atol=1e-5)
     np.testing.assert_allclose(read.map_SE3_body[:, :3, :3], poses[:, :3, :3], atol=1e-8)
 

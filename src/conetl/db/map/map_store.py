@@ -174,10 +174,7 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, map_id: int |
     """
     info = find_map(conn, map_name)
     if map_id is not None and (info is None or info.map_id != map_id):
-        raise MapMismatchError(
-            f"{what}: the map {map_name} was renamed or deleted during the ingest: it was not made anew, nothing was written. "
-            "`conetl map list` shows the maps: name one with --map, and ingest the drive again"
-        )
+        raise map_gone(what, map_name)
     if info is not None and info.srid != srid and not info.counts:
         new_name = f"{map_name[:20]}-held-{info.srid}-{info.map_id}"
         db.query(conn, "map.set_aside", map_id=info.map_id, new_name=new_name)
@@ -192,6 +189,14 @@ def map_for(conn: Connection, map_name: str, srid: int, what: str, map_id: int |
             "same roads, check whether its latitude and longitude are swapped, or in radians."
         )
     return info
+
+
+def map_gone(what: str, map_name: str) -> MapMismatchError:
+    """The error where the map of `what` does not exist any more."""
+    return MapMismatchError(
+        f"{what}: the map {map_name} was renamed or deleted during the ingest: it was not made anew, nothing was written. "
+        "`conetl map list` shows the maps: name one with --map, and ingest the drive again"
+    )
 
 
 def insert_map(conn: Connection, map_name: str, srid: int, *, vertical_srid: int | None = None) -> MapInfo:

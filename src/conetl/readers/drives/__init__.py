@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,14 +20,14 @@ from conetl.model.errors import DriveFolderError, InputError
 from conetl.model.rejections import Rejection
 from conetl.readers.drives import bags, euroc, kitti, plain, video
 from conetl.readers.drives.camera_files import image_files, names_in
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, inside, read_drive_yaml
+from conetl.readers.drives.drive_yaml import named_in_yaml, read_drive_yaml
 from conetl.readers.drives.formats import DriveFormat, with_stated_shutters
-from conetl.readers.drives.pairs import ContentHash, Source, without_frozen
+from conetl.readers.drives.pairs import ContentHash, Source, no_images, without_frozen
 from conetl.readers.stated_sigmas import implausible_sigma
 from conetl.readers.surveyed_points import read_surveyed_points
 from conetl.tracking.error_propagation import common_axes
 
-__all__ = ["FORMATS", "find_format", "read_drive", "zed_recording"]
+__all__ = ["FORMATS", "OpenDrive", "find_format", "open_drive", "read_drive", "zed_recording"]
 
 #: The first format that matches reads the drive.
 FORMATS: tuple[DriveFormat, ...] = (plain, euroc, bags, video, kitti)
@@ -39,26 +40,17 @@ def find_format(path: Path) -> DriveFormat | None:
     return next((found for found in candidates if found.matches(path)), None)
 
 
-def open_drive(path: Path, *, headers_only: bool = False) -> tuple[DriveFormat | None, Source]:
-    """The format of a drive (None: no known one) and its files, which are found once. Raises InputError, StorageError."""
-    found = find_format(path)
-    settings = read_drive_yaml(path.resolve())
-    source = Source(path, path.resolve(), settings, ContentHash(headers_only=headers_only), settings.map_srid)
-    return found, source if found is None else source._replace(files=found.scan(path, settings))
+class OpenDrive(NamedTuple):
+    """A drive whose files were found, once for all who ask for them."""
+
+    format: DriveFormat
+    source: Source
 
 
-def read_drive(
+def open_drive(
     path: Path | str, *, map_srid: int | None = None, images_folder: Path | None = None, headers_only: bool = False
-) -> tuple[Drive, list[Rejection]]:
-    """Read a drive; returns it with the rejected frame pairs.
-
-    path: a drive folder, a bag, or the address of a drive in object storage (s3://bucket/drive).
-    map_srid: EPSG code of the map; default: that of drive.yaml, otherwise the UTM zone of the first pose.
-    images_folder: folder to which the images of a bag are unpacked; other formats do not need it.
-    headers_only: check only the first and last bytes of images. This is fast, but does not find damage in between, and
-    content_sha256 covers only the small files: to inspect a drive, not to ingest it.
-    Raises DriveFolderError if the drive as a whole cannot be used.
-    """
+) -> OpenDrive:
+    """Recognise a drive and find its files; arguments and errors are those of `read_drive`."""
     path = as_path(path)
     forget_listing(path)
     with storage_errors(path), _of_the_drive():
@@ -66,11 +58,39 @@ def read_drive(
             raise InputError(f"{path}: there is no such folder; give the folder of one drive")
         if not is_remote(path):
             require_utf8(path)
-        found, source = open_drive(path, headers_only=headers_only)
+        found = find_format(path)
+        settings = read_drive_yaml(path.resolve())
         if found is None:
             raise _not_a_drive(path)
-        settings = source.settings
-        source = source._replace(map_srid=map_srid or settings.map_srid, images_folder=images_folder)
+        content, srid = ContentHash(headers_only=headers_only), map_srid or settings.map_srid
+        files = found.scan(path, settings)
+        return OpenDrive(found, Source(path, path.resolve(), settings, content, srid, images_folder, files))
+
+
+def read_drive(
+    path: Path | str | OpenDrive,
+    *,
+    map_srid: int | None = None,
+    images_folder: Path | None = None,
+    headers_only: bool = False,
+) -> tuple[Drive, list[Rejection]]:
+    """Read a drive; returns it with the rejected frame pairs.
+
+    path: a drive folder, a bag, or the address of a drive in object storage (s3://bucket/drive); or a drive that is open already,
+    with its options.
+    map_srid: EPSG code of the map; default: that of drive.yaml, otherwise the UTM zone of the first pose.
+    images_folder: folder to which the images of a bag are unpacked; other formats do not need it.
+    headers_only: check only the first and last bytes of images. This is fast, but does not find damage in between, and
+    content_sha256 covers only the small files: to inspect a drive, not to ingest it.
+    Raises DriveFolderError if the drive as a whole cannot be used.
+    """
+    if not isinstance(path, OpenDrive):
+        path = open_drive(path, map_srid=map_srid, images_folder=images_folder, headers_only=headers_only)
+    found, source = path
+    settings = source.settings
+    with storage_errors(source.path), _of_the_drive():
+        if not (found.UNPACKS or source.files.image_count):
+            raise no_images(source.path, source.files.left.name, source.files.right.name)
         control_file = _control_file(source)
         drive, rejections = found.read(source)
         drive = drive.model_copy(update={"rig": with_stated_shutters(drive.rig, settings.shutter)})
@@ -78,7 +98,12 @@ def read_drive(
             stated = settings.control_points.model_dump(exclude={"file"})
             points = tuple(read_surveyed_points(control_file, drive.map_srid, **stated))
             drive = drive.model_copy(update={"control_points": points})
-        _require_plausible_sigmas(drive)
+        if problem := implausible_sigma(np.array([pair.pose.sigma_enu_m[:2] for pair in drive.frame_pairs])):
+            worst_m = np.median([max(pair.pose.sigma_enu_m[:2]) for pair in drive.frame_pairs])
+            raise InputError(
+                f"{drive.source_path}: {problem} State the sigma in drive.yaml, for example "
+                f"'sigmas: {{horizontal_m: {worst_m**0.5 or 0.02:.2g}}}'"
+            )
         drive = _with_common_errors(drive, settings.common_errors)
     drive, frozen = without_frozen(drive)
     return drive, [*rejections, *frozen]
@@ -91,16 +116,6 @@ def _of_the_drive() -> Iterator[None]:
         yield
     except InputError as error:
         raise DriveFolderError(str(error)) from error.__cause__
-
-
-def _require_plausible_sigmas(drive: Drive) -> None:
-    """Raise InputError where the positions of a vehicle are said to be better than any survey is."""
-    sigmas_m = np.array([pair.pose.sigma_enu_m[:2] for pair in drive.frame_pairs])
-    if problem := implausible_sigma(sigmas_m):
-        raise InputError(
-            f"{drive.source_path}: {problem} State the sigma in drive.yaml, for example "
-            f"'sigmas: {{horizontal_m: {np.median(sigmas_m.max(axis=1)) ** 0.5 or 0.02:.2g}}}'"
-        )
 
 
 def _with_common_errors(drive: Drive, errors: tuple[CommonError, ...]) -> Drive:
@@ -120,10 +135,8 @@ def _control_file(source: Source) -> Path | None:
     if source.settings.control_points is None:
         return None
     folder = source.root.parent if source.root.is_file() else source.root
-    path = inside(folder, source.settings.control_points.file, DRIVE_YAML)
-    if not path.is_file():
-        raise InputError(f"{path}: the control points are missing")
-    source.content.add(source.settings.control_points.file, path.read_bytes())
+    path = named_in_yaml(folder, source.settings.control_points.file, "the control points are")
+    source.content.add_file(source.settings.control_points.file, path)
     return path
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from conetl.files.documents import shown
 from conetl.model.errors import InputError
-from conetl.model.rig import Side
+from conetl.model.rig import SIDES, Side
 from conetl.perception.images import IMAGE_SUFFIXES
 from conetl.perception.video import VIDEO_SUFFIXES, VideoFacts, video_facts
 from conetl.readers.drives.drive_yaml import inside
@@ -61,17 +61,25 @@ class Files(NamedTuple):
     """Names of the files in other folders."""
 
     @property
+    def trajectory(self) -> Path:
+        """The last log."""
+        return [*self.logs.values()][-1]
+
+    @property
     def image_count(self) -> int:
         """Number of frame pairs, also of those with one image: by equal names, if there are any."""
         left, right = ({path.stem for path in stream.paths} for stream in (self.left, self.right))
         return len(left | right) if left & right else max(len(left), len(right))
 
 
-def folder_stream(root: Path, name: str, remedy: str) -> Stream:
-    """The images of a folder. Raises InputError where it is missing; remedy: what to do."""
-    if not (root / name).is_dir():
+NO_FILES = Files(Stream("", ()), Stream("", ()))
+
+
+def folder_stream(root: Path, folder: Path, name: str, remedy: str) -> Stream:
+    """The images of a folder, by its name in the drive. Raises InputError where it is missing; remedy: what to do."""
+    if not folder.is_dir():
         raise InputError(f"{root}: the folder {name} is missing; {remedy}")
-    return Stream(name, tuple(image_files(root / name)))
+    return Stream(name, tuple(image_files(folder)))
 
 
 def names_in(data: Path, suffixes: Collection[str]) -> list[str]:
@@ -133,6 +141,17 @@ def sides_of(names: Sequence[str]) -> dict[Side, list[str]]:
         if left or right:
             return {"left": left, "right": right}
     return {"left": [], "right": []}
+
+
+def with_likely_sides(known: Mapping[Side, str], names: Sequence[str]) -> dict[Side, str]:
+    """The names of both cameras' streams, as far as they show it: of two streams, the other one is known with the first."""
+    likely = sides_of(names)
+    found = {side: likely[side][0] for side in SIDES if len(likely[side]) == 1} | dict(known)
+    unknown = [side for side in SIDES if side not in found]
+    unused = [name for name in names if name not in found.values()]
+    if len(names) == 2 and len(unknown) == len(unused) == 1:
+        found[unknown[0]] = unused[0]
+    return found
 
 
 def _levels(root: Path) -> Iterator[list[Path]]:

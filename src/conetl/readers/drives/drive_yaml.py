@@ -329,3 +329,14 @@ def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
     if not path.is_relative_to(root):
         raise InputError(f"{source}: {shown(name)} is outside the drive folder {folder}; name a path inside it")
     return path
+
+
+def named_in_yaml(root: Path, name: str, what: str, *, folder: bool = False) -> Path:
+    """Path of a file that drive.yaml names, as `inside`. Raises InputError where there is none.
+
+    what: it is, with its verb: `the log is`; folder: whether it may be a folder.
+    """
+    path = inside(root, name, DRIVE_YAML)
+    if not (path.is_file() or (folder and path.is_dir())):
+        raise InputError(f"{path}: {what} missing, which {DRIVE_YAML} names; copy it, or correct the name")
+    return path

@@ -16,6 +16,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,8 @@ from conetl.readers.drives import pairs
 from conetl.readers.drives.camera_files import Files, folder_stream
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
 from conetl.readers.drives.formats import HeaderFacts, add_settings, own_rig, rig_on_body
-from conetl.readers.drives.poses import Samples, at, placed
+from conetl.readers.drives.poses import Samples, placed
+from conetl.readers.drives.sparse_poses import pose_reader
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import Node
 from conetl.readers.trajectories import read_trajectory
@@ -54,19 +56,15 @@ def matches(path: Path) -> bool:
 
 def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
-    path, root, settings, content = source[:4]
-    add_settings(content, root)
+    settings = source.settings
+    add_settings(source.content, source.root)
     names = _camera_names(settings)
-    left, right = (_images(root, name, content) for name in names.values())
-    rig, sensor_R_body = _read_rig(root, settings, content)
+    left, right = (_images(source, name) for name in names.values())
+    rig, sensor_R_body = _read_rig(source)
     srid, track = _trajectory(source, sensor_R_body)
     couples = pairs.pair_by_stamp(left, right, settings.pair_tolerance_ns)
-    if not couples:
-        raise InputError(f"{path}: there are no images in {names['left']}/data.csv")
-
-    return pairs.drive_of_couples(
-        couples, names, source, rig, srid, lambda time_ns: se3.to_pose(*at(track, time_ns, settings.max_pose_gap_ns))
-    )
+    poses_at = partial(pose_reader, track, max_gap_s=settings.max_pose_gap_s)
+    return pairs.drive_of_couples(couples, names, source, rig, srid, poses_at)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:
@@ -75,7 +73,9 @@ def scan(path: Path, settings: DriveYaml) -> Files:
     trajectories = [_stream_folder(root, name) for name in _trajectory_names(settings)]
     cameras = [_stream_folder(root, name) for name in _camera_names(settings).values()]
     left, right = (
-        folder_stream(root, f"{camera.relative_to(root).as_posix()}/data", "expected the images of its data.csv")
+        folder_stream(
+            root, camera / "data", f"{camera.relative_to(root).as_posix()}/data", "expected the images of data.csv"
+        )
         for camera in cameras
     )
     small = [camera / name for camera in cameras for name in ("data.csv", SENSOR_YAML)]
@@ -87,12 +87,11 @@ def scan(path: Path, settings: DriveYaml) -> Files:
 
 def read_header(source: pairs.Source, header: HeaderFacts) -> None:
     """The times of the left images; calibration and trajectory must be there."""
-    path, root, settings = source[:3]
-    cameras = [_stream_folder(root, name) for name in _camera_names(settings).values()]
-    left, _ = ([*_rows(camera / "data.csv", root, pairs.ContentHash())] for camera in cameras)
-    header.set_times([_stamp(words[0], "") for _, words in left], path / cameras[0].relative_to(root) / "data.csv")
-    _read_rig(path, settings, pairs.ContentHash())
-    _trajectory_path(root, settings)
+    tables = [_stream_folder(source.root, name) / "data.csv" for name in _camera_names(source.settings).values()]
+    left, _ = ([*_rows(table, source)] for table in tables)
+    header.set_times([_stamp(words[0], "") for _, words in left], source.path / tables[0].relative_to(source.root))
+    _read_rig(source)
+    _trajectory_path(source.root, source.settings)
 
 
 def _camera_names(settings: DriveYaml) -> dict[Side, str]:
@@ -105,11 +104,12 @@ def _stream_folder(root: Path, name: str) -> Path:
     return inside(root, name, DRIVE_YAML, "mav0" if (root / "mav0").is_dir() else ".")
 
 
-def _images(root: Path, name: str, content: pairs.ContentHash) -> list[pairs.Image]:
+def _images(source: pairs.Source, name: str) -> list[pairs.Image]:
     """Images of one camera in the order of its data.csv."""
+    root = source.root
     path = _stream_folder(root, name) / "data.csv"
     found: list[pairs.Image] = []
-    for line, words in _rows(path, root, content):
+    for line, words in _rows(path, source):
         stamp = _stamp(words[0], f"{name}/data.csv, line {line}")
         file = words[1].strip() if len(words) > 1 else ""
         image = pairs.Image(stamp, path.parent / "data" / file)
@@ -120,9 +120,10 @@ def _images(root: Path, name: str, content: pairs.ContentHash) -> list[pairs.Ima
     return found
 
 
-def _rows(path: Path, root: Path, content: pairs.ContentHash) -> Iterator[tuple[int, list[str]]]:
+def _rows(path: Path, source: pairs.Source) -> Iterator[tuple[int, list[str]]]:
     """Line numbers and rows of a csv file, without empty ones and comments. Raises InputError."""
-    text = content.text(root, path.relative_to(root).as_posix(), "it has the times and names of the images")
+    name = path.relative_to(source.root).as_posix()
+    text = source.content.text(source.root, name, "it has the times and names of the images")
     reader = csv.reader(io.StringIO(text, newline=""))
     with library_errors(f"{path}: not a CSV file", csv.Error):
         for words in reader:
@@ -138,8 +139,9 @@ def _stamp(text: str, where: str) -> int | str:
     return f"{where}: '{word[:40]}' is not a time stamp; expected nanoseconds since 1970"
 
 
-def _read_rig(root: Path, settings: DriveYaml, content: pairs.ContentHash) -> tuple[Rig, Floats]:
+def _read_rig(source: pairs.Source) -> tuple[Rig, Floats]:
     """The rectified rig and body_R (3, 3) of it in B. Raises InputError."""
+    root, settings, content = source[1:4]
     given = own_rig(root / RIG_YAML, settings.pair)
     if given is not None:
         return rig_on_body(*given, settings, root / RIG_YAML)

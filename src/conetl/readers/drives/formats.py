@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -73,7 +74,9 @@ class HeaderFacts:
         self.frame_pairs = files.image_count
         for stream in (files.left, files.right):
             if stream.paths and not stream.is_video:
-                sizes = [f"{path.name} {_size_of(path)}" for path in samples_of(stream.paths)]
+                # A broken link has no size: only its frame pair is lost.
+                known = ((path, path.stat().st_size if path.exists() else None) for path in samples_of(stream.paths))
+                sizes = [f"{path.name} {size}" for path, size in known]
                 names = [path.name for path in stream.paths]
                 self.content.add(stream.name, "\n".join([*names, *sizes]).encode(errors="surrogateescape"))
         for name, inner in files.listed.items():
@@ -98,20 +101,11 @@ class HeaderFacts:
 def _pieces_of(path: Path) -> bytes:
     """Size and some pieces of a file."""
     size = path.stat().st_size
-    pieces = [f"{size}\n".encode()]
+    step = max(_SAMPLED_BYTES, (size - _SAMPLED_BYTES) // (_SAMPLES - 1))
     with path.open("rb") as file:
-        for start in range(0, size, max(_SAMPLED_BYTES, (size - _SAMPLED_BYTES) // (_SAMPLES - 1))):
-            file.seek(start)
-            pieces.append(file.read(_SAMPLED_BYTES))
-    return b"".join(pieces)
-
-
-def _size_of(path: Path) -> int | None:
-    """Bytes of a file; None of a broken link: only its frame pair is lost."""
-    try:
-        return path.stat().st_size
-    except FileNotFoundError:
-        return None
+        return f"{size}\n".encode() + b"".join(
+            os.pread(file.fileno(), _SAMPLED_BYTES, at) for at in range(0, size, step)
+        )
 
 
 def samples_of(names: Sequence[T]) -> Sequence[T]:

@@ -6,6 +6,7 @@ For plans over many drives. The header identifies a drive; its exact content is 
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -13,11 +14,11 @@ from pathlib import Path
 from conetl.files.names import printable, require_utf8
 from conetl.files.storage import is_remote
 from conetl.model.base import utc_from_ns
-from conetl.model.errors import ConetlError, ServiceError, is_storage_error
-from conetl.readers.drives import find_format, kitti
+from conetl.model.errors import ConetlError, InputError, ServiceError, is_storage_error
+from conetl.readers.drives import OpenDrive, find_format, kitti
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside, read_drive_yaml
 from conetl.readers.drives.formats import HeaderFacts, add_settings
-from conetl.readers.drives.pairs import Source
+from conetl.readers.drives.pairs import ContentHash, Source, no_images
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,14 @@ class DriveHeader:
         return None if self.captured_from_ns is None else utc_from_ns(self.captured_from_ns)
 
 
+def remarks_of(opened: OpenDrive) -> tuple[str, ...]:
+    """The remarks of a drive that can be read, as of its header."""
+    facts = HeaderFacts()
+    with suppress(InputError):
+        opened.format.read_header(opened.source._replace(content=ContentHash()), facts)
+    return tuple(printable(remark) for remark in facts.remarks)
+
+
 def read_header(folder: Path) -> DriveHeader:
     """The header of a drive folder or a bare bag. Raises nothing: `problem` states what is wrong with the drive."""
     facts = HeaderFacts()
@@ -62,7 +71,7 @@ def read_header(folder: Path) -> DriveHeader:
         if settings.control_points is not None and folder.is_dir():
             path = inside(folder, settings.control_points.file, DRIVE_YAML)
             if path.is_file():
-                facts.content.add(settings.control_points.file, path.read_bytes())
+                facts.content.add_file(settings.control_points.file, path)
         facts.content.add("drive_id", drive_id.encode())
         if not is_remote(folder):
             require_utf8(folder)
@@ -72,10 +81,10 @@ def read_header(folder: Path) -> DriveHeader:
                 pass  # raises OSError where it cannot be listed: then it may hold a drive
         files = (found or kitti).scan(folder, settings)
         facts.add(files)
-        source = Source(folder, folder.resolve(), settings, facts.content, settings.map_srid, None, files)
+        source = Source(folder, folder.resolve(), settings, ContentHash(), settings.map_srid, None, files)
         (found or kitti).read_header(source, facts)
         if not facts.frame_pairs:
-            problem = f"there are no images in {files.left.name} and {files.right.name}"
+            problem = f"{no_images(folder, files.left.name, files.right.name)}"
     except OSError as error:
         problem = f"this cannot be read: {error.strerror or error}: {error.filename or folder}"
         readable = False

@@ -11,13 +11,16 @@ from conetl.files.documents import read_bytes
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.perception.video import VideoIndex
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, inside
-from conetl.readers.drives.pairs import ContentHash, Image, Source
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, named_in_yaml
+from conetl.readers.drives.pairs import Image, Source
 from conetl.readers.drives.poses import Samples
-from conetl.readers.trajectories.times import OFFSET, clock_problem, decimal_ns, parse_timestamp, times_of_names
+from conetl.readers.trajectories import trajectory_format
+from conetl.readers.trajectories.times import clock_problem, decimal_ns, parse_timestamp, times_of_names
 
 #: A file of time stamps of `MAX_FRAMES` lines.
 _MOST_TIME_BYTES = 128_000_000
+#: Larger ones are not looked for.
+_MOST_TRIED_BYTES = 4_000_000
 _DAY_S = 86_400.0
 
 
@@ -30,8 +33,16 @@ class CameraImages(NamedTuple):
     times_s: Floats
     video: VideoIndex | None
     """The video, or its first chapter."""
-    sha256s: Sequence[str]
-    """Hashes of the frames of a video; empty of image files, and where packets were not read."""
+    sha256s: Sequence[str | None]
+    """Hashes of the frames of a video, empty where packets were not read; None of image files."""
+
+    def at(self, stamps: Sequence[int | str]) -> list[Image]:
+        """The images with these times."""
+        return [Image(*each) for each in zip(stamps, self.paths, [None] * len(self.paths), self.sha256s, strict=True)]
+
+    def from_start(self, start_ns: int) -> list[Image]:
+        """The images of a video that began then."""
+        return self.at([start_ns + round(time_s * 1e9) for time_s in self.times_s.tolist()])
 
 
 class UnknownTimeError(InputError):
@@ -45,68 +56,56 @@ class UnknownTimeError(InputError):
 def listed(
     camera: CameraImages, name: str | None, source: Source, track: Samples | None, hint: str = ""
 ) -> list[Image]:
-    """Images with the times of a file, one line per image, or else with those that their names are.
+    """Images with the times of a file, one line per image, or else with those that their names are; see `times_of`.
 
-    Raises InputError, UnknownTimeError where no name is a time.
-
-    The file may be the trajectory itself, with one record per image. hint: the end of the message where the file has more or
-    fewer lines. track: None of a trajectory that has no times of its own.
+    The file may be the trajectory itself, with one record per image. track: None of a trajectory that has no times of its own.
     """
-    if name is not None and name == source.settings.trajectory.file:
-        assert track is not None
-        if len(track.times_ns) != len(camera.paths) or track.bad:
-            raise InputError(
-                f"{source.root / name}: {len(track.times_ns)} valid and {len(track.bad)} bad records, but {len(camera.paths)} "
-                f"images of {camera.name}: the trajectory states the times of images only if it has one record per image"
-            )
-        return [Image(stamp_ns, path) for stamp_ns, path in zip(track.times_ns, camera.paths, strict=True)]
-    texts, doubt = _texts(camera.name, camera.paths, name, source.root, source.content, hint)
-    if name is None:
-        stamps: list[int | str] = [stamp(text, source.settings) for text in texts]
-    else:
-        stamps = _stamps(texts, source.settings, source.root)
-    images = [Image(stamp, path) for stamp, path in zip(stamps, camera.paths, strict=True)]
-    has_times = any(isinstance(t := image.stamp, int) and clock_problem(t) is None for image in images)
-    if name is None and (doubt or not has_times):
-        raise unknown_times(camera.name, camera.paths, doubt, source.settings, source.root)
-    return images
+    if name is None or name != source.settings.trajectory.file:
+        return camera.at(times_of(camera.name, camera.paths, name, source, hint)[0])
+    assert track is not None
+    if len(track.times_ns) != len(camera.paths) or track.bad:
+        raise InputError(
+            f"{source.root / name}: {len(track.times_ns)} valid and {len(track.bad)} bad records, but {len(camera.paths)} "
+            f"images of {camera.name}: the trajectory states the times of images only if it has one record per image"
+        )
+    return camera.at(track.times_ns)
 
 
-def unknown_times(
-    name: str, paths: Sequence[Path], doubt: str | None, settings: DriveYaml, root: Path
-) -> UnknownTimeError:
-    """The error where names of images are not times; doubt: why they may not be."""
-    return UnknownTimeError(
-        "images.timestamps",
-        root,
-        f"the names of the images in {name} ({paths[0].name} to {paths[-1].name}) are not times"
-        + (f" to a fraction of a second ({doubt})" if doubt else "")
-        + ("; images.start is for videos" if settings.images.start is not None else ""),
-        f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
-        "right_timestamps where the right ones have others",
-    )
+def times_of(
+    camera: str, paths: Sequence[Path], name: str | None, source: Source, hint: str = ""
+) -> tuple[list[int | str], list[str]]:
+    """Times (UTC ns) of the images of a camera, or what is wrong with them, and the texts that state them.
 
-
-def _texts(
-    camera: str, paths: Sequence[Path], name: str | None, root: Path, content: ContentHash, hint: str = ""
-) -> tuple[list[str], str | None]:
-    """The time stamps of images: of the lines of a file, or else their names; and why names may not be times.
-
-    hint: the end of the message where a file has more or fewer lines. Raises InputError.
+    name: of the file with their times; None: their names are. hint: the end of the message where the file has more or fewer
+    lines. Raises InputError; UnknownTimeError where no name is a time, or where times count from a time that nothing states.
     """
+    root, settings = source.root, source.settings
     if name is None:
-        return times_of_names([path.stem for path in paths])
-    file = inside(root, name, DRIVE_YAML)
-    if not file.is_file():
-        raise InputError(f"{file}: the time stamps of the images, which {DRIVE_YAML} names, are missing")
-    data = read_bytes(file, _MOST_TIME_BYTES)
-    content.add(name, data)
+        texts, doubt = times_of_names([path.stem for path in paths])
+        stamps = [stamp(text, settings) for text in texts]
+        if doubt is None and any(isinstance(t, int) and clock_problem(t) is None for t in stamps):
+            return stamps, texts
+        cause = f"the names of the images in {camera} ({paths[0].name} to {paths[-1].name}) are not times"
+        cause += f" to a fraction of a second ({doubt})" if doubt else ""
+        cause += "; images.start is for videos" if settings.images.start is not None else ""
+        remedy = f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
+        remedy += "right_timestamps where the right ones have others"
+        raise UnknownTimeError("images.timestamps", root, cause, remedy)
+    data = read_bytes(named_in_yaml(root, name, "the time stamps of the images are"), _MOST_TIME_BYTES)
+    source.content.add(name, data)
     texts = texts_of_file(data.decode("utf-8-sig", errors="replace").splitlines(), paths)
     if len(texts) != len(paths):
         raise InputError(
             f"{root / name}: {len(texts)} time stamps for the {len(paths)} images of {camera}, expected one line per image{hint}"
         )
-    return texts, None
+    if not counts_from_start(texts):
+        return [stamp(text, settings) for text in texts], texts
+    start_ns = stated_start(settings, root)
+    if start_ns is None:
+        cause = f"{name} counts seconds from a time that it does not state"
+        remedy = f"State the time of second 0 in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'"
+        raise UnknownTimeError("images.start", root, cause, remedy)
+    return [start_ns + round(float(text) * 1e9) for text in texts], texts
 
 
 def texts_of_file(lines: Sequence[str], paths: Sequence[Path]) -> list[str]:
@@ -114,19 +113,20 @@ def texts_of_file(lines: Sequence[str], paths: Sequence[Path]) -> list[str]:
     return _by_name(lines, paths) or of_images([x for x in lines if x.strip() and x[0] != "#"], paths)
 
 
-def _stamps(texts: Sequence[str], settings: DriveYaml, root: Path) -> list[int | str]:
-    """UTC nanoseconds of time stamps, or what is wrong with them. Raises UnknownTimeError where they count from any time."""
-    if not counts_from_start(texts):
-        return [stamp(text, settings) for text in texts]
-    start_ns = stated_start(settings, root)
-    if start_ns is None:
-        raise UnknownTimeError(
-            "images.start",
-            root,
-            f"{settings.images.timestamps or 'the names of the images'} count seconds from a time that they do not state",
-            f"State the time of second 0 in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'",
-        )
-    return [start_ns + round(float(text) * 1e9) for text in texts]
+def times_in(path: Path, paths: Sequence[Path]) -> list[str]:
+    """The time stamps of images in a file."""
+    return texts_of_file(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), paths)
+
+
+def has_times(path: Path, paths: Sequence[Path], settings: DriveYaml) -> bool:
+    """Whether a file has one time per image, and nothing else."""
+    if not path.is_file() or path.stat().st_size > _MOST_TRIED_BYTES:
+        return False
+    texts = times_in(path, paths)
+    if len(texts) != len(paths) or trajectory_format(path) is not None:
+        return False
+    good = [isinstance(t := stamp(text, settings), int) and not clock_problem(t) for text in texts]
+    return counts_from_start(texts) or sum(good) > len(texts) // 2
 
 
 def counts_from_start(texts: Sequence[str]) -> bool:
@@ -156,20 +156,6 @@ def _by_name(lines: Sequence[str], paths: Sequence[Path]) -> list[str]:
         if found is not None and len(words) > 1:
             times[found.rpartition("/")[2]] = " ".join(words[1:] if words[0] == found else words[: words.index(found)])
     return [times.get(path.name, "no line of the file names this image") for path in paths] if times else []
-
-
-def stamps_of_images(paths: Sequence[Path], root: Path, settings: DriveYaml) -> tuple[list[int], list[str]]:
-    """Times (UTC ns) of the images of a camera, by their names or the file of their times, without those that cannot be read;
-    and what was assumed of them."""
-    name = settings.images.timestamps
-    if name is not None and name == settings.trajectory.file:
-        return [], []  # the header of a drive reads no trajectory
-    texts, _ = _texts("the left camera", paths, name, root, ContentHash())
-    zone = settings.timestamps_timezone
-    remark = f"the times of the images state no time zone and are taken as {zone} (timestamps_timezone in {DRIVE_YAML})"
-    has_zone = all(":" not in text or OFFSET.search(text) for text in texts)
-    stamps = _stamps(texts, settings, root) if name is not None else [stamp(text, settings) for text in texts]
-    return [time_ns for time_ns in stamps if isinstance(time_ns, int)], [] if has_zone else [remark]
 
 
 def stamp(text: str, settings: DriveYaml) -> int | str:

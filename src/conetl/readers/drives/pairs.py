@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,12 +22,18 @@ from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.image_headers import inspect_image
 from conetl.perception.images import ImageFileError, check_image_bytes, check_image_ends, read_bytes
-from conetl.readers.drives.camera_files import Files
+from conetl.readers.drives.camera_files import NO_FILES, Files
 from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.trajectories.times import misplaced, wrong_clocks
 
 #: The pose of a standing vehicle scatters by less.
 MOVED_M = 0.5
+
+
+def file_digest(path: Path) -> bytes:
+    """SHA-256 of a file of any size."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").digest()
 
 
 class ContentHash:
@@ -48,8 +54,7 @@ class ContentHash:
 
     def add_file(self, name: str, path: Path) -> None:
         """Add a file of any size."""
-        with path.open("rb") as file:
-            self._files[name] = hashlib.file_digest(file, "sha256").digest()
+        self._files[name] = file_digest(path)
 
     def text(self, folder: Path, name: str, remedy: str) -> str:
         """Text of a required file of the drive, which is added. Raises InputError where it is missing; remedy: what to do."""
@@ -80,7 +85,7 @@ class Source(NamedTuple):
     """EPSG code of the map, where it is stated."""
     images_folder: Path | None = None
     """Where the images of a bag are unpacked to."""
-    files: Files | None = None
+    files: Files = NO_FILES
     """What the format's `scan` found."""
 
 
@@ -88,8 +93,16 @@ class ImageFile(NamedTuple):
     """One image of a drive."""
 
     path: Path
-    sha256: str
-    """SHA-256 of its bytes; empty where only its header was read."""
+    sha256: str | None = None
+    """SHA-256 of its bytes, empty where only its header was read; None before it is checked."""
+
+
+def by_stem(paths: Iterable[Path]) -> dict[str, list[ImageFile]]:
+    """Files by their name without suffix."""
+    found: dict[str, list[ImageFile]] = {}
+    for path in paths:
+        found.setdefault(path.stem, []).append(ImageFile(path))
+    return found
 
 
 class PairError(Exception):
@@ -107,60 +120,60 @@ class PairError(Exception):
         )  # fmt: skip
 
 
-_Key = TypeVar("_Key", int, str)
-_PAIRS_AT_ONCE = 8
+class RecordedPair(NamedTuple):
+    """One frame pair of a recording, before its images are checked."""
+
+    number: int
+    """Its frame_index."""
+    name: str
+    """Of it in messages."""
+    left: Sequence[ImageFile]
+    right: Sequence[ImageFile]
+    """All files that claim to be the image."""
+    captured: int | PairError
+    """UTC nanoseconds, or what is wrong with the time."""
+    pose_at: Callable[[int], Pose]
+    """Pose of the body at that time. Raises PairError."""
+    problem: PairError | None = None
+    """Why its images are not read."""
 
 
-def images_ahead(
-    keys: Sequence[_Key],
-    left: Mapping[_Key, Sequence[Path]],
-    right: Mapping[_Key, Sequence[Path]],
-    content: ContentHash,
-) -> Iterator[_Key]:
-    """The same keys of frame pairs; their images in object storage are requested for some pairs at a time."""
-    for first in range(0, len(keys), _PAIRS_AT_ONCE):
-        batch = keys[first : first + _PAIRS_AT_ONCE]
-        if not content.headers_only:
-            fetch([path for side in (left, right) for key in batch for path in side.get(key, ())], fresh=True)
-        yield from batch
-
-
-def check_images(
-    left: Sequence[Path], right: Sequence[Path], rig: Rig, content: ContentHash, root: Path
-) -> tuple[ImageFile, ImageFile]:
-    """Both images of a pair, given all files that claim to be them.
+def _check_images(frame: RecordedPair, rig: Rig, content: ContentHash, root: Path) -> list[ImageFile]:
+    """Both images of a pair.
 
     Header, size (of the images as stored: raw, where the rig was rectified) and end marker are checked, nothing is decoded.
     Both are read (for the content hash) before either is rejected, and their bytes stay in memory for the steps to come.
     Raises PairError.
     """
+    if frame.problem is not None:
+        raise frame.problem
     problem: PairError | None = None
     good: list[ImageFile] = []
-    for side, paths in zip(SIDES, (left, right), strict=True):
-        camera = stored_camera(rig, side)
-        if len(paths) != 1:
-            names = ", ".join(path.name for path in paths)
-            reason = RejectionReason.IMAGE_UNREADABLE if paths else RejectionReason.IMAGE_MISSING
-            detail = (
-                f"several {side} images claim this pair: {names}; keep one" if paths else f"there is no {side} image"
-            )
-            problem = problem or PairError(reason, detail, side=side)
+    for side, files in zip(SIDES, (frame.left, frame.right), strict=True):
+        if len(files) != 1:
+            names = ", ".join(file.path.name for file in files)
+            reason = RejectionReason.IMAGE_UNREADABLE if files else RejectionReason.IMAGE_MISSING
+            several = f"several {side} images claim this pair: {names}; keep one"
+            problem = problem or PairError(reason, several if files else f"there is no {side} image", side=side)
             continue
-        name, sha256 = paths[0].relative_to(root).as_posix(), ""
+        (path, sha256), camera = files[0], stored_camera(rig, side)
+        size = camera.width_px, camera.height_px
         try:
-            if content.headers_only:
-                check_image_ends(paths[0], name, (camera.width_px, camera.height_px))
-            else:
-                data = content.read_ahead.pop(paths[0], None) or read_bytes(paths[0], name)
-                sha256 = content.add(name, data)
-                remember(paths[0], sha256, data)
-                check_image_bytes(data, name, (camera.width_px, camera.height_px))
+            if sha256 is None:
+                name, sha256 = path.relative_to(root).as_posix(), ""
+                if content.headers_only:
+                    check_image_ends(path, name, size)
+                else:
+                    data = content.read_ahead.pop(path, None) or read_bytes(path, name)
+                    sha256 = content.add(name, data)
+                    remember(path, sha256, data)
+                    check_image_bytes(data, name, size)
         except ImageFileError as error:
             problem = problem or PairError(error.reason, str(error), side=side, path=name)
-        good.append(ImageFile(paths[0], sha256))
+        good.append(ImageFile(path, sha256))
     if problem is not None:
         raise problem
-    return good[0], good[1]
+    return good
 
 
 def first_size(paths: Iterable[Path], content: ContentHash | None = None) -> tuple[int, int] | None:
@@ -178,29 +191,47 @@ def first_size(paths: Iterable[Path], content: ContentHash | None = None) -> tup
     return None
 
 
-#: Left and right image, time (UTC nanoseconds) and pose of the body of one frame pair.
-UsablePair = tuple[ImageFile, ImageFile, int, Pose]
+def no_images(path: Path, left: str, right: str) -> InputError:
+    """The error of a drive without images, by the names of their streams."""
+    return InputError(f"{path}: there are no images in {left} and {right}")
+
+
+#: Images in object storage are requested for so many frame pairs at a time.
+_FRAMES_AT_ONCE = 8
 
 
 def drive_of_pairs(
-    usable: Mapping[int, UsablePair], rejections: list[Rejection], expected: int, source: Source, rig: Rig, srid: int
+    frames: Sequence[RecordedPair], source: Source, rig: Rig, srid: int, rejections: Iterable[Rejection] = ()
 ) -> tuple[Drive, list[Rejection]]:
-    """The drive of the usable pairs by frame_index, with its rejections. Raises InputError where no pair is left."""
-    if not usable:
-        first = f"; the first: {rejections[0].record}: {rejections[0].detail}" if rejections else ""
-        raise InputError(f"{source.root}: none of {expected} frame pairs can be used{first}")
-    pairs = tuple(
-        FramePair(
-            frame_index=number, left_path=str(left.path), right_path=str(right.path), captured_at_ns=captured, pose=pose,
-            left_sha256=left.sha256, right_sha256=right.sha256,
-        )
-        for number, (left, right, captured, pose) in usable.items()
-    )  # fmt: skip
+    """The drive of the frame pairs that can be used, and the rejections of the others and of files that are of none.
+
+    Raises InputError where no pair is left.
+    """
+    pairs: list[FramePair] = []
+    refused, content = [*rejections], source.content
+    for n, frame in enumerate(frames):
+        if n % _FRAMES_AT_ONCE == 0 and not content.headers_only:
+            near = frames[n : n + _FRAMES_AT_ONCE]
+            fetch([file.path for each in near for file in (*each.left, *each.right)], fresh=True)
+        try:
+            left, right = _check_images(frame, rig, content, source.root)
+            if isinstance(frame.captured, PairError):
+                raise frame.captured
+            pose = frame.pose_at(frame.captured)
+        except PairError as error:
+            refused.append(error.rejection(f"frame pair {frame.name}", frame.number))
+            continue
+        paths = {"left_path": str(left.path), "right_path": str(right.path)}
+        hashes = {"left_sha256": left.sha256, "right_sha256": right.sha256}
+        pairs.append(FramePair(frame_index=frame.number, captured_at_ns=frame.captured, pose=pose, **paths, **hashes))
+    if not pairs:
+        first = f"; the first: {refused[0].record}: {refused[0].detail}" if refused else ""
+        raise InputError(f"{source.root}: none of {len(frames)} frame pairs can be used{first}")
     drive = Drive(
         drive_id=source.settings.id_of(source.root), source_path=str(source.root), rig=rig, map_srid=srid,
-        content_sha256=source.content.hexdigest(), frame_pairs=pairs, expected_frame_count=expected,
+        content_sha256=content.hexdigest(), frame_pairs=tuple(pairs), expected_frame_count=len(frames),
     )  # fmt: skip
-    return drive, rejections
+    return drive, refused
 
 
 def without_frozen(drive: Drive) -> tuple[Drive, list[Rejection]]:
@@ -243,9 +274,17 @@ class Image(NamedTuple):
     path: Path
     problem: PairError | None = None
     """What is wrong with the image, where it is known before the image is read."""
+    sha256: str | None = None
+    """As of `ImageFile`."""
+
+    def later(self, offset_ns: int) -> Image:
+        """The same image by another clock."""
+        return self if isinstance(self.stamp, str) else self._replace(stamp=self.stamp + offset_ns)
 
 
 Couple = tuple[Image | None, Image | None]
+#: Given the times of all exposures (UTC ns), a function that gives the pose of the body at each of them or raises PairError.
+PosesAt = Callable[[Sequence[int]], Callable[[int], Pose]]
 
 
 def pair_by_stamp(left: Sequence[Image], right: Sequence[Image], tolerance_ns: int) -> list[Couple]:
@@ -295,55 +334,36 @@ def drive_of_couples(
     source: Source,
     rig: Rig,
     srid: int,
-    pose_at: Callable[[int], Pose],
-    hash_of: Callable[[Path], str | None] = lambda _: None,
+    poses_at: PosesAt,
 ) -> tuple[Drive, list[Rejection]]:
     """The drive and the rejections of its pairs. frame_index is the number of the couple, from 0.
 
-    names: of the two image streams. pose_at: pose of the body at a time (UTC ns), raises PairError. hash_of: SHA-256 of images
-    that were checked before, as of `ImageFile`; None of files that are to be checked. Raises InputError where no pair is left.
+    names: of the two image streams. Raises InputError where no pair is left.
     """
-    stamps = {n: t for n, couple in enumerate(couples) if (t := time_of(couple)) is not None}
-    wrong_times = misplaced(stamps)
-    pairs: dict[int, UsablePair] = {}
-    rejections: list[Rejection] = []
-    for number, couple in enumerate(couples):
-        try:
-            if number not in stamps:
-                text = str(couple[0].stamp) if couple[0] else "the image has no time stamp"
-                raise PairError(RejectionReason.TIMESTAMP_INVALID, text)
-            captured = stamps[number]
-            if number in wrong_times:
-                text = f"the time {captured} ns {wrong_times[number]}"
-                raise PairError(RejectionReason.TIMESTAMP_INVALID, text)
-            left, right = (image.path for image in _both(couple, source.settings, names))
-            left_sha256, right_sha256 = hash_of(left), hash_of(right)
-            if left_sha256 is None or right_sha256 is None:
-                ours, theirs = ([path] if path.is_file() else [] for path in (left, right))
-                images = check_images(ours, theirs, rig, source.content, source.root)
-            else:
-                images = ImageFile(left, left_sha256), ImageFile(right, right_sha256)
-            pairs[number] = *images, captured, pose_at(captured)
-        except PairError as error:
-            rejections.append(error.rejection(f"frame pair {number}", number))
-    return drive_of_pairs(pairs, rejections, len(couples), source, rig, srid)
-
-
-def _both(couple: Couple, settings: DriveYaml, names: Mapping[Side, str]) -> tuple[Image, Image]:
-    """Both images. Raises PairError where one is missing or has a known problem."""
-    left, right = couple
-    if left is None or right is None:
-        side: Side = "left" if left is None else "right"
-        raise PairError(
-            RejectionReason.IMAGE_MISSING,
-            f"there is no {side} image ({names[side]}) within {settings.pair_tolerance_ms:g} ms of the other "
-            "(pair_tolerance_ms in drive.yaml)",
-            side=side,
+    if not couples:
+        raise no_images(source.path, names["left"], names["right"])
+    times = [time_of(couple) for couple in couples]
+    wrong = misplaced({n: time for n, time in enumerate(times) if time is not None})
+    pose_at = poses_at([time for time in times if time is not None])
+    frames: list[RecordedPair] = []
+    for n, (time, images) in enumerate(zip(times, couples, strict=True)):
+        problem = next((image.problem for image in images if image is not None and image.problem), None)
+        if None in images:
+            side = SIDES[images.index(None)]
+            text = f"there is no {side} image ({names[side]}) within {source.settings.pair_tolerance_ms:g} ms of the other "
+            text += "(pair_tolerance_ms in drive.yaml)"
+            problem = PairError(RejectionReason.IMAGE_MISSING, text, side=side)
+        if time is None or n in wrong:
+            unread = str(images[0].stamp) if images[0] else "the image has no time stamp"
+            text = unread if time is None else f"the time {time} ns {wrong[n]}"
+            problem = PairError(RejectionReason.TIMESTAMP_INVALID, text)
+        # A file that a list names may be missing.
+        left, right = (
+            [ImageFile(i.path, i.sha256)] if i is not None and (i.sha256 is not None or i.path.is_file()) else []
+            for i in images
         )
-    for image in (left, right):
-        if image.problem is not None:
-            raise image.problem
-    return left, right
+        frames.append(RecordedPair(n, str(n), left, right, time or 0, pose_at, problem))
+    return drive_of_pairs(frames, source, rig, srid)
 
 
 def time_of(couple: Couple) -> int | None:

@@ -32,15 +32,7 @@ from conetl.model.rig import SIDES, Rig
 from conetl.readers.drives.camera_files import Files, folder_stream
 from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, no_rig, overrides, own_rig
-from conetl.readers.drives.pairs import (
-    ContentHash,
-    PairError,
-    Source,
-    UsablePair,
-    check_images,
-    drive_of_pairs,
-    images_ahead,
-)
+from conetl.readers.drives.pairs import PairError, RecordedPair, Source, by_stem, drive_of_pairs
 from conetl.readers.drives.poses import checked_srid, stated_sigmas, wild_fixes
 from conetl.readers.rigs import RIG_YAML
 from conetl.readers.rigs.common import rectified_rig
@@ -122,77 +114,69 @@ def matches(path: Path) -> bool:
 
 def read(source: Source) -> tuple[Drive, list[Rejection]]:
     """The drive and its rejections."""
-    path, root, settings, content = source[:4]
-    rig = read_plain_rig(root, settings, content)
-    left, right = (_by_stem(stream.paths) for stream in (source.files or scan(path, settings))[:2])
-    if not left and not right:
-        raise InputError(f"{path}: there are no images (*.jpg, *.png) in left and right")
+    path, settings = source.path, source.settings
+    rig = read_plain_rig(source)
+    left, right = (by_stem(stream.paths) for stream in source.files[:2])
     found = Rows(path / TRAJECTORY)
-    found.add(_trajectory(path, content))
-    rows, numbers = found.by_stem, found.numbers
-    stems = sorted(left.keys() | right.keys() | rows.keys())
-    good = [row for row in rows.values() if isinstance(row, Row)]
+    found.add(_trajectory(source))
+    good = [row for row in found.by_stem.values() if isinstance(row, Row)]
     if not good:
-        first = next((str(row) for row in rows.values()), "the file has no rows")
+        first = next((str(row) for row in found.by_stem.values()), "the file has no rows")
         raise InputError(f"{path / TRAJECTORY}: no usable pose: {first}")
     srid = checked_srid(source.map_srid, good[0].lat_deg, good[0].lon_deg, path)
     with input_errors(path):
         poses = {row.stem: pose_of_row(row, srid, settings.sigmas) for row in good}
     times = {row.stem: time_of_row(row, settings.timestamps_timezone) for row in good}
-    rows |= _wild_rows(poses, times)
+    bad = {stem: row for stem, row in found.by_stem.items() if isinstance(row, str)} | _wild_rows(poses, times)
     # Pairs are ordered by row; a stem without one comes last and only serves to name the rejection.
-    order = {stem: numbers.get(stem, len(rows) + i) for i, stem in enumerate(stems)}
-    wrong_times = misplaced({order[stem]: t for stem in stems if isinstance(t := times.get(stem), int)})
+    stems = sorted(left.keys() | right.keys() | found.by_stem.keys())
+    order = {stem: found.numbers.get(stem, len(found.by_stem) + i) for i, stem in enumerate(stems)}
+    misplaced_at = misplaced({order[stem]: t for stem in stems if isinstance(t := times.get(stem), int)})
 
-    pairs: dict[int, UsablePair] = {}
-    rejections: list[Rejection] = []
-    for stem in images_ahead(sorted(stems, key=lambda stem: order[stem]), left, right, content):
-        try:
-            images = check_images(left.get(stem, []), right.get(stem, []), rig, content, root)
-            if stem not in rows:
-                raise PairError(RejectionReason.POSE_MISSING, f"{TRAJECTORY} has no row with the stem '{stem}'")
-            if not isinstance(rows[stem], Row):
-                raise PairError(RejectionReason.POSE_INVALID, str(rows[stem]))
-            captured = times[stem]
-            if isinstance(captured, str):
-                raise PairError(RejectionReason.TIMESTAMP_INVALID, captured)
-            if order[stem] in wrong_times:
-                detail = f"{TRAJECTORY}: captured_at of '{stem}' {wrong_times[order[stem]]}"
-                raise PairError(RejectionReason.TIMESTAMP_INVALID, detail)
-        except PairError as error:
-            rejections.append(error.rejection(f"frame pair '{stem}'", order[stem]))
-        else:
-            pairs[order[stem]] = *images, captured, poses[stem]
-    return drive_of_pairs(pairs, rejections, len(stems), source, rig, srid)
+    def frame(stem: str) -> RecordedPair:
+        captured, number = times.get(stem), order[stem]
+        reason, text = RejectionReason.TIMESTAMP_INVALID, captured if isinstance(captured, str) else None
+        if stem not in found.by_stem:
+            reason, text = RejectionReason.POSE_MISSING, f"{TRAJECTORY} has no row with the stem '{stem}'"
+        elif stem in bad:
+            reason, text = RejectionReason.POSE_INVALID, bad[stem]
+        elif number in misplaced_at:
+            text = f"{TRAJECTORY}: captured_at of '{stem}' {misplaced_at[number]}"
+        time = captured if isinstance(captured, int) and text is None else PairError(reason, str(text))
+        return RecordedPair(number, f"'{stem}'", left.get(stem, []), right.get(stem, []), time, lambda _: poses[stem])
+
+    return drive_of_pairs([*map(frame, sorted(stems, key=order.__getitem__))], source, rig, srid)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:
     """Images, rig and trajectory."""
     del settings
     root = path.resolve()
-    left, right = (folder_stream(root, side, "expected left/ and right/ with the same stems") for side in SIDES)
+    left, right = (
+        folder_stream(root, root / side, side, "expected left/ and right/ with the same stems") for side in SIDES
+    )
     return Files(left, right, {name: root / name for name in (RIG_YAML, TRAJECTORY)})
 
 
 def read_header(source: Source, header: HeaderFacts) -> None:
     """The times of the rows; the rig must be there."""
-    path, root, settings = source[:3]
-    rows = csv.DictReader(_trajectory(path, ContentHash()).splitlines())
-    stamps = [stamp_or_problem(row.get("captured_at") or "", settings.timestamps_timezone) for row in rows]
-    header.set_times(stamps, path / TRAJECTORY)
-    read_plain_rig(root, settings, ContentHash())
+    rows = csv.DictReader(_trajectory(source).splitlines())
+    zone = source.settings.timestamps_timezone
+    header.set_times([stamp_or_problem(row.get("captured_at") or "", zone) for row in rows], source.path / TRAJECTORY)
+    read_plain_rig(source)
 
 
-def read_plain_rig(root: Path, settings: DriveYaml, content: ContentHash) -> Rig:
+def read_plain_rig(source: Source) -> Rig:
     """The rectified rig; its file is added to the content hash. Raises InputError.
 
     A rig.yaml with lenses or turned cameras describes raw images: they are rectified when they are read.
     """
-    found = own_rig(root / RIG_YAML, settings.pair)
+    path = source.root / RIG_YAML
+    found = own_rig(path, source.settings.pair)
     if found is None:
-        raise no_rig(root)
-    add_settings(content, root)
-    return rectified_rig(found[0].model_copy(update=overrides(settings)), root / RIG_YAML)
+        raise no_rig(source.root)
+    add_settings(source.content, source.root)
+    return rectified_rig(found[0].model_copy(update=overrides(source.settings)), path)
 
 
 def _wild_rows(poses: Mapping[str, Pose], times: Mapping[str, int | str]) -> dict[str, str]:
@@ -203,15 +187,8 @@ def _wild_rows(poses: Mapping[str, Pose], times: Mapping[str, int | str]) -> dic
     return {timed[i][1]: f"{TRAJECTORY}, stem '{timed[i][1]}': {text}" for i, text in wild.items()}
 
 
-def _by_stem(paths: Sequence[Path]) -> dict[str, list[Path]]:
-    found: dict[str, list[Path]] = {}
-    for path in paths:
-        found.setdefault(path.stem, []).append(path)
-    return found
-
-
-def _trajectory(folder: Path, content: ContentHash) -> str:
-    return content.text(folder, TRAJECTORY, f"for a log of another format run 'conetl init {folder}'")
+def _trajectory(source: Source) -> str:
+    return source.content.text(source.path, TRAJECTORY, f"for a log of another format run 'conetl init {source.path}'")
 
 
 def pose_of_row(row: Row, srid: int, settings: Sigmas) -> Pose:

@@ -14,13 +14,8 @@ import numpy as np
 from conetl.files.documents import input_errors
 from conetl.geometry import geodesy
 from conetl.geometry import pose as se3
-from conetl.geometry.motion.position_spline import (
-    LONGEST_GAP_S,
-    PositionSpline,
-    course_attitude,
-    position_spline,
-    states_at,
-)
+from conetl.geometry.motion import position_spline
+from conetl.geometry.motion.position_spline import PositionSpline
 from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
 from conetl.model.drive import Interpolated, Pose
@@ -34,6 +29,8 @@ from conetl.readers.trajectories.recorded import RecordedTrajectory
 SPARSE_S = 0.3
 #: Sparse records are interpolated over gaps of so many times their median distance, a lost one, and at most so long (s).
 _GAP_FACTOR, _LONGEST_GAP_S = 2.5, 5.0
+#: Of a spline; two are joined by a straight line.
+_LEAST_RECORDS = 3
 #: Angular acceleration of a vehicle (rad/s^2, one sigma; roll, pitch, yaw): by it a slerp between sparse attitudes errs.
 _TURNS_RAD_S2 = np.array([0.1, 0.1, 0.5])
 
@@ -46,20 +43,20 @@ def pose_reader(
 
     from_course: the attitudes are not recorded (`with_course`). max_gap_s: `max_pose_gap_s` of drive.yaml; without it records
     are interpolated over gaps of 0.5 s, and sparse ones over 2.5 times their median distance, at most 5 s; never over more than
-    60 s. A dense trajectory with attitudes is interpolated in straight lines (`poses.at`). Raises InputError where
-    positions alone do not show a heading.
+    60 s. A dense trajectory with attitudes, or of two records, is interpolated in straight lines (`poses.at`). Raises
+    InputError where positions alone do not show a heading.
     """
     step_s = float(np.median(np.diff(track.times_ns))) * 1e-9 if len(track.times_ns) > 1 else 0.0
     sparse = step_s > SPARSE_S
     usual_s = min(_GAP_FACTOR * step_s, _LONGEST_GAP_S) if sparse else MAX_POSE_GAP_S
     gap_s = max_gap_s or max(usual_s, MAX_POSE_GAP_S)
-    if not sparse and not from_course:
+    if not from_course and (not sparse or len(track.times_ns) < _LEAST_RECORDS):
         return lambda time_ns: se3.to_pose(*at(track, time_ns, round(gap_s * 1e9)))
-    gap_ns = round(min(gap_s, LONGEST_GAP_S) * 1e9)
+    gap_ns = round(min(gap_s, position_spline.LONGEST_GAP_S) * 1e9)
     spline = _spline(track.name, track.times_ns, track.map_SE3_body[:, :3, 3], track.sigma[:, :3])
     inside = sorted({t for t in exposures_ns if track.times_ns[0] <= t <= track.times_ns[-1]})
     times_s = _seconds(inside, track.times_ns[0])
-    moved = states_at(spline, times_s)
+    moved = position_spline.states_at(spline, times_s)
     if from_course:
         rotations, angles, short = _course(track.name, spline, times_s)
     rank = {t: k for k, t in enumerate(inside)}
@@ -111,7 +108,7 @@ def with_course(recorded: RecordedTrajectory) -> RecordedTrajectory:
 def _spline(name: str, times_ns: Sequence[int], positions_m: Floats, sigma_m: Floats) -> PositionSpline:
     defaults = TrajectoryParams()
     with input_errors(f"{name}: positions cannot be interpolated"):
-        return position_spline(
+        return position_spline.position_spline(
             _seconds(times_ns, times_ns[0]), positions_m, sigma_m, white_share=defaults.gnss_white_share,
             correlation_s=defaults.gnss_correlation_s,
         )  # fmt: skip
@@ -119,7 +116,7 @@ def _spline(name: str, times_ns: Sequence[int], positions_m: Floats, sigma_m: Fl
 
 def _course(name: str, spline: PositionSpline, times_s: Floats) -> tuple[Floats, Floats, Floats]:
     try:
-        return course_attitude(spline, times_s)
+        return position_spline.course_attitude(spline, times_s)
     except ValueError as error:
         raise InputError(f"{name}: it has no attitudes, and {error}; record a drive or the attitudes") from error
 

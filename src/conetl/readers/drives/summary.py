@@ -160,10 +160,9 @@ def _gaps(
 ) -> tuple[Gap, ...]:
     """Steps that are too long; those to and from a jump are not gaps in space."""
     moving = metres[metres > 0.05]
-    long_m = max(LEAST_GAP_M, GAP_FACTOR * float(np.median(moving)) if len(moving) else 0.0)
-    in_space = metres > long_m
     wrong = np.array([pair.frame_index in jumped for pair in pairs])
-    in_space &= ~(wrong[:-1] | wrong[1:])
+    long_m = max(LEAST_GAP_M, GAP_FACTOR * float(np.median(moving)) if len(moving) else 0.0)
+    in_space = (metres > long_m) & ~(wrong[:-1] | wrong[1:])
     return tuple(
         Gap(
             after_frame=pairs[i].frame_index, before_frame=pairs[i + 1].frame_index, seconds=float(seconds[i]),

@@ -11,8 +11,8 @@ Frames are decoded as the pipeline goes and never unpacked to disk. Their times 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,18 +29,19 @@ from conetl.model.errors import InputError
 from conetl.model.rejections import Rejection
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.perception.video import VIDEO_SUFFIXES, FrameRef, VideoIndex, index_video, region_of
-from conetl.readers.drives import pose_rows
-from conetl.readers.drives.camera_files import Files, Stream, facts_of, find_streams, names_in, sides_of, stream_of
-from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, inside, names_images
+from conetl.readers.drives import camera_files, pose_rows
+from conetl.readers.drives.camera_files import Files, Stream
+from conetl.readers.drives.drive_yaml import DRIVE_YAML, DriveYaml, Images, Mount, named_in_yaml, names_images
 from conetl.readers.drives.formats import HeaderFacts, add_settings, no_rig, rig_on_body, with_stated_shutters
-from conetl.readers.drives.image_times import CameraImages, listed, stamps_of_images, stated_start
-from conetl.readers.drives.pairs import ContentHash, Source, drive_of_couples, time_of
+from conetl.readers.drives.image_times import CameraImages, listed, stated_start, times_of
+from conetl.readers.drives.pairs import ContentHash, Source, drive_of_couples, file_digest, time_of
 from conetl.readers.drives.poses import placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.drives.video_timing import Timing, needed_span, timed
 from conetl.readers.rigs import RIG_YAML, read_rig_yaml
 from conetl.readers.trajectories import read_trajectory, remarks_on
 from conetl.readers.trajectories.recorded import of_images
+from conetl.readers.trajectories.times import OFFSET
 
 NAME, TITLE = "video", "video or images with a trajectory file"
 READS_OBJECTS, UNPACKS = False, False
@@ -48,7 +49,9 @@ READS_OBJECTS, UNPACKS = False, False
 
 def matches(path: Path) -> bool:
     """True for a folder with video files, or with folders of images that drive.yaml names. (KITTI drives may hold videos.)"""
-    has_videos = path.is_dir() and not (path / "image_02").is_dir() and bool(names_in(path, VIDEO_SUFFIXES))
+    has_videos = (
+        path.is_dir() and not (path / "image_02").is_dir() and bool(camera_files.names_in(path, VIDEO_SUFFIXES))
+    )
     return has_videos or names_images(path)
 
 
@@ -71,19 +74,21 @@ def preview(root: Path, settings: DriveYaml, rig: Rig | None = None) -> Preview:
 
     rig: likewise; None where rig.yaml has it. Raises as `read`.
     """
-    return _read(Source(root, root.resolve(), settings, ContentHash(headers_only=True), settings.map_srid), rig)
+    content, files = ContentHash(headers_only=True), scan(root, settings)
+    return _read(Source(root, root.resolve(), settings, content, settings.map_srid, None, files), rig)
 
 
 def _read(source: Source, rig: Rig | None = None) -> Preview:
     """The drive. rig: instead of rig.yaml's. Raises InputError."""
     root, settings, content = source[1:4]
-    files = source.files or scan(source.path, settings)
-    trajectory = _trajectory_of(files)
+    files, trajectory = source.files, source.files.trajectory
     of_cameras = pose_rows.looks_like(trajectory)
-    rig, sensor_R_body = _rig(root, settings, content, rig, of_cameras=of_cameras)
+    rig, sensor_R_body = _rig(source, rig, of_cameras=of_cameras)
     rig = with_stated_shutters(rig, settings.shutter)
-    cameras = _cameras(files, root, settings.images, rig, content)
-    _add_files(trajectory, root, content)
+    cameras = _cameras(files, source, rig)
+    for file in sorted(trajectory.rglob("*")) if trajectory.is_dir() else [trajectory]:
+        if file.is_file():
+            content.add(file.relative_to(root).as_posix(), file_digest(file))
     if of_cameras:
         images = listed(cameras[0], settings.images.timestamps, source, None)
         recorded, sensor_R_body = pose_rows.read(trajectory, images, rig), np.eye(3)
@@ -96,12 +101,10 @@ def _read(source: Source, rig: Rig | None = None) -> Preview:
     if exposures_ns and not any(track.times_ns[0] <= stamp <= track.times_ns[-1] for stamp in exposures_ns):
         records = of_images((min(exposures_ns), max(exposures_ns)), track.times_ns)
         raise InputError(f"{trajectory}: there are no records{records}")
-    hashes = {path: sha256 for c in cameras for path, sha256 in zip(c.paths, c.sha256s, strict=False)}
-    pose_at = pose_reader(track, exposures_ns, settings.max_pose_gap_s, from_course=from_course)
+    poses_at = partial(pose_reader, track, max_gap_s=settings.max_pose_gap_s, from_course=from_course)
     left, right = cameras
-    drive, rejections = drive_of_couples(
-        timing.couples, {"left": left.name, "right": right.name}, source, rig, srid, pose_at, hashes.get
-    )
+    names: dict[Side, str] = {"left": left.name, "right": right.name}
+    drive, rejections = drive_of_couples(timing.couples, names, source, rig, srid, poses_at)
     return Preview(timing, drive.model_copy(update={"clock_sigma_s": timing.clock.sigma_s or None}), rejections)
 
 
@@ -116,41 +119,37 @@ def scan(path: Path, settings: DriveYaml) -> Files:
 
 def read_header(source: Source, header: HeaderFacts) -> None:
     """Times only where drive.yaml states when the first frame was taken; the rig must be there."""
-    root, settings, files = source.root, source.settings, source.files or scan(source.path, source.settings)
-    trajectory, left = _trajectory_of(files), files.left
-    has_sigma = settings.sigmas.vertical_m is not None
-    header.remarks += remarks_on(trajectory, settings.trajectory, has_vertical_sigma=has_sigma)
-    _rig(root, settings, ContentHash(), of_cameras=pose_rows.looks_like(trajectory))
+    root, settings, files = source.root, source.settings, source.files
+    left, has_sigma = files.left, settings.sigmas.vertical_m is not None
+    header.remarks += remarks_on(files.trajectory, settings.trajectory, has_vertical_sigma=has_sigma)
+    _rig(source, of_cameras=pose_rows.looks_like(files.trajectory))
     if left.is_video:
-        facts = facts_of(left)
+        facts = camera_files.facts_of(left)
         header.frame_pairs = facts.frames
         if (first_ns := stated_start(settings, root)) is not None:
             header.set_times([first_ns, first_ns + round(facts.duration_s * 1e9)], root / DRIVE_YAML)
     else:
-        stamps, assumed = stamps_of_images(left.paths, root, settings)
-        header.remarks += assumed
-        if stamps:
-            header.set_times(stamps, root / left.name)
+        name, zone = settings.images.timestamps, settings.timestamps_timezone
+        if name is not None and name == settings.trajectory.file:
+            return  # the header of a drive reads no trajectory
+        stamps, texts = times_of("the left camera", left.paths, name, source)
+        if any(":" in text and not OFFSET.search(text) for text in texts):
+            remark = f"the times of the images state no time zone and are taken as {zone} (timestamps_timezone in {DRIVE_YAML})"
+            header.remarks.append(remark)
+        header.set_times(stamps, root / left.name)
 
 
-def _trajectory_of(files: Files) -> Path:
-    """The trajectory, which is the last log."""
-    return [*files.logs.values()][-1]
-
-
-def _rig(
-    root: Path, settings: DriveYaml, content: ContentHash, rig: Rig | None = None, *, of_cameras: bool
-) -> tuple[Rig, Floats]:
+def _rig(source: Source, rig: Rig | None = None, *, of_cameras: bool) -> tuple[Rig, Floats]:
     """The rectified rig on the body, and sensor_R_body (3, 3). Raises InputError.
 
     rig: instead of rig.yaml's. of_cameras: the poses are those of the left camera, so the body needs no mount.
     """
-    path = root / RIG_YAML
+    settings, path = source.settings, source.root / RIG_YAML
     if rig is None:
         if not path.is_file():
-            raise no_rig(root)
+            raise no_rig(source.root)
         rig = read_rig_yaml(path, pair=settings.pair)
-    add_settings(content, root)
+    add_settings(source.content, source.root)
     if settings.images.crop is not None:
         with input_errors(f"{path}: images.crop"):
             rig = rigs.cropped(rig, *settings.images.crop, binning=settings.images.binning)
@@ -168,8 +167,9 @@ def _rig(
     return rig_on_body(rig, rigs.body_SE3_camera(rig, "left"), settings, path)
 
 
-def _cameras(files: Files, root: Path, settings: Images, rig: Rig, content: ContentHash) -> list[CameraImages]:
+def _cameras(files: Files, source: Source, rig: Rig) -> list[CameraImages]:
     """Left and right camera. Raises InputError."""
+    settings, content = source.settings.images, source.content
     left, right = files[:2]
     if left.is_video != right.is_video:
         file, other = (left, right) if left.is_video else (right, left)
@@ -178,11 +178,14 @@ def _cameras(files: Files, root: Path, settings: Images, rig: Rig, content: Cont
             f"folders in {DRIVE_YAML}"
         )
     if not left.is_video:
-        return [CameraImages(stream.name, [*stream.paths], np.empty(0), None, []) for stream in (left, right)]
+        return [
+            CameraImages(stream.name, [*stream.paths], np.empty(0), None, [None] * len(stream.paths))
+            for stream in (left, right)
+        ]
     videos: dict[Path, VideoIndex] = {}
     for path in dict.fromkeys([*left.paths, *right.paths]):
         videos[path] = index_video(path, hashed=not content.headers_only)
-        content.add(path.relative_to(root).as_posix(), b"".join(videos[path].sha256s))
+        content.add(path.relative_to(source.root).as_posix(), b"".join(videos[path].sha256s))
     return [
         _video_camera(stream.name, [videos[path] for path in stream.paths], settings, rig, side)
         for side, stream in zip(SIDES, (left, right), strict=True)
@@ -211,43 +214,26 @@ def _video_camera(name: str, chapters: Sequence[VideoIndex], settings: Images, r
 
 def camera_streams(root: Path, settings: Images) -> tuple[Stream, Stream]:
     """Files of the left and of the right camera, the same twice where one file holds both. Raises InputError."""
-    names: dict[Side, str | None] = {
-        "left": settings.left,
-        "right": settings.left if settings.layout else settings.right,
-    }
-    if None in names.values():
-        videos = [stream for stream in find_streams(root) if stream.is_video]
-        likely = sides_of([video.name for video in videos])
-        for side in SIDES:
-            candidates = [v.name for v in videos] if settings.layout and len(videos) == 1 else likely[side]
-            names[side] = names[side] or (candidates[0] if len(candidates) == 1 else None)
-            if names[side] is None:
-                listed_names = ", ".join(video.name for video in videos) or "none"
-                raise InputError(
-                    f"{root}: the {side} camera's images cannot be identified (videos: {listed_names}). Name them in "
-                    f"{DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, layout: "
-                    "left-right}' for one file with both"
-                )
-    left, right = (stream_of(root, str(names[side]), DRIVE_YAML) for side in SIDES)
+    named = {"left": settings.left, "right": settings.left if settings.layout else settings.right}
+    names: dict[Side, str] = {side: name for side in SIDES if (name := named[side])}
+    if len(names) < len(SIDES):
+        videos = [stream.name for stream in camera_files.find_streams(root) if stream.is_video]
+        whole: dict[Side, str] = dict.fromkeys(SIDES, videos[0]) if settings.layout and len(videos) == 1 else names
+        names = camera_files.with_likely_sides(whole, videos)
+        if unknown := [side for side in SIDES if side not in names]:
+            raise InputError(
+                f"{root}: the {unknown[0]} camera's images cannot be identified (videos: {', '.join(videos) or 'none'}). Name "
+                f"them in {DRIVE_YAML}: 'images: {{left: left.mp4, right: right.mp4}}', or 'images: {{left: both.mp4, layout: "
+                "left-right}' for one file with both"
+            )
+    left, right = (camera_files.stream_of(root, names[side], DRIVE_YAML) for side in SIDES)
     return left, right
-
-
-def _add_files(path: Path, root: Path, content: ContentHash) -> None:
-    """Add a trajectory, which may be large or a folder, to the drive's hash."""
-    for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
-        if file.is_file():
-            with file.open("rb") as opened:
-                content.add(file.relative_to(root).as_posix(), hashlib.file_digest(opened, "sha256").digest())
 
 
 def _trajectory_file(root: Path, settings: DriveYaml) -> Path:
     """The trajectory. Raises InputError where drive.yaml names none and there is not just one."""
-    named = settings.trajectory.file
-    if named is not None:
-        path = inside(root, named, DRIVE_YAML)
-        if not (path.is_file() or path.is_dir()):
-            raise InputError(f"{path}: the trajectory is missing")
-        return path
+    if settings.trajectory.file is not None:
+        return named_in_yaml(root, settings.trajectory.file, "the trajectory is", folder=True)
     found = pose_rows.find_logs(root)
     if len(found) != 1:
         names = ", ".join(path.name for path in found) or "none"

@@ -27,7 +27,7 @@ from conetl.perception.unguided_odometry import measure_motions
 from conetl.perception.video_sync import find_video_lag
 from conetl.readers.drives.drive_yaml import DRIVE_YAML, MAX_SEARCH_S, Clock, DriveYaml, Images
 from conetl.readers.drives.image_times import CameraImages, UnknownTimeError, listed, stated_start
-from conetl.readers.drives.pairs import Couple, Image, PairError, Source, pair_by_stamp, time_of
+from conetl.readers.drives.pairs import Couple, PairError, Source, pair_by_stamp, time_of
 from conetl.readers.drives.poses import Samples
 from conetl.readers.drives.sparse_poses import pose_reader
 from conetl.tracking.clock import estimate_clock
@@ -84,7 +84,7 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
             clock = Clock(search_s=search_s)
         if left.video is not right.video:
             shift_s = _right_offset_s(left, right, images)
-        ours, theirs = _at(left, start_ns), _at(right, start_ns + round(shift_s * 1e9))
+        ours, theirs = left.from_start(start_ns), right.from_start(start_ns + round(shift_s * 1e9))
     couples = _chosen(pair_by_stamp(ours, theirs, settings.pair_tolerance_ns), images, root)
     if not couples:
         raise InputError(
@@ -109,7 +109,7 @@ def timed(cameras: Sequence[CameraImages], track: Samples, rig: Rig, source: Sou
     if clock is not None and clock.offset_s == "estimate":  # motions are those of the middle row
         found = found._replace(offset_s=found.offset_s - middle_row_s(rig))
     offset_ns = round(found.offset_s * 1e9)
-    moved = [(_later(a, offset_ns), _later(b, offset_ns)) for a, b in couples]
+    moved = [(a and a.later(offset_ns), b and b.later(offset_ns)) for a, b in couples]
     return Timing(moved, None if start_ns is None else start_ns + offset_ns, shift_s, found)
 
 
@@ -122,19 +122,6 @@ def _unknown_start(root: Path, left: CameraImages, cause: str) -> UnknownTimeErr
         )
     remedy = f"State the time of its first frame in {DRIVE_YAML}: 'images: {{start: 2026-03-02 10:00:00.250Z}}'"
     return UnknownTimeError("images.start", root, cause, remedy)
-
-
-def _later(image: Image | None, offset_ns: int) -> Image | None:
-    if image is None or not isinstance(image.stamp, int):
-        return image
-    return image._replace(stamp=image.stamp + offset_ns)
-
-
-def _at(camera: CameraImages, start_ns: int) -> list[Image]:
-    return [
-        Image(start_ns + round(time_s * 1e9), path)
-        for time_s, path in zip(camera.times_s.tolist(), camera.paths, strict=True)
-    ]
 
 
 def needed_span(cameras: Sequence[CameraImages], settings: DriveYaml, root: Path) -> tuple[int, int] | None:

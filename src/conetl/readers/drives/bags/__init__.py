@@ -14,8 +14,9 @@ NAME.drive.yaml and NAME.rig.yaml beside it). Times are the header stamps, UTC.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -97,16 +98,8 @@ def read(source: pairs.Source) -> tuple[Drive, list[Rejection]]:
         srid, poses_at = _trajectory(topics, recorded, source, sensor_R_body)
         images = _read_images(bag, topics, rig, content, source.images_folder, root)
     couples = pairs.pair_by_stamp(images[topics.left], images[topics.right], settings.pair_tolerance_ns)
-    if not couples:
-        raise InputError(f"{path}: there are no images on {topics.left} and {topics.right}")
-    pose_at = poses_at([stamp for couple in couples if (stamp := pairs.time_of(couple)) is not None])
-
-    def hash_of(path: Path) -> str:
-        return "" if content.headers_only else path.stem  # an unpacked image is named by its hash
-
-    return pairs.drive_of_couples(
-        couples, {"left": topics.left, "right": topics.right}, source, rig, srid, pose_at, hash_of
-    )
+    names: dict[Side, str] = {"left": topics.left, "right": topics.right}
+    return pairs.drive_of_couples(couples, names, source, rig, srid, poses_at)
 
 
 def scan(path: Path, settings: DriveYaml) -> Files:
@@ -264,21 +257,17 @@ def _rig(rig_path: Path, topics: Topics, found: _Recorded, settings: DriveYaml, 
 
 def _trajectory(
     topics: Topics, found: _Recorded, source: pairs.Source, sensor_R_body: Floats
-) -> tuple[int, Callable[[Sequence[int]], Callable[[int], Pose]]]:
-    """EPSG code of the map, and a function that gives, for all exposures, the body's pose at each. Raises InputError."""
+) -> tuple[int, pairs.PosesAt]:
+    """EPSG code of the map, and the poses of the body in it. Raises InputError."""
     path, gap_ns = source.path, source.settings.max_pose_gap_ns
-    sensor_SE3_body = se3.se3(sensor_R_body, np.zeros(3))
     raw = found.samples[topics.trajectory]
-    if topics.is_local:
-        srid, placed = poses.georeferenced(source, raw.name, raw.map_SE3_body)
-        track = poses.without_wild_fixes(raw._replace(map_SE3_body=se3.compose(placed, sensor_SE3_body)))
-        return srid, lambda _: lambda time_ns: se3.to_pose(*poses.at(track, time_ns, gap_ns))
     if topics.imu is None:
-        recorded = RecordedTrajectory(
-            raw.name, np.array(raw.times_ns), raw.map_SE3_body[:, :3, 3], False, None, raw.sigma, raw.bad
-        )
-        srid, track = poses.placed(with_course(recorded), source, np.eye(3))
-        return srid, lambda times_ns: pose_reader(track, times_ns, source.settings.max_pose_gap_s, from_course=True)
+        rotations, positions = (raw.map_SE3_body[:, :3, :3] if topics.is_local else None), raw.map_SE3_body[:, :3, 3]
+        times = np.array(raw.times_ns)
+        recorded = RecordedTrajectory(raw.name, times, positions, topics.is_local, rotations, raw.sigma, raw.bad)
+        srid, track = poses.placed(with_course(recorded), source, sensor_R_body if topics.is_local else np.eye(3))
+        max_gap_s = source.settings.max_pose_gap_s
+        return srid, partial(pose_reader, track, max_gap_s=max_gap_s, from_course=not topics.is_local)
     antenna_m = _antenna(topics, found, source.settings, path)
     attitude = found.samples[topics.imu]
     lat, lon, height = raw.map_SE3_body[:, :3, 3].T
@@ -336,7 +325,9 @@ def _read_images(
                 path = unpack(data, ".jpg" if header.format == "jpeg" else f".{header.format}", folder)
         except ImageFileError as error:
             problem = pairs.PairError(error.reason, str(error), path=_name_of(topic, image.stamp))
-        found[topic][number] = image._replace(path=path, problem=problem)
+        # An unpacked image is named by its hash.
+        sha256 = "" if content.headers_only else path.stem
+        found[topic][number] = image._replace(path=path, problem=problem, sha256=sha256)
 
     for message in bag.messages(list(sides)):
         topic, fields = message.topic, message.content
@@ -365,7 +356,7 @@ def _read_images(
             for number, data in decoder.rest():
                 add(topic, number, data)
         if content.headers_only:  # the others are not decoded
-            found[topic][1:] = [image._replace(problem=None) for image in found[topic][1:]]
+            found[topic][1:] = [image._replace(problem=None, sha256="") for image in found[topic][1:]]
     return found
 
 

@@ -34,8 +34,7 @@ from rosbags.typesys.store import Typestore
 
 from conetl.files.documents import library_errors, read_yaml
 from conetl.model.errors import InputError
-from conetl.readers.drives.bags.foxglove import as_ros, kind_of, protobuf_reader
-from conetl.readers.drives.bags.topics import CAMERA_INFO, TRANSFORMS, USED_TYPES
+from conetl.readers.drives.bags.topics import CAMERA_INFO, TRANSFORMS, USED_TYPES, as_ros, kind_of, protobuf_reader
 
 METADATA = "metadata.yaml"
 ROS1_SUFFIX = ".bag"
@@ -231,7 +230,7 @@ def open_bag(path: Path, *, index_only: bool = False) -> Iterator[Bag]:
                 if index_only and (found := _bag_of_metadata(metadata)) is not None:
                     yield found
                     return
-                types = _ros_types() if path.is_dir() else _ros1_types()
+                types = _ros_types(ros1=not path.is_dir())
                 bag = _bag_of_rosbags(opened.enter_context(AnyReader([path], default_typestore=types)), path)
             else:
                 bag = _bag_of_file(make_reader(opened.enter_context(path.open("rb")), validate_crcs=True), path)
@@ -265,13 +264,13 @@ def _bag_of_rosbags(reader: AnyReader, path: Path) -> Bag:
         wanted = [c for c in reader.connections if c.topic in topics]
         with _bag_errors(path):
             for connection, at_ns, raw in reader.messages(wanted) if wanted else ():
-                content = _decoded(partial(_of_rosbags, reader, raw, connection.msgtype))
+                content = _decoded(reader.deserialize, connection.msgtype, raw)
                 if connection.msgtype == CAMERA_INFO and not reader.is2 and content is not None:
                     # Under the names of ROS 2, which are in lower case.
                     content = SimpleNamespace(**{k if len(k) > 1 else k.lower(): v for k, v in vars(content).items()})
                 yield Message(connection.topic, content, at_ns)
 
-    ros = _ros_types() if reader.is2 else _ros1_types()
+    ros = _ros_types(ros1=not reader.is2)
     types = {
         # From a ROS 1 bag only the definitions of these types are read.
         c.topic: kind_of(_type_name(reader.typestore, c.msgtype, ros))
@@ -298,16 +297,16 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
     types: dict[str, str] = {}
     decoders: dict[str, Callable[[bytes], Any]] = {}
     for channel in summary.channels.values():
-        of_channel = summary.schemas.get(channel.schema_id)
-        if of_channel is not None and channel.message_encoding == "cdr":
-            kind = _type_name(store, normalize_msgtype(of_channel.name), _ros_types())
-            types[channel.topic] = kind_of(kind)
-            decoders[channel.topic] = partial(_of_cdr, store, kind)
-        elif of_channel is not None and channel.message_encoding == of_channel.encoding == "protobuf":
-            known = kind_of(of_channel.name)
-            if known != of_channel.name:
-                types[channel.topic] = known
-                decoders[channel.topic] = protobuf_reader(of_channel.name, of_channel.data)
+        of_channel, encoding = summary.schemas.get(channel.schema_id), channel.message_encoding
+        kind = of_channel.name if of_channel else ""
+        read: Callable[[bytes, str], Any] = store.deserialize_cdr
+        if of_channel and encoding == "cdr":
+            kind = _type_name(store, normalize_msgtype(kind), _ros_types())
+        elif of_channel and encoding == of_channel.encoding == "protobuf" and kind_of(kind) != kind:
+            read = protobuf_reader(kind, of_channel.data)
+        else:
+            continue
+        types[channel.topic], decoders[channel.topic] = kind_of(kind), partial(_decoded, read, kind)
     indexed = bool(summary.chunk_indexes)
 
     def messages(topics: Sequence[str]) -> Iterator[Message]:
@@ -315,8 +314,7 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
         # Without an index the file is in the order of recording; to sort it, all of it would be kept in memory.
         with _bag_errors(path):
             for _, channel, message in reader.iter_messages(wanted, log_time_order=indexed) if wanted else ():
-                content = _decoded(partial(decoders[channel.topic], message.data))
-                yield Message(channel.topic, content, message.log_time)
+                yield Message(channel.topic, decoders[channel.topic](message.data), message.log_time)
 
     statistics = summary.statistics
     counts = {
@@ -326,20 +324,11 @@ def _bag_of_file(reader: McapReader, path: Path) -> Bag:
     return Bag(types, counts, recorded_ns, messages)
 
 
-def _of_rosbags(reader: AnyReader, data: bytes, kind: str) -> Any:
-    message = reader.deserialize(data, kind)
-    return message if kind_of(kind) == kind else as_ros(message)
-
-
-def _of_cdr(store: Typestore, kind: str, data: bytes) -> Any:
-    message = store.deserialize_cdr(data, kind)
-    return message if kind_of(kind) == kind else as_ros(message)
-
-
-def _decoded(decode: Callable[[], Any]) -> Any:
-    """Fields of a message as attributes; None where its bytes do not match its type."""
+def _decoded(read: Callable[[bytes, str], Any], kind: str, data: bytes) -> Any:
+    """Fields of a message as attributes, under the names of ROS; None where its bytes do not match its type."""
     try:
-        return decode()
+        message = read(data, kind)
+        return message if kind_of(kind) == kind else as_ros(message)
     except Exception:  # of many types; a stated length may also exceed the memory
         return None
 
@@ -354,13 +343,9 @@ def _type_name(store: Typestore, name: str, ros: Typestore) -> str:
 
 
 @cache
-def _ros_types() -> Typestore:
-    return get_typestore(Stores.ROS2_HUMBLE)
-
-
-@cache
-def _ros1_types() -> Typestore:
-    """Types of ROS 1, with the one of tf2 that rosbags has only for ROS 2."""
-    store = get_typestore(Stores.ROS1_NOETIC)
-    store.register({TRANSFORMS: _ros_types().fielddefs[TRANSFORMS]})
+def _ros_types(*, ros1: bool = False) -> Typestore:
+    """Types of ROS 2, or of ROS 1 with the one of tf2 that rosbags has only for ROS 2."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if ros1:
+        store.register({TRANSFORMS: _ros_types().fielddefs[TRANSFORMS]})
     return store

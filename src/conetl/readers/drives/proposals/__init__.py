@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from conetl.perception.video import VIDEO_SUFFIXES
-from conetl.readers.drives.proposals.images import add_images, check_start, stated_time, suggested, with_record_times
-from conetl.readers.drives.proposals.log import add_trajectory
-from conetl.readers.drives.proposals.proposal import FILE_KEYS, Proposal, value_at
-from conetl.readers.drives.proposals.rig import add_rig
+from conetl.readers.drives.proposals.images import add_images, check_start, stated_time, suggested
+from conetl.readers.drives.proposals.log_and_rig import add_rig, add_trajectory
+from conetl.readers.drives.proposals.template import FILE_KEYS, Proposal, value_at
 
 __all__ = ["FILE_KEYS", "Proposal", "check_start", "propose", "stated_time", "still_valid", "suggested"]
 
@@ -22,11 +21,10 @@ def propose(root: Path, settings: Mapping[str, Any], rig_file: Path | None = Non
     drive of, or a setting does not fit.
     """
     copied = {name: dict(value) if isinstance(value, Mapping) else value for name, value in settings.items()}
-    proposal = Proposal([], [], copied, None, None)
+    proposal = Proposal([], [], copied)
     size = add_images(root, rig_file, proposal)
     recorded = add_trajectory(root, proposal)
-    if recorded is not None:
-        proposal.missing[:] = [with_record_times(root, each, proposal.settings, recorded) for each in proposal.missing]
+    proposal.missing[:] = [suggested(root, proposal.settings, recorded, each) for each in proposal.missing]
     rig = add_rig(root, rig_file, proposal, size)
     return proposal._replace(rig=rig, recorded=recorded)
 

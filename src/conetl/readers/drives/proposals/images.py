@@ -13,19 +13,21 @@ from conetl.model.errors import InputError
 from conetl.model.rig import SIDES
 from conetl.perception.video import VIDEO_SUFFIXES, video_facts
 from conetl.readers.drives import find_format, zed_recording
-from conetl.readers.drives.camera_files import Stream, facts_of, find_streams, names_in, sides_of, stream_of
+from conetl.readers.drives.camera_files import Stream, facts_of, find_streams, names_in, stream_of, with_likely_sides
 from conetl.readers.drives.drive_yaml import DriveYaml
-from conetl.readers.drives.image_times import counts_from_start, stamp, stated_start, texts_of_file, unknown_times
-from conetl.readers.drives.pairs import first_size
-from conetl.readers.drives.proposals.proposal import FILE_KEYS, TABLE_SUFFIXES, Proposal, value_at
-from conetl.readers.drives.proposals.rig import rigs_in
-from conetl.readers.drives.proposals.template import Missing
+from conetl.readers.drives.image_times import (
+    UnknownTimeError,
+    counts_from_start,
+    has_times,
+    stated_start,
+    times_in,
+    times_of,
+)
+from conetl.readers.drives.pairs import ContentHash, Source, first_size
+from conetl.readers.drives.proposals.log_and_rig import rigs_in
+from conetl.readers.drives.proposals.template import FILE_KEYS, TABLE_SUFFIXES, Missing, Proposal, value_at
 from conetl.readers.rigs import read_given_rig
-from conetl.readers.trajectories import trajectory_format
 from conetl.readers.trajectories.recorded import RecordedTrajectory
-from conetl.readers.trajectories.times import clock_problem, times_of_names
-
-_MOST_TIME_BYTES = 4_000_000
 
 
 def add_images(root: Path, rig_file: Path | None, proposal: Proposal) -> tuple[int, int] | None:
@@ -50,18 +52,20 @@ def add_images(root: Path, rig_file: Path | None, proposal: Proposal) -> tuple[i
         if stream.is_video and "layout" not in images and (layout := _layout_of(root, rig_file, stream)) is not None:
             images["layout"] = layout
             proposal.found.append(f"{images['left']}: layout {layout}, by the size of the calibration")
-        if "layout" not in images:
-            proposal.missing.append(Missing("images.layout"))
+        proposal.need("images.layout")
     else:
-        _add_sides(names, proposal)
+        images |= with_likely_sides({side: images[side] for side in SIDES if side in images}, names)
+        unknown = [side for side in SIDES if side not in images]
+        for side in unknown[:1] if len(names) == 2 else unknown:
+            proposal.need(f"images.{side}", f"Found: {', '.join(names)}", names[0])
     if "left" not in images or "images.layout" in (each.key for each in proposal.missing):
         return None
     left = stream_of(root, images["left"], "images.left")
     if not left.is_video:
         _add_times(root, left, proposal)
         return first_size(left.paths)
-    if "start" not in images and "timestamps" not in images:
-        proposal.missing.append(Missing("images.start", "otherwise it is searched in the images", required=False))
+    if "timestamps" not in images:
+        proposal.need("images.start", "otherwise it is searched in the images", required=False)
     facts, layout = video_facts(left.paths[0]), images.get("layout", "")
     across, down = 2 if "left" in layout else 1, 2 if "top" in layout else 1
     return facts.width_px // across, facts.height_px // down
@@ -94,21 +98,6 @@ def _shown(streams: Sequence[Stream]) -> list[str]:
     return [f"video {' and '.join(names)}: {text}" if names else text for text, names in alike.items()]
 
 
-def _add_sides(names: Sequence[str], proposal: Proposal) -> None:
-    """Which stream is of which camera: by their names; of two, the other one is known with the first."""
-    images, likely = proposal.settings["images"], sides_of(names)
-    for side in SIDES:
-        if side not in images and len(likely[side]) == 1:
-            images[side] = likely[side][0]
-    unknown = [side for side in SIDES if side not in images]
-    unused = [name for name in names if name not in images.values()]
-    if len(names) == 2 and len(unknown) == len(unused) == 1:
-        images[unknown[0]] = unused[0]
-    else:
-        for side in unknown[:1] if len(names) == 2 else unknown:
-            proposal.missing.append(Missing(f"images.{side}", f"Found: {', '.join(names)}", names[0]))
-
-
 def _layout_of(root: Path, rig_file: Path | None, stream: Stream) -> str | None:
     """How both images lie in each frame of the only video, left or top first, if a calibration is for one half of the frame."""
 
@@ -127,53 +116,27 @@ def _layout_of(root: Path, rig_file: Path | None, stream: Stream) -> str | None:
 
 def _add_times(root: Path, left: Stream, proposal: Proposal) -> None:
     """The times of image files: those of their names, or of the only file that has one for each of them."""
-    images = proposal.settings["images"]
-    settings = DriveYaml.model_validate(proposal.settings)
+    images, settings = proposal.settings["images"], DriveYaml.model_validate(proposal.settings)
     if "timestamps" not in images:
-        texts, doubt = times_of_names([path.stem for path in left.paths])
-        if doubt is None and any(
-            isinstance(t := stamp(text, settings), int) and not clock_problem(t) for text in texts
-        ):
+        try:
+            times_of(left.name, left.paths, None, Source(root, root, settings, ContentHash()))
             return
-        files = [path for path in _texts_beside(root, left) if _has_times(path, left, settings)]
-        if len(files) != 1:
-            names = ", ".join(path.relative_to(root).as_posix() for path in files)
-            found = f"{names} each have one time per image. " if files else ""
-            error = unknown_times(left.name, left.paths, doubt, settings, root)
-            proposal.missing.append(Missing(error.key, found + error.cause))
-            return
-        images["timestamps"] = files[0].relative_to(root).as_posix()
-        proposal.found.append(f"times of the images: {images['timestamps']}")
+        except UnknownTimeError as error:
+            above = left.paths[0].parent.parents
+            folders = sorted({root, left.paths[0].parent, *(f for f in above if f.is_relative_to(root))})
+            files = [folder / name for folder in folders for name in names_in(folder, TABLE_SUFFIXES)]
+            names = [file.relative_to(root).as_posix() for file in files if has_times(file, left.paths, settings)]
+            if len(names) != 1:
+                found = f"{', '.join(names)} each have one time per image. " if names else ""
+                proposal.need(error.key, found + error.cause)
+                return
+        images["timestamps"] = names[0]
+        proposal.found.append(f"times of the images: {names[0]}")
     file = root / images["timestamps"]
-    if "start" not in images and file.is_file() and counts_from_start(texts_of_file(_lines_of(file), left.paths)):
+    if file.is_file() and counts_from_start(times_in(file, left.paths)):
         changed = f"{np.datetime64(int(file.stat().st_mtime), 's')}Z".replace("T", " ")
         cause = f"{file.name} counts seconds from a time that it does not state; it was last changed at {changed}"
-        proposal.missing.append(Missing("images.start", cause, changed))
-
-
-def _texts_beside(root: Path, left: Stream) -> list[Path]:
-    """Text files in the drive folder and in those above the images."""
-    folder, folders = left.paths[0].parent, {root}
-    while folder != root and folder.is_relative_to(root):
-        folders.add(folder)
-        folder = folder.parent
-    files = (folder / name for folder in sorted(folders) for name in names_in(folder, TABLE_SUFFIXES))
-    return [file for file in files if file.is_file() and file.stat().st_size <= _MOST_TIME_BYTES]
-
-
-def _lines_of(path: Path) -> list[str]:
-    return path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
-
-
-def _has_times(path: Path, left: Stream, settings: DriveYaml) -> bool:
-    """Whether a file has one time per image, and nothing else."""
-    texts = texts_of_file(_lines_of(path), left.paths)
-    if len(texts) != len(left.paths) or trajectory_format(path) is not None:
-        return False
-    stamps = [stamp(text, settings) for text in texts]
-    return (
-        counts_from_start(texts) or sum(isinstance(t, int) and not clock_problem(t) for t in stamps) > len(texts) // 2
-    )
+        proposal.need("images.start", cause, changed)
 
 
 def _check_images(root: Path, settings: Mapping[str, Any]) -> None:
@@ -210,32 +173,23 @@ def stated_time(time_ns: int) -> str:
 
 
 def suggested(
-    root: Path, settings: Mapping[str, Any], recorded: RecordedTrajectory, key: str
-) -> tuple[str, str] | None:
-    """A value for `images.start` or `images.timestamps`, and the reason: the trajectory has a record per left image."""
-    left, log = stream_of(root, settings["images"]["left"], "images.left"), settings["trajectory"]["file"]
-    times_ns, count = recorded.times_ns, len(recorded.times_ns)
-    if not left.is_video:
-        if key != "images.timestamps" or count != len(left.paths) or recorded.bad:
-            return None
-        return log, f"{log} has one record per image; if each states the time of its image, name this file"
-    facts, span_s = facts_of(left), float(times_ns[-1] - times_ns[0]) * 1e-9
-    if (
-        key != "images.start"
-        or count != facts.frames
-        or abs(span_s - facts.duration_s) > 2 * span_s / max(count - 1, 1)
-    ):
-        return None
-    start = stated_time(int(times_ns[0]))
-    return start, f"{log} has one record per frame; if the first is of the first frame, that was at {start}"
-
-
-def with_record_times(
-    root: Path, missing: Missing, settings: Mapping[str, Any], recorded: RecordedTrajectory
+    root: Path, settings: Mapping[str, Any], recorded: RecordedTrajectory | None, missing: Missing
 ) -> Missing:
-    """A missing time with what the trajectory proposes for it."""
-    if missing.key not in ("images.start", "images.timestamps") or "left" not in settings["images"]:
+    """A missing time with what the trajectory proposes for it, where that has a record per left image."""
+    name = settings["images"].get("left")
+    if missing.key not in ("images.start", "images.timestamps") or name is None or recorded is None:
         return missing
-    value, reason = suggested(root, settings, recorded, missing.key) or (None, None)
-    cause = missing.cause if reason is None else ". ".join(filter(None, (missing.cause, reason)))
-    return missing if value is None else missing._replace(cause=cause, suggestion=value)
+    left, log = stream_of(root, name, "images.left"), settings["trajectory"]["file"]
+    times_ns, count = recorded.times_ns, len(recorded.times_ns)
+    if missing.key == "images.timestamps":
+        if left.is_video or count != len(left.paths) or recorded.bad:
+            return missing
+        value, reason = log, f"{log} has one record per image; if each states the time of its image, name this file"
+    else:
+        facts, span_s = facts_of(left) if left.is_video else None, float(times_ns[-1] - times_ns[0]) * 1e-9
+        apart_s = 2 * span_s / max(count - 1, 1)
+        if facts is None or count != facts.frames or abs(span_s - facts.duration_s) > apart_s:
+            return missing
+        value = stated_time(int(times_ns[0]))
+        reason = f"{log} has one record per frame; if the first is of the first frame, that was at {value}"
+    return missing._replace(cause=". ".join(filter(None, (missing.cause, reason))), suggestion=value)

@@ -1,4 +1,5 @@
-"""`drive.yaml` for people to complete: its values, places for those that are still needed, and other keys as comments.
+"""What `conetl init` knows of a folder, and `drive.yaml` for people to complete: its values, places for those that are still
+needed, and other keys as comments.
 
 What a key means, and an example, are those of its field in `DriveYaml`.
 """
@@ -17,7 +18,9 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from conetl.files.documents import nested_model
+from conetl.model.rig import Rig
 from conetl.readers.drives.drive_yaml import DriveYaml
+from conetl.readers.trajectories.recorded import RecordedTrajectory
 
 #: What is needed beside the keys of drive.yaml: the calibration of the cameras, which becomes rig.yaml.
 RIG = "rig"
@@ -37,6 +40,12 @@ _OPTIONAL: dict[str, tuple[str, ...]] = {
 }
 _OPTIONAL_VALUES = ("drive_id", "timestamps_timezone", "common_errors", "control_points")
 _WIDTH = 110
+#: Keys that name a file or folder of the drive.
+FILE_KEYS = (
+    "images.left", "images.right", "images.timestamps", "images.right_timestamps", "trajectory.file", "control_points.file",
+)  # fmt: skip
+#: Suffixes of tables and of files of times.
+TABLE_SUFFIXES = frozenset({".csv", ".tsv", ".txt"})
 
 
 class Missing(NamedTuple):
@@ -61,6 +70,31 @@ class Missing(NamedTuple):
         """What the value is, and the cause."""
         text = "Calibration of the cameras." if self.key == RIG else str(KEYS[self.key].description)
         return text if self.cause is None else f"{text.rstrip('.')} ({self.cause.rstrip('.')})"
+
+
+class Proposal(NamedTuple):
+    """What was found in a folder, what is missing, and the settings so far."""
+
+    found: list[str]
+    missing: list[Missing]
+    settings: dict[str, Any]
+    """Content of drive.yaml."""
+    rig: Rig | None = None
+    """To be written as rig.yaml; None where there is one."""
+    recorded: RecordedTrajectory | None = None
+    """The trajectory, where it can be read."""
+
+    def need(self, key: str, cause: str | None = None, suggestion: object = None, *, required: bool = True) -> None:
+        """Add a missing value, unless it is stated."""
+        if value_at(self.settings, key) is None:
+            self.missing.append(Missing(key, cause, suggestion, required))
+
+
+def value_at(settings: Mapping[str, Any], key: str) -> Any:
+    """The value of a key like `images.left`; None where there is none."""
+    section, _, name = key.partition(".")
+    values = settings.get(section)
+    return values if not name else values.get(name) if isinstance(values, Mapping) else None
 
 
 def _fields_of(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
