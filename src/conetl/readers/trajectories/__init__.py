@@ -76,7 +76,7 @@ def read_trajectory(
         )
     pieces = reading.pieces if is_local else in_wgs84(reading, settings, path)
     with np.errstate(all="ignore"):  # damaged numbers become NaN, and their records bad
-        found = assembled(path, pieces, is_local=is_local, between_ns=between_ns)
+        found = assembled(path, pieces, is_local=is_local, between_ns=between_ns, progress=reading.progress)
         return axes.resolved(path, found._replace(notes=tuple(reading.notes)), reading)
 
 

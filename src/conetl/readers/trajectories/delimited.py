@@ -31,7 +31,7 @@ from conetl.readers.trajectories.names import aligned, is_unit, require_unit, ro
 from conetl.readers.trajectories.recorded import Reading
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.tables import POSITIONS, Adjust, TableLayout, require, table_records
-from conetl.readers.trajectories.text import floats, head_lines, refusal, split_line
+from conetl.readers.trajectories.text import Progress, floats, head_lines, refusal, split_line
 
 #: A header is among these lines, and has at most so many characters; it is compared with so many records.
 _HEADER_LINES, _LONGEST_HEADER, _COMPARED = 200, 5000, 20
@@ -70,8 +70,9 @@ def read(path: Path, settings: TrajectoryFile, *, kind: FormatName = "table", ad
     yaw = layout.columns["yaw"].name if "yaw" in layout.columns and "heading" not in layout.columns else None
     stated = "yaw" in settings.columns or set(header.names) >= _OWN_NAMES
     relayout = None if settings.columns else partial(_next_layout, path, settings, layout, kind)
-    records = table_records(path, layout, settings, adjust, relayout)
-    return Reading(records, layout.axes, layout.heights, yaw, stated, notes)
+    progress = Progress(path)
+    records = table_records(path, layout, settings, progress, adjust, relayout)
+    return Reading(records, layout.axes, layout.heights, yaw, stated, notes, progress)
 
 
 def kind_of(lines: list[str]) -> FormatName | None:
