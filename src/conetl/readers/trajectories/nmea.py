@@ -19,10 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from conetl.model.arrays import Floats
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import LEVEL_SIGMA_RAD
-from conetl.readers.trajectories.text import Progress, head_bytes, line_blocks, refusal
+from conetl.readers.trajectories.text import Progress, head_bytes, line_blocks
 from conetl.readers.trajectories.times import DAY_NS, SECOND_NS, Times, decimal_ns
 
 SIGMAS_OF_QUALITY_M = {1: (5.0, 10.0), 2: (2.0, 4.0), 3: (5.0, 10.0), 4: (0.05, 0.1), 5: (0.5, 1.0), 9: (2.0, 4.0)}
@@ -209,9 +210,9 @@ def _times_ns(log: _Log, settings: TrajectoryFile, path: Path) -> Times:
     turns = np.cumsum((steps < -DAY_NS // 2).astype(np.int64) - (steps > DAY_NS - LATE_NS))
     if not (days != _UNDATED).any():
         if settings.date is None:
-            raise refusal(
-                path,
-                "no valid RMC or ZDA sentence gives the date: put trajectory: {date: 2024-02-07} (UTC) into drive.yaml",
+            raise InputError(
+                f"{path}: no valid RMC or ZDA sentence gives the date: put trajectory: {{date: 2024-02-07}} (UTC) into "
+                "drive.yaml"
             )
         days[0] = (settings.date - date(1970, 1, 1)).days
     dated = np.maximum.accumulate(np.where(days != _UNDATED, numbers, -1))
@@ -224,7 +225,7 @@ def _records(log: _Log, settings: TrajectoryFile, path: Path) -> Iterator[Record
     epochs, fixes = log.fixes.rows()
     if not len(epochs):
         why = f"; {log.damaged:,} sentences have a wrong checksum or content" if log.damaged else ""
-        raise refusal(path, f"there is no GGA or GNS sentence with a time{why}")
+        raise InputError(f"{path}: there is no GGA or GNS sentence with a time{why}")
     count = len(log.times)
     times = _times_ns(log, settings, path)
     lat, lon, altitude, separation, quality, hdop, line = fixes.T

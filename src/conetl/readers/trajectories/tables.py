@@ -17,11 +17,12 @@ import numpy as np
 
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.clocks import TimeFormat, common_clock, time_reader
 from conetl.readers.trajectories.dates import with_colons, with_marks
 from conetl.readers.trajectories.recorded import Axes, Heights, Reading, Records, attitude, rotations_of_quaternions
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.text import Progress, floats, line_blocks, refusal, split_line
+from conetl.readers.trajectories.text import Progress, floats, line_blocks, split_line
 from conetl.readers.trajectories.times import OFFSET, DateOrder
 
 TIMES = ("time", "date", "week")
@@ -200,16 +201,14 @@ def _clock(
         elif layout.scale == "local" and not (
             clock.kind == "unix" or all(OFFSET.search(word) for word in words if word)
         ):
-            raise refusal(
-                path,
-                f"column {column.name!r}: the time zone of this local time is unknown. Put for example "
-                "trajectory: {time: Europe/Berlin} into drive.yaml",
+            raise InputError(
+                f"{path}: column {column.name!r}: the time zone of this local time is unknown. Put for example "
+                "trajectory: {time: Europe/Berlin} into drive.yaml"
             )
         elif layout.scale == "?" or clock.kind == "day":
-            raise refusal(
-                path,
-                f"column {column.name!r}: is this GPS time, which is some seconds ahead of UTC, or UTC? Put "
-                "trajectory: {time: gps} or {time: utc} into drive.yaml",
+            raise InputError(
+                f"{path}: column {column.name!r}: is this GPS time, which is some seconds ahead of UTC, or UTC? Put "
+                "trajectory: {time: gps} or {time: utc} into drive.yaml"
             )
     return clock._replace(order=layout.order)
 
@@ -324,19 +323,17 @@ def require(columns: dict[str, Column], path: Path, header: Sequence[str]) -> tu
         names = POSITIONS[axes]
         if names[0] in columns and names[1] in columns:
             if names[2] not in columns:
-                raise refusal(
-                    path,
-                    f"has no column for {names[2]!r}; its columns are {shown_header}. Name it in drive.yaml, for example "
-                    f"trajectory: {{columns: {{{names[2]}: H}}}}",
+                raise InputError(
+                    f"{path}: has no column for {names[2]!r}; its columns are {shown_header}. Name it in drive.yaml, for example "
+                    f"trajectory: {{columns: {{{names[2]}: H}}}}"
                 )
             if "time" not in columns:
                 missing = "a column for a time"
                 break
             return axes, heights
-    raise refusal(
-        path,
-        f"expected {missing}, found {shown_header}. Name them in drive.yaml, for example "
-        "trajectory: {columns: {time: Zeit, lat: B, lon: L, height: H}}",
+    raise InputError(
+        f"{path}: expected {missing}, found {shown_header}. Name them in drive.yaml, for example "
+        "trajectory: {columns: {time: Zeit, lat: B, lon: L, height: H}}"
     )
 
 

@@ -51,11 +51,6 @@ def head_lines(path: Path) -> list[str]:
     return lines[:-1] if len(head) == _HEAD and lines[1:] else lines
 
 
-def refusal(path: object, text: str) -> InputError:
-    """The error of a trajectory that cannot be used, in one line without control characters. text: may quote the file."""
-    return InputError("".join(c if c.isprintable() else ascii(c)[1:-1] for c in f"{path}: {text}"))
-
-
 class Progress:
     """How much of a file was read, and how many usable records it had so far: a long text that is no log is not read on."""
 
@@ -67,7 +62,7 @@ class Progress:
         self.lines += max(lines, characters // CHARACTERS)
         if self.lines > MOST_UNUSED + PER_RECORD * self.records:
             text = f"{where}: {self.lines:,} lines have {self.records:,} usable records: not a log, or cut it to the drive's time"
-            raise refusal(self.path, text)
+            raise InputError(f"{self.path}: {text}")
 
 
 def line_blocks(path: Path, progress: Progress | None = None) -> Iterator[tuple[int, list[str]]]:
@@ -82,7 +77,9 @@ def line_blocks(path: Path, progress: Progress | None = None) -> Iterator[tuple[
             *lines, rest = (rest + block).split("\n")
             ended = len(rest) > LONGEST_LINE
             if ended and len(rest := rest.rstrip("\0")) > LONGEST_LINE:
-                raise refusal(path, f"line {number + len(lines)} has more than {LONGEST_LINE:,} characters: not a log")
+                raise InputError(
+                    f"{path}: line {number + len(lines)} has more than {LONGEST_LINE:,} characters: not a log"
+                )
             if progress is not None:
                 progress.add(f"line {number}", len(lines), len(block))
             if lines:
