@@ -10,8 +10,10 @@ import pytest
 
 from conetl.files.documents import MAX_TABLE_LINES, read_table_bytes
 from conetl.model.errors import DriveFolderError, InputError
+from conetl.readers.base_layers.line_files import LINE_READERS
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import read_header
+from conetl.readers.maps.tables import read_table
 from conetl.readers.rigs import read_rig
 from conetl.readers.trajectories import read_trajectory
 from conetl.readers.trajectories.text import MAX_TEXT_BYTES, line_blocks
@@ -99,6 +101,25 @@ def test_elements_behind_the_points_of_a_track_are_not_read_on(tmp_path: Path) -
         path.write_bytes(start + text * 500_000)
         with pytest.raises(InputError, match=r"[\d,]+ lines have (0|40) usable records: not a log"):
             read_trajectory(path)
+
+
+@pytest.mark.usefixtures("limited")
+@pytest.mark.parametrize(
+    ("name", "text", "problem"),
+    [
+        ("cones.csv", b"\n" * 2_000_000, "more than 1,000,000 rows"),
+        ("lanes.osm", b"<a>" * 2_000_000, "not closed"),
+        ("lanes.osm", b"<nd ref='1'/>" * 200_000, "100,001 elements are no nodes or ways"),
+        ("lanes.xodr", b"<a></a>" * 2_000_000, "tags in 4,000,000 bytes"),
+        ("lanes.geojson", b'{"type":"Feature"}\n' * 600_000, "more than 500,000 features"),
+    ],
+)
+def test_text_that_is_no_map_is_not_read_to_its_end(name: str, text: bytes, problem: str, tmp_path: Path) -> None:
+    starts = {".csv": b"lon,lat,height\n8.4,49,100\n", ".osm": b"<osm>", ".xodr": b"<OpenDRIVE>", ".geojson": b""}
+    path = tmp_path / name
+    path.write_bytes(starts[path.suffix] + text)
+    with pytest.raises(InputError, match=problem):
+        read_table(path) if path.suffix == ".csv" else LINE_READERS[path.suffix](path)
 
 
 @pytest.mark.usefixtures("limited")

@@ -265,13 +265,13 @@ def _read_csv(path: Path) -> MapTable:
             lines = []
             most_rows = min(MAX_ROWS, MAX_VALUES // max(1, len(names)))
             for number, line in enumerate(rows, start=1):
+                if number > most_rows:
+                    raise _too_many(path)
                 if not line:
                     continue
                 if len(line) != len(names):
                     raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
                 lines.append(line)
-                if number > most_rows:
-                    raise _too_many(path)
     names = [_POSITIONS.get(_split(name)[0], name) for name in names]
     if len(set(names)) != len(names):
         raise InputError(f"{path}: the header contains a column name twice")
