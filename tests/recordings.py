@@ -62,6 +62,8 @@ class Layout:
     far_rad: float = 1e-4
     off_grey: float = 1.0
     """Mean difference of grey levels of the images."""
+    cones_m: float | None = 0.02
+    """How far cones may be from those of the sample drive; None of images with less detail: as their own sigmas state it."""
 
 
 def encoded(suffix: str, image: np.ndarray) -> bytes:
@@ -396,7 +398,7 @@ def layouts(georeference: str) -> dict[str, Layout]:
             ("images.crop=[0, -32, 960, 384]",),
         ),
         "binned": Layout(
-            partial(folders, change=binned), ("images.crop=[0, 0, 960, 320]", "images.binning=2"), off_grey=8.0
+            partial(folders, change=binned), ("images.crop=[0, 0, 960, 320]", "images.binning=2"), off_grey=8.0, cones_m=None
         ),
         "GoPro chapters in folders": Layout(partial(videos, names=CHAPTERS), start, **VIDEO),
         "GoPro chapters in one folder": Layout(partial(videos, names=ONE_FOLDER), start, **VIDEO),
@@ -410,11 +412,13 @@ def layouts(georeference: str) -> dict[str, Layout]:
         "ROS 2 bag": Layout(bag),
         ".db3.zstd": Layout(lambda root, r: formats.packed_bag(root, r.frames, r.rig)),
         "ROS 1 bag": Layout(lambda root, r: formats.write_ros1_bag(root / "run", r.frames, r.rig)),
-        "Bayer in CompressedImage": Layout(partial(bag, image=bayer), off_grey=6.0),
+        "Bayer in CompressedImage": Layout(partial(bag, image=bayer), off_grey=6.0, cones_m=None),
         "CameraInfo with a region": Layout(
             partial(changed_infos, change=lambda image: image[40:280, 100:900], roi=REGION)
         ),
-        "CameraInfo with binning": Layout(partial(changed_infos, change=binned, binning=2), off_grey=8.0),
+        "CameraInfo with binning": Layout(
+            partial(changed_infos, change=binned, binning=2), off_grey=8.0, cones_m=None
+        ),
         "Foxglove images": Layout(foxglove, **POSITIONS),
         "Foxglove video": Layout(partial(foxglove, video=True), **POSITIONS, **VIDEO),
     }  # fmt: skip

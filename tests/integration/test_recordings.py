@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.geometry import rig as rigs
+from conetl.geometry.packing import cov_matrix
 from conetl.model.drive import Drive
 from conetl.model.health import Verdict
 from conetl.perception.rectified_image import read_pair_image, read_rig_image
@@ -116,12 +117,28 @@ def cones(sample_settings: Settings) -> np.ndarray:
     return np.array([track.xyz_m for track in found.tracks])
 
 
-@pytest.mark.parametrize("name", ["KITTI odometry, colour", "CameraInfo with a region", "Foxglove images"])
+@pytest.mark.parametrize(
+    "name",
+    ["KITTI odometry, colour", "CameraInfo with a region", "Foxglove images", "binned", "Bayer in CompressedImage"],
+)
 def test_cones_are_where_those_of_the_sample_drive_are(name: str, tmp_path: Path, cones: np.ndarray) -> None:
+    """Within 2 cm. Images with less detail have the same cones within the sigmas of their own observations.
+
+    Of all 39 frame pairs binned images are 11 mm off (root mean square), 0.7 sigma; the full images with the detail of binned
+    ones 7 mm, 0.6 sigma; a mosaic 3 mm, 0.3 sigma. With the colours of another Bayer pattern it would be 1.8 sigma.
+    """
     drive, _ = read_drive(made(name, tmp_path)[0], images_folder=tmp_path / "images")
-    found = np.array([t.xyz_m for t in analyse(drive, settings=Settings(home=tmp_path / "home", workers=2)).tracks])
-    assert len(found) == len(cones)
-    assert np.linalg.norm(found[:, None] - cones, axis=2).min(axis=0).max() < 0.02
+    tracks = analyse(drive, settings=Settings(home=tmp_path / "home", workers=2)).tracks
+    off_m = np.array([track.xyz_m for track in tracks]) - cones[:, None]  # (cones, tracks, 3)
+    nearest = np.linalg.norm(off_m, axis=2).argmin(axis=1)
+    assert sorted(nearest) == [*range(len(tracks))] and len(tracks) == len(cones)
+    own_m, limit_m = off_m[np.arange(len(cones)), nearest], LAYOUTS[name].cones_m
+    if limit_m is not None:
+        assert np.linalg.norm(own_m, axis=1).max() < limit_m
+    sigmas = [
+        e @ np.linalg.solve(cov_matrix(tracks[k].relative_cov_m2), e) for e, k in zip(own_m, nearest, strict=True)
+    ]
+    assert np.sqrt(np.mean(sigmas) / 3) < 1.0
 
 
 @pytest.mark.skipif(not ODOMETRY.is_dir(), reason=f"KITTI odometry is not at {ODOMETRY}")

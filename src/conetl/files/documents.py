@@ -11,6 +11,7 @@ from codecs import BOM_UTF16_BE, BOM_UTF16_LE, IncrementalDecoder, getincrementa
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
+from functools import partial
 from io import FileIO
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -28,7 +29,8 @@ MAX_JSON_BYTES = 5_000_000
 #: Of a file with one line for each frame pair of a drive; more lines than these take seconds to read.
 MAX_TABLE_BYTES, MAX_TABLE_LINES = 32_000_000, 200_000
 MAX_DEPTH = 40
-_XML_BLOCK = 4_000_000
+#: Bytes of a block of XML, and for each tag of a document with content.
+_XML_BLOCK, _LEAST_TAG_BYTES = 4_000_000, 10
 #: Largest text of a map or its lines, of which some readers hold all.
 MAX_TEXT_BYTES = 512 << 20
 #: Values of a document, those behind aliases counted wherever they are used.
@@ -122,18 +124,36 @@ def require_size(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> None:
         raise InputError(f"{path} has {size:,} bytes, expected at most {max_bytes:,}: import it in parts")
 
 
+def require_few_features(path: Path, most: int) -> None:
+    """Raise InputError for a GeoJSON file of more features, which GDAL would first read, or larger than a text may be."""
+    require_size(path)
+    with input_errors(path), path.open("rb") as file:
+        count = sum(block.count(b'"Feature"') for block in iter(partial(file.read, 1 << 20), b""))
+    if count > most:
+        raise InputError(f"{path} has more than {most:,} features: import it in parts")
+
+
 class XmlFile(FileIO):
     """A large XML file, read in large blocks: expat parses an unfinished tag again with every block."""
 
     def __init__(self, path: Path, max_bytes: int = MAX_TEXT_BYTES) -> None:
         require_size(path, max_bytes)
         super().__init__(path)
+        self._tags = self._open = self._bytes = 0
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """The next block, whatever size is requested. Raises ValueError if a whole block contains no tag."""
+        """The next block, whatever size is requested. Raises ValueError if it is not of a document with content: of a whole block
+        without a tag, many elements that are not closed, or hardly more than tags."""
         block = bytes(super().read(_XML_BLOCK))
-        if len(block) == _XML_BLOCK and b"<" not in block:
+        tags = block.count(b"<")
+        self._tags, self._bytes = self._tags + tags, self._bytes + len(block)
+        self._open += tags - 2 * block.count(b"</") - block.count(b"/>")
+        if len(block) == _XML_BLOCK and not tags:
             raise ValueError(f"expected XML, found {_XML_BLOCK:,} bytes without a tag")
+        if self._open > MAX_VALUES or self._tags > MAX_VALUES + self._bytes // _LEAST_TAG_BYTES:
+            raise ValueError(
+                f"{self._tags:,} tags in {self._bytes:,} bytes, or {MAX_VALUES:,} elements that are not closed"
+            )
         return block
 
 

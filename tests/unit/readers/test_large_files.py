@@ -10,10 +10,15 @@ import pytest
 
 from conetl.files.documents import MAX_TABLE_LINES, read_table_bytes
 from conetl.model.errors import DriveFolderError, InputError
+from conetl.readers.base_layers.line_files import LINE_READERS
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import read_header
+from conetl.readers.maps.tables import read_table
+from conetl.readers.rigs import read_rig
+from conetl.readers.trajectories import read_trajectory
 from conetl.readers.trajectories.text import MAX_TEXT_BYTES, line_blocks
 from tests.folders import SAMPLE
+from tests.unit.readers import trajectory_files as files
 
 GIGABYTE = 1 << 30
 #: Files of a KITTI drive; the others cost single frame pairs.
@@ -71,6 +76,58 @@ def test_a_hole_behind_a_log_costs_nothing(tmp_path: Path) -> None:
         file.truncate(MAX_TEXT_BYTES)
     lines = [line.rstrip("\0") for _, block in line_blocks(log) for line in block]
     assert lines[:2] == ["time,lat,lon", "1,48,11"] and not any(lines[2:])
+
+
+@pytest.mark.usefixtures("limited")
+@pytest.mark.parametrize(
+    "text", [b"x\n", b",\n", b"\n", b"#\n", b"1,1,1,1\n", b"lat,lon,time\n", b"$GPGGA,\n", b"," * 999 + b"\n"]
+)
+@pytest.mark.parametrize("name", ["rtklib", "nmea", "csv", "tum"])
+def test_text_behind_a_log_is_read_for_some_lines_only(name: str, text: bytes, tmp_path: Path) -> None:
+    sample = files.SAMPLES[name]
+    path = sample.write(tmp_path)
+    with path.open("ab") as file:
+        for _ in range(20):
+            file.write(text * (20_000 if len(text) < 100 else 2_000))
+    with pytest.raises(InputError, match=r"[\d,]+ lines have 40 usable records: not a log"):
+        read_trajectory(path, sample.settings.model_copy(update={"format": sample.format}))
+
+
+@pytest.mark.usefixtures("limited")
+def test_elements_behind_the_points_of_a_track_are_not_read_on(tmp_path: Path) -> None:
+    path = files.write_gpx(tmp_path)
+    start = path.read_bytes().partition(b"</trkseg")[0]
+    for text in (b"<a></a>", b"<trkpt lat='x' lon='y'></trkpt>"):
+        path.write_bytes(start + text * 500_000)
+        with pytest.raises(InputError, match=r"[\d,]+ lines have (0|40) usable records: not a log"):
+            read_trajectory(path)
+
+
+@pytest.mark.usefixtures("limited")
+@pytest.mark.parametrize(
+    ("name", "text", "problem"),
+    [
+        ("cones.csv", b"\n" * 2_000_000, "more than 1,000,000 rows"),
+        ("lanes.osm", b"<a>" * 2_000_000, "not closed"),
+        ("lanes.osm", b"<nd ref='1'/>" * 200_000, "100,001 elements are no nodes or ways"),
+        ("lanes.xodr", b"<a></a>" * 2_000_000, "tags in 4,000,000 bytes"),
+        ("lanes.geojson", b'{"type":"Feature"}\n' * 600_000, "more than 500,000 features"),
+    ],
+)
+def test_text_that_is_no_map_is_not_read_to_its_end(name: str, text: bytes, problem: str, tmp_path: Path) -> None:
+    starts = {".csv": b"lon,lat,height\n8.4,49,100\n", ".osm": b"<osm>", ".xodr": b"<OpenDRIVE>", ".geojson": b""}
+    path = tmp_path / name
+    path.write_bytes(starts[path.suffix] + text)
+    with pytest.raises(InputError, match=problem):
+        read_table(path) if path.suffix == ".csv" else LINE_READERS[path.suffix](path)
+
+
+@pytest.mark.usefixtures("limited")
+def test_a_calibration_of_many_elements_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calib.txt"
+    path.write_bytes(b"<a>" * 1_000_000)
+    with pytest.raises(InputError, match="at most 100,000 elements"):
+        read_rig(path)
 
 
 def test_more_lines_than_frame_pairs_are_refused(tmp_path: Path) -> None:

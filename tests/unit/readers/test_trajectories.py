@@ -19,15 +19,9 @@ from conetl.readers.drives.drive_yaml import DriveYaml, Sigmas
 from conetl.readers.drives.pairs import ContentHash, Source
 from conetl.readers.drives.poses import placed, stated_sigmas
 from conetl.readers.trajectories import READERS, find_trajectories, read_trajectory, trajectory_format
+from conetl.readers.trajectories.clocks import TimeFormat, time_reader
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
-from conetl.readers.trajectories.times import (
-    SECOND_NS,
-    TimeFormat,
-    decimal_ns,
-    gps_to_utc,
-    parse_timestamp,
-    time_reader,
-)
+from conetl.readers.trajectories.times import SECOND_NS, decimal_ns, gps_to_utc, parse_timestamp
 from tests.unit.readers import trajectory_files as files
 
 TO_ECEF = Transformer.from_crs(4979, 4978)
@@ -336,6 +330,18 @@ def test_times_without_their_fractions_are_refused(tmp_path: Path) -> None:
     t = files.known()
     path = files.write_csv(tmp_path, t._replace(times_ns=t.times_ns // SECOND_NS * SECOND_NS, sigma=0.1 * t.sigma))
     with pytest.raises(InputError, match=r"36 records have the time of another one.*whole times"):
+        read_trajectory(path)
+
+
+def test_times_of_too_few_digits_are_refused_without_sigmas_too(tmp_path: Path) -> None:
+    """A logger of 10 Hz that rounds to tenths of a second: some records share a time, others have none."""
+    t = files.known()
+    shifted = t.times_ns + 50_000_000 - np.arange(files.COUNT) % 3 * 4_000_000
+    rounded = (shifted + SECOND_NS // 20) // (SECOND_NS // 10) * (SECOND_NS // 10)
+    path = files.write_csv(tmp_path, t._replace(times_ns=rounded, llh=t.llh + (t.llh - t.llh[0])))
+    lines = [",".join(line.split(",")[:4]) for line in path.read_text().splitlines()]
+    path.write_text("\n".join(lines))
+    with pytest.raises(InputError, match=r"records have the time of another one.* rounded, here to 0.1 s.*whole times"):
         read_trajectory(path)
 
 

@@ -16,7 +16,7 @@ import pyogrio.raw
 import shapely
 from pyproj import Transformer
 
-from conetl.files.documents import library_errors, require_size, shown
+from conetl.files.documents import library_errors, require_few_features, shown
 from conetl.model.errors import InputError
 from conetl.model.work_zone_records import LaneLine
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -39,7 +39,7 @@ _KIND_NAMES = ("kind", "type", "subtype", "class", "lane_type", "boundary_type")
 def read_vector_file(path: Path) -> LineFile:
     """Lines and parts of multi-lines of a file. Raises InputError without any, or if its layers differ in CRS."""
     if path.suffix.lower() in (".geojson", ".json"):
-        require_size(path)
+        require_few_features(path, MAX_LINES)
     lines: list[Line] = []
     refused: list[str] = []
     systems: dict[str, None] = {}

@@ -15,7 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pyproj import CRS
 
-from conetl.files.documents import XmlFile, input_errors, library_errors, shown
+from conetl.files.documents import MAX_VALUES, XmlFile, input_errors, library_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 
@@ -27,6 +27,10 @@ BOUNDARIES = frozenset(
     {"line_thin", "line_thick", "curbstone", "road_border", "guard_rail", "wall", "fence", "virtual", "bike_marking",
      "pedestrian_marking"}
 )  # fmt: skip
+
+
+#: References and tags of a node or way.
+_MOST_PARTS = 2000
 
 
 class Line(NamedTuple):
@@ -109,7 +113,7 @@ def _read(
     nodes: dict[str, tuple[float, float, float]] = {}
     ways: dict[str, tuple[list[str], dict[str, str]]] = {}
     bounding: set[str] = set()
-    is_local = False
+    is_local, others = False, 0
     for _, item in ElementTree.iterparse(file, events=("end",)):
         identity = item.get("id", "")
         if item.get("action") == "delete" or item.get("visible") == "false":
@@ -128,6 +132,11 @@ def _read(
             if _tags(item).get("type") == "lanelet":
                 bounding.update(m.get("ref", "") for m in item.iter("member") if m.get("role") in ("left", "right"))
         else:
+            others += 1
+            if others > MAX_VALUES + _MOST_PARTS * (len(nodes) + len(ways) + len(bounding)):
+                raise InputError(
+                    f"{path}: is not OSM XML: {others:,} elements are no nodes or ways; expected a Lanelet2 map"
+                )
             continue  # a part of one of these, read with it
         item.clear()
     if is_local and all(lon == 0 and lat == 0 for lon, lat, _ in nodes.values()):

@@ -23,7 +23,7 @@ import pyarrow.parquet as pq
 import shapely
 from pyproj import CRS
 
-from conetl.files.documents import encoding_of, input_errors, library_errors, require_size, shown
+from conetl.files.documents import encoding_of, input_errors, library_errors, require_few_features, shown
 from conetl.geometry.geodesy import ELLIPSOIDAL
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -108,7 +108,7 @@ def read_table(path: Path, layer: str | None = None) -> MapTable:
     if not path.is_file() or size == 0:
         raise InputError(f"{path} is {'empty' if path.is_file() else 'not a file'}: nothing to import")
     if path.suffix.lower() in TEXT_SUFFIXES:
-        require_size(path)
+        require_few_features(path, MAX_ROWS)
     if layer is not None and reader is not read_vector:
         raise InputError(f"{path}: has no layers: leave out --layer")
     table = reader(path)
@@ -265,13 +265,13 @@ def _read_csv(path: Path) -> MapTable:
             lines = []
             most_rows = min(MAX_ROWS, MAX_VALUES // max(1, len(names)))
             for number, line in enumerate(rows, start=1):
+                if number > most_rows:
+                    raise _too_many(path)
                 if not line:
                     continue
                 if len(line) != len(names):
                     raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
                 lines.append(line)
-                if number > most_rows:
-                    raise _too_many(path)
     names = [_POSITIONS.get(_split(name)[0], name) for name in names]
     if len(set(names)) != len(names):
         raise InputError(f"{path}: the header contains a column name twice")

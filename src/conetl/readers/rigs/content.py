@@ -28,6 +28,8 @@ _YAML_HEADER = re.compile(r"^\s*%YAML[^\n]*\n")
 _MATRIX_TAG = re.compile(r"!!opencv-(nd-)?matrix")
 _NO_SPACE = re.compile(r"^([ \t]*[\w.]+):(?=[\[{])", re.MULTILINE)
 _DOTTED = {".nan": math.nan, ".inf": math.inf, "-.inf": -math.inf}
+#: Of XML, each with two tags.
+_MOST_ELEMENTS = 100_000
 #: The root of OpenCV's XML.
 _OPENCV_ROOT = "opencv_storage"
 _UNKNOWN = "not a calibration that conetl knows"
@@ -49,6 +51,8 @@ def read_content(path: Path, *, of_lines: bool = False) -> Any:
     if of_lines or (_LINES.search(text) and not (is_xml or is_json)):
         return _of_lines(path, text)
     if is_xml:
+        if text.count("<") > 2 * _MOST_ELEMENTS:
+            raise InputError(f"{path}: {_UNKNOWN}: expected at most {_MOST_ELEMENTS:,} elements")
         with library_errors(f"{path}: this is not XML", ElementTree.ParseError, ValueError):
             root = ElementTree.fromstring(text)
         if root.tag != _OPENCV_ROOT:

@@ -16,32 +16,16 @@ from conetl.readers.trajectories import axes, delimited, gpx, nmea, oxts, rtklib
 from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M, in_wgs84
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory, assembled
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
-from conetl.readers.trajectories.text import head_bytes, head_lines, refusal
+from conetl.readers.trajectories.text import head_bytes, head_lines
 
 READERS: dict[FormatName, Callable[[Path, TrajectoryFile], Reading]] = {
     "rtklib": rtklib.read, "sbet": sbet.read, "inertial_explorer": partial(delimited.read, kind="inertial_explorer"),
     "nmea": nmea.read, "gpx": gpx.read, "oxts": oxts.read, "euroc": tables.read_euroc, "tum": tables.read_tum,
     "table": delimited.read,
 }  # fmt: skip
-_SUFFIXES = frozenset(
-    {
-        ".pos",
-        ".out",
-        ".sbet",
-        ".txt",
-        ".nmea",
-        ".nme",
-        ".log",
-        ".gpx",
-        ".csv",
-        ".tsv",
-        ".tum",
-        ".dat",
-        ".ie",
-        ".asc",
-        ".ubx",
-    }
-)
+_SUFFIXES = frozenset({
+    ".pos", ".out", ".sbet", ".txt", ".nmea", ".nme", ".log", ".gpx", ".csv", ".tsv", ".tum", ".dat", ".ie", ".asc", ".ubx",
+})  # fmt: skip
 _TABLE_SUFFIXES = frozenset({".csv", ".tsv"})
 _MOST_CANDIDATES = 500
 
@@ -56,27 +40,30 @@ def read_trajectory(
     """
     settings = settings or TrajectoryFile()
     if not path.exists():
-        raise refusal(path, "there is no such file; name the trajectory in drive.yaml (trajectory: {file: ...})")
+        raise InputError(
+            f"{path}: there is no such file; name the trajectory in drive.yaml (trajectory: {{file: ...}})"
+        )
     name = settings.format or ("table" if settings.columns else trajectory_format(path))
     if name is None and path.suffix.lower() in _TABLE_SUFFIXES:
         name = "table"  # whose reader says which columns it found
     if name is None:
-        raise refusal(
-            path,
-            f"this is not a trajectory in a known format ({', '.join(READERS)}); name its columns in drive.yaml "
-            "(trajectory: columns) or export it as CSV with time, lat, lon, height",
+        raise InputError(
+            f"{path}: this is not a trajectory in a known format ({', '.join(READERS)}); name its columns in drive.yaml "
+            "(trajectory: columns) or export it as CSV with time, lat, lon, height"
         )
     if path.is_dir() != (name == "oxts"):
-        raise refusal(path, f"{'a folder' if path.is_dir() else 'a file'} cannot be a trajectory in the format {name}")
+        raise InputError(
+            f"{path}: {'a folder' if path.is_dir() else 'a file'} cannot be a trajectory in the format {name}"
+        )
     reading = READERS[name](path, settings)
     is_local = reading.axes == "local"
     if is_local and (settings.crs or settings.heights):
-        raise refusal(
-            path, f"x, y, z of the format {name} are local: leave out trajectory.crs and heights in drive.yaml"
+        raise InputError(
+            f"{path}: x, y, z of the format {name} are local: leave out trajectory.crs and heights in drive.yaml"
         )
     pieces = reading.pieces if is_local else in_wgs84(reading, settings, path)
     with np.errstate(all="ignore"):  # damaged numbers become NaN, and their records bad
-        found = assembled(path, pieces, is_local=is_local, between_ns=between_ns)
+        found = assembled(path, pieces, is_local=is_local, between_ns=between_ns, progress=reading.progress)
         return axes.resolved(path, found._replace(notes=tuple(reading.notes)), reading)
 
 

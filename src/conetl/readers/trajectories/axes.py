@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from conetl.files.documents import shown
 from conetl.model.arrays import Floats
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory, attitude
-from conetl.readers.trajectories.text import refusal
 
 _EARTH_M = 6.371e6
 _STEP_M, _LEAST_STEPS, _LONGEST_STEP_S = 2.0, 10, 5.0
@@ -33,17 +33,15 @@ def resolved(path: Path, found: RecordedTrajectory, reading: Reading) -> Recorde
     is_heading = None if angles is None else _is_heading(*angles)
     if reading.yaw_is_stated:
         if is_heading:
-            raise refusal(
-                path,
-                f"compared with the drive path, the column {name} counts clockwise from north, as a heading does; a yaw counts "
-                f"counter-clockwise from east. Put trajectory: {{columns: {{heading: {word}}}}}",
+            raise InputError(
+                f"{path}: compared with the drive path, the column {name} counts clockwise from north, as a heading does; a yaw "
+                f"counts counter-clockwise from east. Put trajectory: {{columns: {{heading: {word}}}}}"
             )
         return found
     if is_heading is None:
-        raise refusal(
-            path,
-            f"the column {name} may count clockwise from north (NED) or counter-clockwise from east (ENU); the drive path does "
-            f"not show which. Put trajectory: {{columns: {{heading: {word}}}}} or {{yaw: {word}}} into drive.yaml",
+        raise InputError(
+            f"{path}: the column {name} may count clockwise from north (NED) or counter-clockwise from east (ENU); the drive "
+            f"path does not show which. Put trajectory: {{columns: {{heading: {word}}}}} or {{yaw: {word}}} into drive.yaml"
         )
     if not is_heading:
         return found

@@ -16,7 +16,7 @@ from conetl.readers.trajectories.dates import date_order
 from conetl.readers.trajectories.names import column_of, is_dms, is_exact, is_short_sigma, role_of, unit_of
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.tables import PARTS, POSITIONS, QUATERNION, ROLES, TIMES, Column, degrees_of
-from conetl.readers.trajectories.text import floats, refusal
+from conetl.readers.trajectories.text import floats
 from conetl.readers.trajectories.times import DateOrder
 
 MOST_COLUMNS = 1000
@@ -98,10 +98,9 @@ def columns_of(path: Path, header: Header, settings: TrajectoryFile, kind: Forma
     for role, found in claims.items():
         chosen = found if role == "date" and "year" in claims else _fitting(role, found, header.rows)
         if len(chosen) > 1 and kind != "inertial_explorer":
-            raise refusal(
-                path,
-                f"the columns {shown(chosen[0].name)} and {shown(chosen[1].name)} may both be the {role}; name one in "
-                f"drive.yaml, trajectory: {{columns: {{{role}: ...}}}}",
+            raise InputError(
+                f"{path}: the columns {shown(chosen[0].name)} and {shown(chosen[1].name)} may both be the {role}; name one in "
+                f"drive.yaml, trajectory: {{columns: {{{role}: ...}}}}"
             )
         if chosen:
             columns[role] = chosen[0]
@@ -121,9 +120,9 @@ def _mapped(path: Path, names: list[str], settings: TrajectoryFile) -> dict[str,
         match = None if stated in names else _WITH_UNIT.fullmatch(stated)
         name, unit = match.groups() if match else (stated, "")
         if name not in names:
-            raise refusal(
-                path,
-                f"has no column {shown(stated)}, which trajectory.columns names; its columns are {', '.join(names)[:200]}",
+            raise InputError(
+                f"{path}: has no column {shown(stated)}, which trajectory.columns names; its columns are "
+                f"{', '.join(names)[:200]}"
             )
         found[name] = role, unit
     return found

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from conetl.files.documents import input_errors, shown
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.columns import (
     MOST_COLUMNS,
     Header,
@@ -31,7 +32,7 @@ from conetl.readers.trajectories.names import aligned, is_unit, require_unit, ro
 from conetl.readers.trajectories.recorded import Reading
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.tables import POSITIONS, Adjust, TableLayout, require, table_records
-from conetl.readers.trajectories.text import floats, head_lines, refusal, split_line
+from conetl.readers.trajectories.text import Progress, floats, head_lines, split_line
 
 #: A header is among these lines, and has at most so many characters; it is compared with so many records.
 _HEADER_LINES, _LONGEST_HEADER, _COMPARED = 200, 5000, 20
@@ -54,10 +55,9 @@ def read(path: Path, settings: TrajectoryFile, *, kind: FormatName = "table", ad
     lines = head_lines(path)
     header = header_of(lines, settings)
     if header is None:
-        raise refusal(
-            path,
-            "there is no line with the names of the columns; write one, or number the columns in drive.yaml, for "
-            "example trajectory: {columns: {time: 1, lat: 2, lon: 3, height: 4}}",
+        raise InputError(
+            f"{path}: there is no line with the names of the columns; write one, or number the columns in drive.yaml, for "
+            "example trajectory: {columns: {time: 1, lat: 2, lon: 3, height: 4}}"
         )
     notes: list[str] = []
     if (day := _stated_day(lines[: header.line + 1], header, settings)) is not None:
@@ -65,13 +65,14 @@ def read(path: Path, settings: TrajectoryFile, *, kind: FormatName = "table", ad
         notes.append(f"{path}: the date of its times of a week is that of its heading, {day}")
     between = " ".join(lines[header.line + 1 : header.first])[:_LONGEST_HEADER]
     if (match := _IN_WORDS.search(between)) is not None and settings.angles is None:
-        raise refusal(path, f"the unit {match[1].lower()} is not supported; write degrees and metres")
+        raise InputError(f"{path}: the unit {match[1].lower()} is not supported; write degrees and metres")
     layout = _layout(path, header, settings, kind, notes)
     yaw = layout.columns["yaw"].name if "yaw" in layout.columns and "heading" not in layout.columns else None
     stated = "yaw" in settings.columns or set(header.names) >= _OWN_NAMES
     relayout = None if settings.columns else partial(_next_layout, path, settings, layout, kind)
-    records = table_records(path, layout, settings, adjust, relayout)
-    return Reading(records, layout.axes, layout.heights, yaw, stated, notes)
+    progress = Progress(path)
+    records = table_records(path, layout, settings, progress, adjust, relayout)
+    return Reading(records, layout.axes, layout.heights, yaw, stated, notes, progress)
 
 
 def kind_of(lines: list[str]) -> FormatName | None:
@@ -93,8 +94,8 @@ def _next_layout(
         return None
     found = _layout(path, header, settings, kind, [])._replace(first_line=number + header.first)
     if found.axes != layout.axes or found.heights != layout.heights:
-        raise refusal(
-            path, f"line {number} names other coordinates than the first columns: read the parts on their own"
+        raise InputError(
+            f"{path}: line {number} names other coordinates than the first columns: read the parts on their own"
         )
     return found
 

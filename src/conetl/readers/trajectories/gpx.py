@@ -16,21 +16,21 @@ from xml.parsers import expat
 import numpy as np
 
 from conetl.files.documents import XmlFile, input_errors, library_errors
+from conetl.readers.trajectories.clocks import TimeFormat, TimeReader, time_reader
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.text import MAX_TEXT_BYTES, floats, head_bytes
-from conetl.readers.trajectories.times import TimeFormat, TimeReader, time_reader
+from conetl.readers.trajectories.text import MAX_TEXT_BYTES, Progress, floats, head_bytes
 
-_PIECE = 50_000
-_LONGEST, _MAX_BETWEEN = 100, 10_000_000
+_LONGEST = 100
 _VALUES = frozenset({"ele", "time", "geoidheight"})
 
 
 def read(path: Path, settings: TrajectoryFile) -> Reading:
     """The points of a file, of one that was cut those before. Raises InputError without a point, or with a document type."""
     stated, notes = states_geoid(path), list[str]()
-    records = _records(path, settings, notes, add_geoid=stated and settings.heights is None)
-    return Reading(records, heights="ellipsoidal" if stated else "unstated", notes=notes)
+    progress = Progress(path)
+    records = _records(path, settings, notes, progress, add_geoid=stated and settings.heights is None)
+    return Reading(records, heights="ellipsoidal" if stated else "unstated", notes=notes, progress=progress)
 
 
 def states_geoid(path: Path) -> bool:
@@ -38,7 +38,7 @@ def states_geoid(path: Path) -> bool:
     points = _Points()
     with suppress(expat.ExpatError, LookupError, ValueError):
         points.parser.Parse(head_bytes(path), False)
-    return bool(np.isfinite([row[3] for row in points.rows]).any())
+    return bool(np.isfinite(floats([row[3] for row in points.rows])).any())
 
 
 def cut_note(path: Path) -> str | None:
@@ -48,7 +48,8 @@ def cut_note(path: Path) -> str | None:
         return None if b"gpx>" in file.read().lower() else f"{path}: its end is missing; the whole points are used"
 
 
-_Row = tuple[float, float, float, float, str, int]
+_Row = tuple[str, str, str, str, str, int]
+"""Latitude, longitude, ele, geoidheight, time, and the line in which the point ends."""
 
 
 class _Points:
@@ -58,7 +59,7 @@ class _Points:
         self.rows: list[_Row] = []
         self.point: dict[str, str] | None = None
         self.key: str | None = None
-        self.inside = 0  # elements in the point around the text
+        self.inside = self.elements = 0  # elements in the point around the text, and of the file
         self.parser = expat.ParserCreate()
         self.parser.buffer_text = True
         self.parser.StartDoctypeDeclHandler = self.refuse
@@ -71,6 +72,7 @@ class _Points:
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         name = tag.rpartition(":")[2]
+        self.elements += 1
         if self.point is not None:
             self.inside += 1
             # Elements of extensions may have the same names.
@@ -90,29 +92,29 @@ class _Points:
             self.inside -= 1
             return
         point, self.point = self.point, None
-        lat, lon, ele, geoid = floats([point.get(key, "") for key in ("lat", "lon", "ele", "geoidheight")]).tolist()
-        self.rows.append((lat, lon, ele, geoid, point.get("time", ""), self.parser.CurrentLineNumber))
+        lat, lon, ele, geoid, time = (point.get(key, "") for key in ("lat", "lon", "ele", "geoidheight", "time"))
+        self.rows.append((lat, lon, ele, geoid, time, self.parser.CurrentLineNumber))
 
 
-def _records(path: Path, settings: TrajectoryFile, notes: list[str], *, add_geoid: bool) -> Iterator[Records]:
-    points, found, empty = _Points(), 0, 0
+def _records(
+    path: Path, settings: TrajectoryFile, notes: list[str], progress: Progress, *, add_geoid: bool
+) -> Iterator[Records]:
+    points, found = _Points(), False
     read_times = time_reader(TimeFormat(settings.scale("UTC"), "stamp"))
     not_gpx = library_errors(f"{path}: this is not GPX", expat.ExpatError, LookupError)
     with not_gpx, input_errors(path), XmlFile(path, MAX_TEXT_BYTES) as file:
         try:
             while block := file.read():
-                before = found + len(points.rows)
+                before = points.elements
                 points.parser.Parse(block, False)
-                empty = 0 if found + len(points.rows) > before else empty + len(block)
-                if empty > _MAX_BETWEEN:
-                    raise ValueError(f"{empty:,} bytes without a point of a track")
-                if len(points.rows) >= _PIECE:
-                    found += len(points.rows)
+                progress.add(f"line {points.parser.CurrentLineNumber}", points.elements - before, len(block))
+                if points.rows:
+                    found = True
                     yield _piece(points.rows, read_times, add_geoid)
                     points.rows = []
             points.parser.Parse(b"", True)
         except expat.ExpatError as error:
-            if not found + len(points.rows):
+            if not found and not points.rows:
                 raise
             notes.append(f"{path}: ends or is damaged in line {error.lineno}; the whole points before it are used")
     if points.rows:
@@ -121,8 +123,9 @@ def _records(path: Path, settings: TrajectoryFile, notes: list[str], *, add_geoi
 
 def _piece(rows: list[_Row], read_times: TimeReader, add_geoid: bool) -> Records:
     """Points as records. add_geoid: `ele` is above the geoid, whose height the points have."""
-    lat, lon, ele, geoid, texts, lines = zip(*rows, strict=True)
+    *numbers, texts, lines = zip(*rows, strict=True)
+    lat, lon, ele, geoid = map(floats, numbers)
     times, wrong = read_times(texts, None)
-    height = np.array(ele) + (np.array(geoid) if add_geoid else 0.0)
+    height = ele + (geoid if add_geoid else 0.0)
     names = (f"the point that ends in line {line}" for line in lines)
     return Records(times, np.column_stack([lat, lon, height]), None, np.full((len(rows), 6), np.nan), wrong, names)

@@ -13,9 +13,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from conetl.files.documents import shown
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import ANGLES, PARTS, TIMES, Column
-from conetl.readers.trajectories.text import refusal
 
 _ALIASES = {
     "time": "time timestamp timestamps stamp t utc utctime timeutc datetime utcdatetime capturedat unixtime unix "
@@ -192,8 +192,8 @@ def column_of(
         return Column(at, name, dms=True)
     units = _DEGREES if role in ANGLES else _LENGTHS
     if word in _REFUSED or (required and word not in units):
-        raise refusal(
-            path, f"column {shown(name)}: the unit {word[:40]} is not supported; write degrees, radians or metres"
+        raise InputError(
+            f"{path}: column {shown(name)}: the unit {word[:40]} is not supported; write degrees, radians or metres"
         )
     unstated = "rad" if role in ANGLES and settings.angles == "radians" else ""
     return Column(at, name, units.get(word or unstated, 1.0), unit=word or None)
@@ -205,10 +205,9 @@ def require_unit(path: Path, role: str, column: Column, values: Sequence[float])
     if role.startswith("sigma") and column.unit is None and name in _MM_OR_M and values:
         middle = sorted(values)[len(values) // 2]
         if middle >= _METRES_LIKE or all(value == round(value) for value in values):
-            raise refusal(
-                path,
-                f"column {shown(column.name)}: is {middle:g} in mm, as receivers of u-blox give it, or in metres? Put "
-                f"trajectory: {{columns: {{{role}: '{column.name[:60]} [mm]'}}}}, or [m], into drive.yaml",
+            raise InputError(
+                f"{path}: column {shown(column.name)}: is {middle:g} in mm, as receivers of u-blox give it, or in metres? Put "
+                f"trajectory: {{columns: {{{role}: '{column.name[:60]} [mm]'}}}}, or [m], into drive.yaml"
             )
 
 

@@ -19,10 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from conetl.model.arrays import Floats
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.recorded import Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
 from conetl.readers.trajectories.tables import LEVEL_SIGMA_RAD
-from conetl.readers.trajectories.text import head_bytes, line_blocks, refusal
+from conetl.readers.trajectories.text import Progress, head_bytes, line_blocks
 from conetl.readers.trajectories.times import DAY_NS, SECOND_NS, Times, decimal_ns
 
 SIGMAS_OF_QUALITY_M = {1: (5.0, 10.0), 2: (2.0, 4.0), 3: (5.0, 10.0), 4: (0.05, 0.1), 5: (0.5, 1.0), 9: (2.0, 4.0)}
@@ -30,8 +31,6 @@ SIGMAS_OF_QUALITY_M = {1: (5.0, 10.0), 2: (2.0, 4.0), 3: (5.0, 10.0), 4: (0.05, 
 They are multiplied by HDOP where it is above 1."""
 HEADING_SIGMA_DEG = 1.0
 """Sigma of HDT and THS, which state none: two antennas half a metre apart."""
-MAX_BETWEEN = 64 << 20
-"""Characters without a sentence, such as messages of another protocol, after which a file is not read on."""
 LATE_NS = 5 * SECOND_NS
 """Sentences come no later than this after those of later epochs; an earlier time of day is of another day, or after a gap."""
 SLOW_S = 0.4
@@ -71,16 +70,15 @@ def unchecked_note(path: Path) -> str | None:
 def read(path: Path, settings: TrajectoryFile) -> Reading:
     """The epochs of a log. Raises InputError where there is no date."""
     note = unchecked_note(path)
-    log = _Log(unchecked=note is not None)
-    lost = 0
-    for first, lines in line_blocks(path):
-        block, number, at = "\n".join(lines), first, 0
-        lost += len(block)
+    log, progress = _Log(unchecked=note is not None), Progress(path)
+    for first, lines in line_blocks(path, progress):
+        block, number, at, count = "\n".join(lines), first, 0, 0
         for match in _SENTENCE.finditer(block):
-            number, at, lost = number + block.count("\n", at, match.start()), match.start(), 0
+            count += 1
+            number, at = number + block.count("\n", at, match.start()), match.start()
             log.add(match, number)
-        if lost > MAX_BETWEEN:
-            raise refusal(path, f"line {first}: {lost:,} characters have no NMEA sentence: this is not a log of them")
+        progress.records = len(log.times)
+        progress.add(f"line {first}", count, 0)
     return Reading(_records(log, settings, path), notes=[note] if note else [])
 
 
@@ -114,7 +112,8 @@ class _Log:
 
     def __init__(self, *, unchecked: bool) -> None:
         self.unchecked = unchecked
-        self.times, self.days = array("q"), array("q")  # time of day (ns), date (days since 1970) of each epoch
+        #: Of each epoch: time of day (ns), date (days since 1970), number of its sentences with a time.
+        self.times, self.days, self.counts = array("q"), array("q"), array("q")
         self.epoch_at: dict[int, int] = {}
         self.last = -1
         self.fixes = _Values(7)  # lat, lon, altitude, separation, quality, HDOP, line
@@ -178,6 +177,8 @@ class _Log:
             found = self.epoch_at[time_ns] = len(self.times)
             self.times.append(time_ns)
             self.days.append(_UNDATED)
+            self.counts.append(0)
+        self.counts[found] += 1
         for before, after, _ in self.headings.values():
             for k in range(len(after) - 1, -1, -1):  # those since the last sentence with a time
                 if after[k] != -1 or before[k] != self.last:
@@ -209,9 +210,9 @@ def _times_ns(log: _Log, settings: TrajectoryFile, path: Path) -> Times:
     turns = np.cumsum((steps < -DAY_NS // 2).astype(np.int64) - (steps > DAY_NS - LATE_NS))
     if not (days != _UNDATED).any():
         if settings.date is None:
-            raise refusal(
-                path,
-                "no valid RMC or ZDA sentence gives the date: put trajectory: {date: 2024-02-07} (UTC) into drive.yaml",
+            raise InputError(
+                f"{path}: no valid RMC or ZDA sentence gives the date: put trajectory: {{date: 2024-02-07}} (UTC) into "
+                "drive.yaml"
             )
         days[0] = (settings.date - date(1970, 1, 1)).days
     dated = np.maximum.accumulate(np.where(days != _UNDATED, numbers, -1))
@@ -224,7 +225,7 @@ def _records(log: _Log, settings: TrajectoryFile, path: Path) -> Iterator[Record
     epochs, fixes = log.fixes.rows()
     if not len(epochs):
         why = f"; {log.damaged:,} sentences have a wrong checksum or content" if log.damaged else ""
-        raise refusal(path, f"there is no GGA or GNS sentence with a time{why}")
+        raise InputError(f"{path}: there is no GGA or GNS sentence with a time{why}")
     count = len(log.times)
     times = _times_ns(log, settings, path)
     lat, lon, altitude, separation, quality, hdop, line = fixes.T
@@ -263,8 +264,12 @@ def _attitudes(log: _Log, courses: Floats) -> Floats:
     which most can be placed. courses: (N, 2) as of `_courses`."""
     found = log.pashr.of_epochs(len(log.times))
     placed = []
+    usual = float(np.median(log.counts))
+    cut = log.counts[0] < usual, log.counts[-1] < usual
     for name, (before, after, degrees) in sorted(log.headings.items()):
-        epochs = _placed(before.tolist(), after.tolist(), _follows(before, after, degrees, courses))
+        epochs = _placed(
+            before.tolist(), after.tolist(), _follows(before, after, degrees, courses), len(found) - 1, cut
+        )
         placed.append((epochs, degrees, name))
     for epochs, degrees, _ in sorted(placed, key=lambda one: (-len(one[0]), one[2])):
         own = np.full(len(found), np.nan)
@@ -275,13 +280,16 @@ def _attitudes(log: _Log, courses: Floats) -> Floats:
     return found
 
 
-def _placed(before: list[int], after: list[int], follows: bool | None) -> dict[int, int]:
+def _placed(
+    before: list[int], after: list[int], follows: bool | None, end: int, cut: tuple[bool, bool]
+) -> dict[int, int]:
     """Index of the sentence of each epoch that has one. before, after: epochs of the sentences with a time around each.
 
     One between two sentences of the same epoch belongs to it. Of several between two epochs the first belongs to the one before,
     the last to the one after. A single one belongs to either: in a row of them, an end whose epoch has one already decides
-    about all; else what most others of the log show; else they are of the epoch before. follows: whether all are, by the course;
-    that counts more than the ends of the log, which may be cut.
+    about all, as does the whole first or last epoch (0, end) of the log without one; else what most others of the log show; else
+    they are of the epoch before. cut: whether these two epochs lack other sentences. follows: whether all are of the epoch
+    before, by the course; that counts more than the ends of the log.
     """
     found: dict[int, int] = {}
     ends: dict[int, int] = {}
@@ -300,7 +308,10 @@ def _placed(before: list[int], after: list[int], follows: bool | None) -> dict[i
         else:
             rows.append([(b, a, first)])
     taken = found.keys() | ends.keys()
-    known = [(row[0][0] in taken) - (row[-1][1] in taken) for row in rows]
+    lacks = {epoch for epoch, is_cut in zip((0, end), cut, strict=True) if not is_cut} - taken
+    known = [
+        (row[0][0] in taken) - (row[0][0] in lacks) - (row[-1][1] in taken) + (row[-1][1] in lacks) for row in rows
+    ]
     votes = sum(side * len(row) for side, row in zip(known, rows, strict=True))
     for side, row in zip(known, rows, strict=True):
         to_next = (side or votes) > 0 if follows is None else not follows

@@ -18,9 +18,9 @@ import numpy as np
 from conetl.files.documents import input_errors
 from conetl.geometry import pose as se3
 from conetl.model.errors import InputError
+from conetl.readers.trajectories.clocks import TimeFormat, time_reader
 from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, Reading, Records, check_fix
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.times import TimeFormat, time_reader
 
 FIELD_COUNT = 30
 MAX_POS_ACCURACY_M = 100.0

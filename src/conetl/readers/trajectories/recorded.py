@@ -16,6 +16,7 @@ from conetl.geometry import pose as se3
 from conetl.model.arrays import Bools, Floats
 from conetl.model.base import MAX_HEIGHT_M, MIN_HEIGHT_M, GeodeticPosition
 from conetl.model.errors import InputError
+from conetl.readers.trajectories.text import Progress
 from conetl.readers.trajectories.times import EARLIEST_NS, MAX_AHEAD_NS, Times, clock_problem
 
 Axes = Literal["geodetic", "projected", "geocentric", "local"]
@@ -27,6 +28,8 @@ MAX_LOCAL_M = 1e6
 """Positions in a local frame are nearer to its origin."""
 SAME_M, UNSTATED_M, DEGREE_M = 0.1, 1.0, 111_195.0
 """Two records of one time are no farther apart than this and 3 sigmas, 1 m where none are stated; metres of a degree."""
+NEAR_SHARE = 0.2
+"""How far beside the drive path a record is at most, as a share of its distance to the other one, where it is of a later time."""
 LEAST_SECOND, LEAST_SECOND_SHARE = 4, 0.05
 """More records than these, and than this share, contradict another one of their time: not damage, but another receiver."""
 MAX_RECORDS = 20_000_000
@@ -86,6 +89,8 @@ class Reading(NamedTuple):
     """Whether the user says that it is so."""
     notes: Sequence[str] = ()
     """As in `RecordedTrajectory`; complete once the pieces are read."""
+    progress: Progress | None = None
+    """Of a text."""
 
 
 def check_fix(lat_deg: float, lon_deg: float, height_m: float) -> None:
@@ -116,11 +121,16 @@ def rotations_of_quaternions(wxyz: Floats) -> Floats:
 
 
 def assembled(
-    path: Path, pieces: Iterable[Records], *, is_local: bool, between_ns: tuple[int, int] | None
+    path: Path,
+    pieces: Iterable[Records],
+    *,
+    is_local: bool,
+    between_ns: tuple[int, int] | None,
+    progress: Progress | None = None,
 ) -> RecordedTrajectory:
     """The trajectory of WGS 84 or local records, sorted by time, each time once. Raises InputError without a valid record.
 
-    between_ns: only records of these times are kept.
+    between_ns: only records of these times are kept; progress: of the text that the pieces are read from.
     """
     kept: list[Records] = []
     bad: dict[int, str] = {}
@@ -129,22 +139,25 @@ def assembled(
     for piece in pieces:
         wrong = problems(piece, is_local)
         good = (piece.times_ns >= EARLIEST_NS) & (piece.times_ns <= latest_ns)
-        for i in np.flatnonzero(~good).tolist():
+        for i in np.flatnonzero(~good)[:1].tolist():  # records without a time are not kept
             wrong.setdefault(i, f"the time {clock_problem(int(piece.times_ns[i]))}")
         usable = good.copy()
         usable[list(wrong)] = False
+        if progress is not None:
+            progress.records += len(np.unique(piece.times_ns[usable]))
         if usable.any():
             found_ns += [int(piece.times_ns[usable].min()), int(piece.times_ns[usable].max())]
         first_ns, last_ns = between_ns or (-(2**63), 2**63 - 1)
         inside = good & (piece.times_ns >= first_ns) & (piece.times_ns <= last_ns)
-        if wrong:
-            names = dict(enumerate(piece.names)) if piece.names is not None else {}
-            for i, text in sorted(wrong.items()):
-                message = f"{names[i]}: {text}" if i in names else text
-                first_problem = first_problem or message
-                if inside[i] and len(bad) < MAX_BAD:
-                    bad.setdefault(int(piece.times_ns[i]), message)
-            inside[list(wrong)] = False
+        kept_bad = sorted(i for i in wrong if inside[i])[: MAX_BAD - len(bad)]
+        told = [min(wrong), *kept_bad] if wrong and not first_problem else kept_bad
+        names = dict(enumerate(piece.names)) if told and piece.names is not None else {}
+        for i in told:
+            message = f"{names[i]}: {wrong[i]}" if i in names else wrong[i]
+            first_problem = first_problem or message
+            if inside[i]:
+                bad.setdefault(int(piece.times_ns[i]), message)
+        inside[list(wrong)] = False
         count += int(inside.sum())
         if count > MAX_RECORDS:
             raise InputError(f"{path}: more than {MAX_RECORDS:,} records: cut the file to the time of the drive")
@@ -170,31 +183,41 @@ def assembled(
 
 
 def _require_one_receiver(path: Path, times: Times, at: Floats, sigma: Floats, first: Bools, is_local: bool) -> None:
-    """Raise InputError where many records have the time of another one and a position that contradicts it.
+    """Raise InputError where many records have the time of another one and a position that contradicts it, or is farther on.
 
     times (N,), at (N, 3), sigma (N, 6): of all records, by time; first (N,): which of them are the first of their time.
     """
-    other = np.flatnonzero(first)[np.cumsum(first) - 1]
+    group = np.cumsum(first) - 1
+    other = np.flatnonzero(first)[group]
     metres = 1.0 if is_local else np.column_stack([np.full(len(at), DEGREE_M), DEGREE_M * np.cos(np.radians(at[:, 0]))])
-    apart_m = np.linalg.norm((at - at[other])[:, :2] * metres, axis=1)
+    xy_m = at[:, :2] * metres
+    away_m = xy_m - xy_m[other]
+    apart_m = np.linalg.norm(away_m, axis=1)
     stated_m = np.nan_to_num(np.linalg.norm(sigma[:, :2], axis=1), nan=UNSTATED_M)
     contradict = apart_m > SAME_M + 3.0 * np.hypot(stated_m, stated_m[other])
+    # On the way to the first record of the next time, as where times are rounded.
+    step_m = np.diff(xy_m[first], axis=0, append=xy_m[-1:])[group]
+    share = (away_m * step_m).sum(axis=1) / np.fmax((step_m**2).sum(axis=1), SAME_M**2)
+    aside_m = np.linalg.norm(away_m - share[:, None] * step_m, axis=1)
+    contradict |= (apart_m > SAME_M) & (share > 0.0) & (share < 1.0) & (aside_m < NEAR_SHARE * apart_m)
     if contradict.sum() > max(LEAST_SECOND, LEAST_SECOND_SHARE * first.sum()):
         at_first = np.datetime64(int(times[contradict][0]), "ns").astype("datetime64[ms]")
         raise InputError(
             f"{path}: {contradict.sum():,} records have the time of another one, but are up to {apart_m.max():.1f} m off, "
-            f"the first at {at_first} UTC: two receivers (NMEA: talkers) or logs in one file, or times without fractions of a "
-            "second. Keep the records of one receiver, with their whole times"
+            f"the first at {at_first} UTC: two receivers (NMEA: talkers) or logs in one file, or times that were rounded, here "
+            f"to {np.gcd.reduce(np.diff(times)) * 1e-9:g} s. Keep the records of one receiver, with their whole times"
         )
 
 
 def problems(piece: Records, is_local: bool) -> dict[int, str]:
     """What is wrong with records of WGS 84 or of a local frame, by index."""
     wrong = dict(piece.wrong)
+    good = np.ones(len(piece.positions), bool)
+    good[list(wrong)] = False
 
     def add(mask: Any, text: str) -> None:
-        for i in np.flatnonzero(mask).tolist():
-            wrong.setdefault(i, text)
+        wrong.update(dict.fromkeys(np.flatnonzero(mask & good).tolist(), text))
+        good[mask] = False
 
     a, b, c = piece.positions.T
     if is_local:

@@ -19,10 +19,11 @@ from pyproj import Transformer
 
 from conetl.geometry.geodesy import ecef_R_enu
 from conetl.model.arrays import Floats
+from conetl.model.errors import InputError
 from conetl.readers.trajectories import delimited
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.text import head_lines, refusal
+from conetl.readers.trajectories.text import head_lines
 
 _HEADER = re.compile(r"%\s*(?:GPST|UTC|JST)\b.*(?:\(deg|\(d'|\(m\))")
 SINGLE_SIGMA_M = (5.0, 5.0, 10.0)
@@ -39,15 +40,14 @@ def read(path: Path, settings: TrajectoryFile) -> Reading:
     lines = head_lines(path)
     header = next(filter(_HEADER.match, lines), None)
     if header is None:
-        raise refusal(
-            path,
-            "there is no line like '%  GPST  latitude(deg) longitude(deg)  height(m)  Q ...', without which times and "
-            "coordinates are ambiguous; write the solution with its header (out-outhead=on)",
+        raise InputError(
+            f"{path}: there is no line like '%  GPST  latitude(deg) longitude(deg)  height(m)  Q ...', without which times and "
+            "coordinates are ambiguous; write the solution with its header (out-outhead=on)"
         )
     if "baseline" in header:
-        raise refusal(
-            path,
-            "contains vectors from a base (e/n/u-baseline), not positions; set out-solformat to llh and convert it again",
+        raise InputError(
+            f"{path}: contains vectors from a base (e/n/u-baseline), not positions; set out-solformat to llh and convert it "
+            "again"
         )
     is_geodetic = any("/geodetic" in line for line in lines[: lines.index(header)] if line.startswith("%"))
     reading = delimited.read(path, settings, kind="rtklib", adjust=_adjusted)

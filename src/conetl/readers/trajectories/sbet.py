@@ -16,9 +16,10 @@ import numpy as np
 from conetl.files.documents import input_errors
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
+from conetl.readers.trajectories.clocks import TimeFormat, common_clock
 from conetl.readers.trajectories.recorded import Reading, Records, attitude
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.times import SECOND_NS, TimeFormat, Times, common_clock, gps_to_utc
+from conetl.readers.trajectories.times import SECOND_NS, Times, gps_to_utc
 
 WIDTH, SIGMA_WIDTH = 17, 10
 RECORD_BYTES, SIGMA_BYTES = 8 * WIDTH, 8 * SIGMA_WIDTH

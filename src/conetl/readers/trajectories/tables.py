@@ -17,18 +17,13 @@ import numpy as np
 
 from conetl.geometry import pose as se3
 from conetl.model.arrays import Floats
+from conetl.model.errors import InputError
+from conetl.readers.trajectories.clocks import TimeFormat, common_clock, time_reader
 from conetl.readers.trajectories.dates import with_colons, with_marks
 from conetl.readers.trajectories.recorded import Axes, Heights, Reading, Records, attitude, rotations_of_quaternions
 from conetl.readers.trajectories.settings import TrajectoryFile
-from conetl.readers.trajectories.text import floats, line_blocks, refusal, split_line
-from conetl.readers.trajectories.times import (
-    EARLIEST_NS,
-    OFFSET,
-    DateOrder,
-    TimeFormat,
-    common_clock,
-    time_reader,
-)  # fmt: skip
+from conetl.readers.trajectories.text import Progress, floats, line_blocks, split_line
+from conetl.readers.trajectories.times import OFFSET, DateOrder
 
 TIMES = ("time", "date", "week")
 PARTS = ("year", "month", "hour", "minute", "second", "nanosecond")
@@ -101,43 +96,48 @@ class TableLayout(NamedTuple):
 Adjust = Callable[[Mapping[str, Floats], Records], Records]
 Relayout = Callable[[list[str], int], TableLayout | None]
 #: What a line that names columns of a position has, in any of their languages.
-_names_columns = re.compile(r"lat|lon|breite|east|north|ecef|rechts|ostwert", re.IGNORECASE).search
+_COLUMN_WORDS = ("lat", "lon", "breite", "east", "north", "ecef", "rechts", "ostwert")
 _FIRST_OF_NUMBER = frozenset("0123456789+-. \t")
-#: Lines in a row without values, after which a file is not a log; lines with names in a file; records compared with each.
-_MOST_LOST, _MOST_HEADERS, _HEADER_CONTEXT = 100_000, 1000, 30
+#: Lines with names in a file, of others with such words a tenth of them; records compared with each.
+_MOST_HEADERS, _HEADER_CONTEXT = 1000, 30
 
 
 def rows_of(
-    path: Path, layout: TableLayout, relayout: Relayout | None = None
+    path: Path, layout: TableLayout, progress: Progress, relayout: Relayout | None = None
 ) -> Iterator[tuple[TableLayout, list[int], list[list[str]]]]:
-    """Layout, line numbers and values of consecutive pieces of a file, without comments and empty lines.
+    """Layout, line numbers and values of consecutive pieces of a file, without comments and empty lines, and but for one in each
+    piece without lines of too few values.
 
     relayout: the layout that a line states for those below it, given lines from it on and its number; None where it states none.
     """
-    empty, headers, width = 0, 0, layout.width
-    for first, lines in line_blocks(path):
+    headers, width = 0, layout.width
+    for first, lines in line_blocks(path, progress):
         numbers: list[int] = []
         rows: list[list[str]] = []
+        has_short = False
         for number, line in enumerate(lines, first):
             if number < layout.first_line:
                 continue
             stripped = line.strip("\t\r \0") if layout.delimiter is None else line.strip("\r \0")
-            is_text = stripped[:1] not in _FIRST_OF_NUMBER
-            if is_text and relayout and headers < _MOST_HEADERS and _names_columns(stripped[:1000]):
-                headers += 1
-                new = relayout(lines[number - first :][:_HEADER_CONTEXT], number)
-                if new is not None:
-                    if rows and not new.is_like(layout):
-                        yield layout, numbers, rows
-                        numbers, rows = [], []
-                    layout, width = new, new.width
+            if stripped[:1] not in _FIRST_OF_NUMBER:
+                start = stripped[:1000].lower() if relayout and headers < _MOST_HEADERS else ""
+                if relayout and any(word in start for word in _COLUMN_WORDS):
+                    new = relayout(lines[number - first :][:_HEADER_CONTEXT], number)
+                    headers += 10 if new is None else 1
+                    if new is not None:
+                        if rows and not new.is_like(layout):
+                            yield layout, numbers, rows
+                            numbers, rows = [], []
+                        layout, width = new, new.width
+                        continue
+                if not stripped or stripped.startswith(("#", "%")):
                     continue
-            if stripped and not stripped.startswith(("#", "%")):
-                numbers.append(number)
-                rows.append(split_line(stripped, layout.delimiter, width))
-        empty = 0 if rows else empty + len(lines)
-        if empty > _MOST_LOST:
-            raise refusal(path, f"line {first}: {empty:,} lines in a row are empty or comments: this is not a log")
+            row = split_line(stripped, layout.delimiter, width)
+            if len(row) < width and has_short:
+                continue  # the first one says what is wrong
+            has_short |= len(row) < width
+            numbers.append(number)
+            rows.append(row)
         if rows:
             yield layout, numbers, rows
 
@@ -146,6 +146,7 @@ def table_records(
     path: Path,
     layout: TableLayout,
     settings: TrajectoryFile,
+    progress: Progress,
     adjust: Adjust | None = None,
     relayout: Relayout | None = None,
 ) -> Iterator[Records]:
@@ -154,9 +155,8 @@ def table_records(
     adjust: what a format does besides, given the values of all columns (N,) by our name; relayout: see `rows_of`.
     """
     before: TableLayout | None = None
-    lost = 0.0
-    for now, numbers, found_rows in rows_of(path, layout, relayout):
-        width, none = now.width, [""] * now.width
+    for now, found_numbers, found_rows in rows_of(path, layout, progress, relayout):
+        numbers, width, none = found_numbers, now.width, [""] * now.width
         short = {
             i: f"expected {width} or more values, found {len(row)}"
             for i, row in enumerate(found_rows)
@@ -170,11 +170,12 @@ def table_records(
             read_times = time_reader(now.clock or _clock(words, short, now, settings, path))
             before = now
         times, wrong = read_times(words, weeks)
-        # A clock that is not set yet is no damage.
-        lost = lost + len(rows) * (1.0 if len(wrong) == len(rows) else 0.1) if (times < EARLIEST_NS).all() else 0.0
-        if lost > _MOST_LOST:
-            raise refusal(path, f"line {numbers[-1]}: no line for long has a time since 2008: this is not a log")
-        wrong = wrong | short
+        wrong |= short
+        if len(wrong) > 1:  # of records without a time the first one says what is wrong
+            first = min(wrong)
+            kept = [i for i in range(len(rows)) if i == first or i not in wrong]
+            rows, numbers, times = [rows[i] for i in kept], [numbers[i] for i in kept], times[kept]
+            wrong = {kept.index(first): wrong[first]}
         values = {role: _numbers(role, rows, column, now) for role, column in now.columns.items() if role not in _TEXTS}
         if "nanosecond" in values:
             times = times + np.nan_to_num(values["nanosecond"]).clip(-1e9, 1e9).astype(np.int64) * (times > 0)
@@ -200,16 +201,14 @@ def _clock(
         elif layout.scale == "local" and not (
             clock.kind == "unix" or all(OFFSET.search(word) for word in words if word)
         ):
-            raise refusal(
-                path,
-                f"column {column.name!r}: the time zone of this local time is unknown. Put for example "
-                "trajectory: {time: Europe/Berlin} into drive.yaml",
+            raise InputError(
+                f"{path}: column {column.name!r}: the time zone of this local time is unknown. Put for example "
+                "trajectory: {time: Europe/Berlin} into drive.yaml"
             )
         elif layout.scale == "?" or clock.kind == "day":
-            raise refusal(
-                path,
-                f"column {column.name!r}: is this GPS time, which is some seconds ahead of UTC, or UTC? Put "
-                "trajectory: {time: gps} or {time: utc} into drive.yaml",
+            raise InputError(
+                f"{path}: column {column.name!r}: is this GPS time, which is some seconds ahead of UTC, or UTC? Put "
+                "trajectory: {time: gps} or {time: utc} into drive.yaml"
             )
     return clock._replace(order=layout.order)
 
@@ -223,11 +222,10 @@ def _time_words(rows: Sequence[list[str]], layout: TableLayout) -> list[str]:
         return [re.sub(r":(\d)([.,])", r":0\1\2", word) for word in words]
     words = [row[columns["time"].at] for row in rows]
     if "date" in columns:
-        at, order = columns["date"].at, layout.order
-        words = [
-            f"{with_marks(row[at], order)} {with_colons(word)}" if word else ""
-            for row, word in zip(rows, words, strict=True)
-        ]
+        dates = [row[columns["date"].at] for row in rows]
+        marked = {text: with_marks(text, layout.order) for text in {*dates}}
+        timed = (word if ":" in word else with_colons(word) for word in words)
+        words = [f"{marked[day]} {word}" if word else "" for day, word in zip(dates, timed, strict=True)]
     return [word.replace(",", ".") for word in words] if layout.comma else words
 
 
@@ -325,19 +323,17 @@ def require(columns: dict[str, Column], path: Path, header: Sequence[str]) -> tu
         names = POSITIONS[axes]
         if names[0] in columns and names[1] in columns:
             if names[2] not in columns:
-                raise refusal(
-                    path,
-                    f"has no column for {names[2]!r}; its columns are {shown_header}. Name it in drive.yaml, for example "
-                    f"trajectory: {{columns: {{{names[2]}: H}}}}",
+                raise InputError(
+                    f"{path}: has no column for {names[2]!r}; its columns are {shown_header}. Name it in drive.yaml, for example "
+                    f"trajectory: {{columns: {{{names[2]}: H}}}}"
                 )
             if "time" not in columns:
                 missing = "a column for a time"
                 break
             return axes, heights
-    raise refusal(
-        path,
-        f"expected {missing}, found {shown_header}. Name them in drive.yaml, for example "
-        "trajectory: {columns: {time: Zeit, lat: B, lon: L, height: H}}",
+    raise InputError(
+        f"{path}: expected {missing}, found {shown_header}. Name them in drive.yaml, for example "
+        "trajectory: {columns: {time: Zeit, lat: B, lon: L, height: H}}"
     )
 
 
@@ -367,9 +363,8 @@ def _read_local(
     path: Path, settings: TrajectoryFile, *, names: tuple[str, ...], delimiter: str | None, clock: TimeFormat
 ) -> Reading:
     columns = {"time": Column(0, "timestamp")} | {name: Column(i, name) for i, name in enumerate(names, 1)}
-    return Reading(
-        table_records(path, TableLayout(columns, "local", 1, delimiter, clock=clock), settings), axes="local"
-    )
+    layout, progress = TableLayout(columns, "local", 1, delimiter, clock=clock), Progress(path)
+    return Reading(table_records(path, layout, settings, progress), axes="local", progress=progress)
 
 
 #: The poses of a data.csv, and those of a TUM file.

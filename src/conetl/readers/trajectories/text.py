@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ MAX_TEXT_BYTES = 2 << 30
 """20 million records of 100 characters. A larger file is not opened."""
 MAX_LINE, LONGEST_LINE = 20_000, 1 << 20
 """Characters of a line that are read; a file with a longer one is refused."""
+MOST_UNUSED, PER_RECORD, CHARACTERS = 200_000, 1000, 100
+"""Lines that a file may have without a usable record, and how many more for each record; a line of more than so many characters
+counts as several. At 100 Hz a receiver may be without a fix for half an hour."""
 _BLOCK = 1 << 17
 _HEAD = 65_536
 
@@ -47,13 +51,25 @@ def head_lines(path: Path) -> list[str]:
     return lines[:-1] if len(head) == _HEAD and lines[1:] else lines
 
 
-def refusal(path: object, text: str) -> InputError:
-    """The error of a trajectory that cannot be used, in one line without control characters. text: may quote the file."""
-    return InputError("".join(c if c.isprintable() else ascii(c)[1:-1] for c in f"{path}: {text}"))
+class Progress:
+    """How much of a file was read, and how many usable records it had so far: a long text that is no log is not read on."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.lines, self.records = path, 0, 0
+
+    def add(self, where: object, lines: int, characters: int) -> None:
+        """After so many more lines, or elements, the first of them at `where`. Raises InputError."""
+        self.lines += max(lines, characters // CHARACTERS)
+        if self.lines > MOST_UNUSED + PER_RECORD * self.records:
+            text = f"{where}: {self.lines:,} lines have {self.records:,} usable records: not a log, or cut it to the drive's time"
+            raise InputError(f"{self.path}: {text}")
 
 
-def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
-    """Number of the first line, from 1, and lines of consecutive pieces of a file, too long ones cut. Raises InputError."""
+def line_blocks(path: Path, progress: Progress | None = None) -> Iterator[tuple[int, list[str]]]:
+    """Number of the first line, from 1, and lines of consecutive pieces of a file, too long ones cut.
+
+    progress: of the file, to which they are added. Raises InputError.
+    """
     encoding = encoding_of(head_bytes(path))
     number, rest = 1, ""
     with input_errors(path), path.open(encoding=encoding, errors="replace") as file:
@@ -61,7 +77,11 @@ def line_blocks(path: Path) -> Iterator[tuple[int, list[str]]]:
             *lines, rest = (rest + block).split("\n")
             ended = len(rest) > LONGEST_LINE
             if ended and len(rest := rest.rstrip("\0")) > LONGEST_LINE:
-                raise refusal(path, f"line {number + len(lines)} has more than {LONGEST_LINE:,} characters: not a log")
+                raise InputError(
+                    f"{path}: line {number + len(lines)} has more than {LONGEST_LINE:,} characters: not a log"
+                )
+            if progress is not None:
+                progress.add(f"line {number}", len(lines), len(block))
             if lines:
                 yield number, lines
                 number += len(lines)
@@ -88,6 +108,8 @@ def floats(words: Sequence[str], *, comma: bool = False) -> Floats:
     """Numbers (N,), NaN in place of anything else. comma: decimals are after a comma."""
     if comma:
         words = [word.replace(",", ".") for word in words]
+    with suppress(ValueError):
+        return np.fromiter(map(float, words), np.float64, len(words))
     return np.array([_float(word) for word in words], dtype=np.float64)
 
 

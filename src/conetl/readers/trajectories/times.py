@@ -11,21 +11,19 @@ from __future__ import annotations
 import re
 import time
 from bisect import bisect_left
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from datetime import UTC, date, datetime, tzinfo
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, tzinfo
 from decimal import ROUND_DOWN, Context, Decimal, InvalidOperation
-from itertools import islice, pairwise
+from functools import lru_cache
+from itertools import pairwise
 from statistics import median_low
-from typing import Literal, NamedTuple
+from typing import Literal
 from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.model.base import ns_from_utc, utc_from_ns
-from conetl.model.errors import InputError
-from conetl.readers.trajectories.settings import TrajectoryFile
+from conetl.model.base import ns_from_utc
 
 Times = NDArray[np.int64]
 DateOrder = Literal["ymd", "dmy", "mdy"]
@@ -54,7 +52,6 @@ _LEAPS_UTC_NS = np.array(_AFTER_LEAP_SECONDS, "datetime64[ns]").astype(np.int64)
 _LEAPS_GPS_NS = _LEAPS_UTC_NS + SECOND_NS * np.arange(1, len(_LEAPS_UTC_NS) + 1)
 #: More digits than any time has in ns.
 _TRUNCATED = Context(prec=40, rounding=ROUND_DOWN)
-_VOTES = 9
 #: Ends a time of the day that states its offset from UTC.
 OFFSET = re.compile(r"(?:Z|UTC|:\d\d(?:\.\d*)?[+-]\d\d(?::?\d\d)?)\s*$")
 _STAMP = re.compile(
@@ -156,13 +153,17 @@ def parse_timestamp(text: str, zone: str = "UTC", order: DateOrder | None = None
         )
     if int(second) > 59:
         raise ValueError(f"the seconds of {text.strip()[:60]!r} are above 59")
-    tz: tzinfo | None = UTC if offset else ZoneInfo(zone)
-    if offset not in {None, "Z", "UTC"}:
-        tz = datetime.strptime(offset.ljust(5, "0"), "%z").tzinfo
+    tz = _of_offset(offset) if offset else ZoneInfo(zone)
     instant = datetime(int(year), int(month), int(day), int(hour), int(minute), int(second), tzinfo=tz)
     if not 1970 <= instant.year < 2262:  # 64 bits of nanoseconds end in 2262
         raise ValueError(f"expected a time from 2000 to 2261, found {instant.date()}")
     return ns_from_utc(instant) + int((fraction or "")[:9].ljust(9, "0"))
+
+
+@lru_cache(maxsize=1000)
+def _of_offset(offset: str) -> tzinfo | None:
+    """The zone of an offset from UTC. Raises ValueError."""
+    return UTC if offset in {"Z", "UTC"} else datetime.strptime(offset.ljust(5, "0"), "%z").tzinfo
 
 
 def parse_timestamps(text: str, zone: str = "UTC") -> dict[int, int | str]:
@@ -194,143 +195,6 @@ def decimal_ns(text: str, digits: int = 9) -> int:
     if ns >= 2**63 - WEEK_NS:
         raise ValueError(f"{text.strip()[:40]!r} is not a time: it is too large")
     return ns
-
-
-class TimeFormat(NamedTuple):
-    """How the times of a file are counted."""
-
-    scale: str
-    """`gps`, or the IANA name of a time zone."""
-    kind: Literal["stamp", "unix", "gps seconds", "week", "day"]
-    """Text, seconds since 1970, since 1980-01-06, of a GPS week, of a day."""
-    digits: int = 9
-    """Decimal digits of the unit, as in `decimal_ns`."""
-    week: int | None = None
-    """GPS week of times without a week column; counted from 1980-01-06 without rollover."""
-    day: date | None = None
-    order: DateOrder | None = None
-
-    @property
-    def start_ns(self) -> int:
-        """Epoch of the times, in ns since 1970-01-01 of the same time scale."""
-        if self.kind == "day":
-            return ((self.day or date(1970, 1, 1)) - date(1970, 1, 1)).days * DAY_NS
-        if self.kind == "week":
-            return GPS_EPOCH_NS + (self.week or 0) * WEEK_NS
-        return GPS_EPOCH_NS if self.kind == "gps seconds" else 0
-
-    @property
-    def period_ns(self) -> int:
-        """After which times of a week or a day start over."""
-        return DAY_NS if self.kind == "day" else WEEK_NS
-
-
-def common_clock(
-    words: Iterable[str], name: str, path: object, settings: TrajectoryFile, *, scale: str, unit: str | None,
-    has_week: bool = False,
-) -> TimeFormat:  # fmt: skip
-    """The clock of most of the first values of a column: one of them may be damaged. Raises InputError.
-
-    name: of the column, for messages; scale: unless the settings state another; unit: s, ms, us or ns if the column's name states
-    it; has_week: whether there is a column of GPS weeks.
-    """
-    found: Counter[TimeFormat] = Counter()
-    problem = " has no values"
-    for word in islice(words, _VOTES):
-        try:
-            found[_clock_of(word, settings.scale(scale), unit, has_week, settings)] += 1
-        except ValueError as error:
-            problem = f": {error}"
-    if not found:
-        raise InputError(f"{path}: column {name!r}{problem}")
-    return found.most_common(1)[0][0]
-
-
-def _clock_of(first: str, scale: str, unit: str | None, has_week: bool, settings: TrajectoryFile) -> TimeFormat:
-    """The clock of one value. Raises ValueError where it cannot be known."""
-    try:
-        number = float(first)
-    except ValueError:
-        return TimeFormat(scale, "stamp")
-    units = {"s": 9, "ms": 6, "us": 3, "ns": 0}
-    for digits in [units[unit]] if unit else units.values():
-        seconds = number / 10.0 ** (9 - digits)
-        if 0 <= seconds < 2 * 604_800 and (has_week or digits == 9 or unit):
-            if has_week or (settings.week is not None and settings.date is None):
-                return TimeFormat(scale, "week", digits, settings.week)
-            return _clock_of_day(seconds, scale, digits, settings.date)
-        if not has_week and 6e8 < seconds < 4.2e9:
-            return TimeFormat(scale, "gps seconds" if scale == "gps" else "unix", digits)
-    raise ValueError(
-        f"{first[:40]!r} is neither a date and time nor seconds (or ms, us, ns) since 1970, of a GPS week or of a day"
-    )
-
-
-def _clock_of_day(seconds: float, scale: str, digits: int, day: date | None) -> TimeFormat:
-    """The clock of seconds of the GPS week that holds a day, or of that day. Raises ValueError."""
-    if day is None:
-        raise ValueError(
-            f"{seconds:.3f} is a time of a week or of a day, but the file does not state which: put "
-            "trajectory: {week: 2300} (GPS week) or {date: 2024-02-07} into drive.yaml"
-        )
-    weekday = (day.weekday() + 1) % 7  # from Sunday, as GPS weeks
-    if int(seconds // 86_400) == weekday:
-        return TimeFormat(scale, "week", digits, (day - date(1980, 1, 6)).days // 7)
-    if seconds < 86_400 + 3600:
-        return TimeFormat(scale, "day", digits, day=day)
-    found = ("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday")[int(seconds // 86_400) % 7]
-    raise ValueError(f"{seconds:.3f} s of a GPS week are on a {found}; 'date' of drive.yaml, {day}, is not")
-
-
-TimeReader = Callable[[Sequence[str], Sequence[str] | None], tuple[Times, dict[int, str]]]
-
-
-def time_reader(clock: TimeFormat) -> TimeReader:
-    """A function of the texts of consecutive times and of their GPS weeks: UTC ns (N,), and what is wrong by index.
-
-    Times of a week or a day without one of their own that start over belong to the next one: if two times were in the last 14th
-    and the next is in the first 14th, so that one wild time does not move all that follow.
-    """
-    start_ns, period_ns = clock.start_ns, clock.period_ns
-    unix_zone = "UTC" if clock.scale == "gps" else clock.scale
-    before = [0, 0]
-    turns = 0
-
-    def one(word: str, week: str | None) -> int:
-        nonlocal turns
-        if clock.kind == "stamp":
-            if clock.scale == "gps" and OFFSET.search(word):
-                raise ValueError(f"{word.strip()[:60]!r} has an offset from UTC, but is said to be GPS time")
-            return parse_timestamp(word, unix_zone, clock.order)
-        ns = decimal_ns(word.strip(), clock.digits)
-        if clock.kind in {"unix", "gps seconds"}:
-            return start_ns + ns
-        if ns > 2 * period_ns:
-            raise ValueError(f"{word.strip()[:40]!r} is more than two {'days' if clock.kind == 'day' else 'weeks'}")
-        if week is not None:
-            if not (week.strip().isascii() and week.strip().isdigit() and 0 <= int(week[:9]) < 10_000):
-                raise ValueError(f"{week.strip()[:40]!r} is not a GPS week")
-            return GPS_EPOCH_NS + int(week) * WEEK_NS + ns
-        if min(before) > period_ns * 13 // 14 and ns < period_ns // 14:
-            turns += 1
-        before[:] = [before[1], ns] if before[1] else [ns, ns]
-        return start_ns + ns + turns * period_ns
-
-    def read(words: Sequence[str], weeks: Sequence[str] | None) -> tuple[Times, dict[int, str]]:
-        times, wrong = np.zeros(len(words), np.int64), {}
-        for i, word in enumerate(words):
-            try:
-                times[i] = one(word, weeks[i] if weeks else None)
-            except (ValueError, OverflowError) as error:
-                wrong[i] = str(error)
-        if clock.scale == "gps":
-            times = gps_to_utc(times)
-        elif clock.kind in {"week", "day"} and clock.scale != "UTC":
-            local = (utc_from_ns(ns).replace(tzinfo=ZoneInfo(clock.scale)) for ns in times.tolist())
-            times = np.array([ns_from_utc(instant) for instant in local], np.int64) + times % 1000
-        return times, wrong
-
-    return read
 
 
 def times_of_names(stems: Sequence[str]) -> tuple[list[str], str | None]:
