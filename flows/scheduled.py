@@ -44,7 +44,7 @@ def publish_map(
 
     Args:
         map_name: Name of the map; default: CONETL_MAP_NAME of the worker.
-        formats: Names of formats of `map export`; default: all but WZDx.
+        formats: Names of formats of `map export`; default: all but those of work zones.
         folder: Folder for the publication; default: `exports` in CONETL_HOME.
         as_of: State of the road at this time; default: latest.
     """

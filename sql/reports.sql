@@ -190,3 +190,19 @@ join conetl.map m using (map_id)
 where m.map_name = %(map_name)s and c.committed_at >= %(since)s and c.committed_at < %(until)s
 group by q.step, q.reason
 order by count desc, q.step, q.reason;
+
+-- name: coverage
+-- The squares of 256 m (map CRS), those of conetl.cell_at, that the active drives of a map passed, the one passed longest ago first.
+-- Parameters: map_name; valid_until (timestamptz; 'infinity' = all): later frame pairs are left out.
+-- Columns: west_m, south_m; drives, frame_pairs (numbers); last_at: when the last frame pair in it was captured.
+select
+    256 * floor(ST_X(f.geom) / 256) as west_m, 256 * floor(ST_Y(f.geom) / 256) as south_m,
+    count(distinct d.drive_uuid) as drives, count(*) as frame_pairs,
+    timestamptz 'epoch' + max(f.captured_at_ns) / 1000 * interval '1 microsecond' as last_at
+from conetl.active_drive d
+join conetl.map m using (map_id)
+join conetl.frame_pair f using (drive_uuid)
+where m.map_name = %(map_name)s
+and timestamptz 'epoch' + f.captured_at_ns / 1000 * interval '1 microsecond' <= %(valid_until)s::timestamptz
+group by west_m, south_m
+order by last_at, south_m, west_m;

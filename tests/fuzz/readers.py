@@ -25,7 +25,7 @@ import shapely
 import yaml
 
 from conetl.cli.map.work_zones import Rules
-from conetl.exports.wzdx import read_feed_info
+from conetl.exports.zone_feed import read_feed_info
 from conetl.files.documents import read_yaml_model
 from conetl.model.errors import ConetlError, InputError
 from conetl.model.params import ImportParams, IngestParams
@@ -44,6 +44,7 @@ from conetl.readers.drives.pairs import PairError
 from conetl.readers.drives.proposals import propose
 from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.readers.maps.imported_rows import read_map_file
+from conetl.readers.plans.datex2 import read_datex2
 from conetl.readers.recording import open_arriving
 from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_images, write_rig_yaml
 from conetl.readers.surveyed_points import read_surveyed_points
@@ -54,6 +55,7 @@ from tests import recordings
 from tests.fuzz import video_files as videos
 from tests.prepared import prepared
 from tests.recordings import Recorded
+from tests.unit.exports import test_datex2 as datex2
 from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers
 from tests.unit.readers import test_device_rigs as device_rigs
@@ -461,5 +463,8 @@ READERS: dict[str, Reader] = {
     ),
     "rules": Reader(written("r.yaml", yaml.safe_dump(RULES)), lambda path, _: read_yaml_model(path, Rules, "rules")),
     "feed": Reader(written("f.yaml", yaml.safe_dump(FEED)), lambda path, _: read_feed_info(path)),
+    "datex2": Reader(
+        lambda folder: datex2.publication(folder / "d.xml", {}, {"version": "2"}), lambda path, _: read_datex2(path)
+    ),
     "model_card": Reader(write_card, lambda path, _: read_model_card(path.with_suffix(""))),
 }

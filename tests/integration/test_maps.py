@@ -79,8 +79,8 @@ def test_changesets_are_numbered_per_map_and_every_command_has_the_option(conetl
 READING = (
     "map show", "map log", "map diff 1 2", "map picture x.png", "map export --out x.geojson", "map licence",
     "map export --out x.json --format wzdx", "map qgis --out x.qgz", "map check-layout", "map check-points x.csv",
-    "map suppress a", "map pin a", "map revert 1", "map decisions", "report drive 1", "report night", "base list",
-    "base drop x", "drive held", "drive accept x", "view",
+    "map suppress a", "map pin a", "map revert 1", "map decisions", "report drive 1", "report night", "report quality",
+    "base list", "base drop x", "drive held", "drive accept x", "view",
 )  # fmt: skip
 
 

@@ -13,7 +13,8 @@ import shapely.ops
 from conetl.db.connection import execute
 from conetl.exports.wzdx import schema_faults
 from conetl.model.base import utc_from_ns
-from conetl.pipeline.maps.work_zones import export_wzdx
+from conetl.pipeline.maps.work_zones import export_zones
+from conetl.readers.plans.datex2 import read_datex2
 from tests.integration.drives_of_days import merge, survey
 
 FEED = ("--publisher", "City", "--road-name", "L 605")
@@ -72,9 +73,9 @@ def test_a_feed_says_when_it_was_surveyed_and_does_not_outlive_it(conn, samples,
 
     def event(age, kind=False, **options):
         path = tmp_path / "feed.geojson"
-        export_wzdx(
-            conn, path, devices=kind, map_name="default", as_of=None, feed=None, publisher="Road office", road_names=["L 605"],
-            lanes=None, now=seen + age, **options,
+        export_zones(
+            conn, path, "wzdx-devices" if kind else "wzdx", map_name="default", as_of=None, feed=None, publisher="Road office",
+            road_names=["L 605"], lanes=None, now=seen + age, **options,
         )  # fmt: skip
         conn.rollback()
         feed = json.loads(path.read_text())
@@ -83,7 +84,7 @@ def test_a_feed_says_when_it_was_surveyed_and_does_not_outlive_it(conn, samples,
         return feed["features"][0]
 
     fresh, last_day, stale = (event(timedelta(days=days)) for days in (0.5, 6.5, 7.5))
-    assert [e["properties"]["event_status"] for e in (fresh, last_day, stale)] == ["active", "active", "planned"]
+    assert [e["properties"].get("event_status") for e in (fresh, last_day, stale)] == ["active", "active", None]
     assert [e["conetl"]["stale"] for e in (fresh, last_day, stale)] == [False, False, True]
     assert {e["conetl"]["last_surveyed_at"] for e in (fresh, last_day, stale)} == {wzdx_time(seen)}
     # Its assumed end, status and impact changed: a consumer that skips events of a known date would keep the old ones.
@@ -91,20 +92,24 @@ def test_a_feed_says_when_it_was_surveyed_and_does_not_outlive_it(conn, samples,
     assert dates == [wzdx_time(seen + timedelta(days=days)) for days in (0.5, 6.5, 7.5)]
     # An end is assumed a day later, but never beyond what the survey is believed for.
     assert fresh["properties"]["end_date"] == wzdx_time(seen + timedelta(days=1.5))
-    assert last_day["properties"]["end_date"] == wzdx_time(seen + timedelta(days=7))
+    assert last_day["properties"]["end_date"] == stale["properties"]["end_date"] == wzdx_time(seen + timedelta(days=7))
     properties = stale["properties"]
     assert properties["vehicle_impact"] == "unknown" and not properties["is_end_date_verified"]
     assert not properties["is_start_position_verified"] and not properties["is_end_position_verified"]
     said = properties["core_details"]["description"]
     assert wzdx_time(seen) in said and "more than 7 days ago" in said and "not known" in said
     assert event(timedelta(days=30), max_age=timedelta(days=60))["properties"]["event_status"] == "active"
-    assert event(timedelta(hours=7), max_age=timedelta(hours=6))["properties"]["event_status"] == "planned"
+    assert "event_status" not in event(timedelta(hours=7), max_age=timedelta(hours=6))["properties"]
     marker = event(timedelta(days=30), kind=True)
     assert f"last seen at {wzdx_time(seen)}" in marker["properties"]["core_details"]["description"]
     # From the command line: it is November 2026 or later.
     path = tmp_path / "now.geojson"
-    assert feed_of(conetl, path)["features"][0]["properties"]["event_status"] == "planned"
+    assert "event_status" not in feed_of(conetl, path)["features"][0]["properties"]
     assert feed_of(conetl, path, "--max-age", "9999d")["features"][0]["properties"]["event_status"] == "active"
+    publication = tmp_path / "now.xml"
+    conetl("map", "export", "--format", "datex2", "--out", publication, *FEED, "--country", "de")
+    [plan] = read_datex2(publication).zones
+    assert (plan.group_id, plan.ends_at) == (stale["id"], seen.replace(microsecond=0) + timedelta(days=7))
     assert "'soon' is not an age" in conetl(
         "map", "export", "--format", "wzdx", "--out", path, *FEED, "--max-age", "soon", code=2
     )

@@ -112,10 +112,11 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         },
     ),
     "report": (
-        "Write a quality report (HTML) of a drive, or of all drives of a night.",
+        "Write a quality report (HTML) of a drive, of all drives of a night, or of the map.",
         {
             "drive": ("report:drive", "2026-03-02_taper", "3 --out third.html"),
             "night": ("report:night", "", "2026-03-03"),
+            "quality": ("report:quality", "", "--checkpoints survey.csv --sigma-m 0.01 --as-of 2026-03-03"),
         },
     ),
     "base": (

@@ -56,6 +56,16 @@ ClassesOption = Annotated[
 #: State of the road; `map picture` has an older name for it, too.
 AS_OF = "State of the road at this time, e.g. 2026-03-02 or 2026-03-02T10:00+01:00; default: latest."
 AsOfOption = Annotated[str | None, typer.Option("--as-of", help=AS_OF)]
+HeightsOption = Annotated[
+    str | None, typer.Option(help="Heights of the file: ellipsoidal (default), or a system like EPSG:5773.")
+]
+SurveySigmaOption = Annotated[
+    float | None,
+    typer.Option(min=0, help="Sigma of the survey in m, if the file has no sigma_e_m, sigma_n_m, sigma_u_m."),
+]
+WithinOption = Annotated[
+    float, typer.Option(min=0.01, help="Match a cone to a point if it is at most this far away, in metres.")
+]
 FileCrsOption = Annotated[
     str | None,
     typer.Option("--crs", help="CRS of the file, if it states none, e.g. EPSG:25832 or EPSG:25832+7837."),

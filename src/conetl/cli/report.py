@@ -1,4 +1,4 @@
-"""`conetl report`: quality reports of a drive or of a night, one HTML file each, from the database and the drop folder."""
+"""`conetl report`: quality reports of a drive, a night or the map, one HTML file each, from the database and the drop folder."""
 
 from __future__ import annotations
 
@@ -79,6 +79,55 @@ def night(
     rows = {"held": facts.held, "hold_events": facts.hold_events}
     _print_written(as_json, path, {"since": begin, "until": end, **counts, **rows})
     if facts.held or facts.failed:
+        raise typer.Exit(EXIT_NEEDS_ATTENTION)
+
+
+def quality(
+    checkpoints: Annotated[
+        Path | None,
+        typer.Option(help="Surveyed feet of objects, as for `map check-points`; default: no test of positions."),
+    ] = None,
+    crs: ui.FileCrsOption = None,
+    heights: ui.HeightsOption = None,
+    sigma_m: ui.SurveySigmaOption = None,
+    within_m: ui.WithinOption = 0.75,
+    as_of: ui.AsOfOption = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--out", "--output", help="HTML file, or a folder; default: exports/reports/<map>/quality.html."),
+    ] = None,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
+) -> None:
+    """Write the quality of the map: accuracy at check points (ASPRS 2023, NSSDA), measures of ISO 19157-1, coverage, latency.
+
+    `--json` prints all figures. Exit code 1: residuals contradict the stated sigmas, or an audit finds rows.
+    """
+    from conetl.evaluation.map_quality import read_quality, write_quality_page
+    from conetl.readers.surveyed_points import read_surveyed_points
+
+    settings = read_settings(map_name)
+    path = output or settings.reports_folder
+    path = path if path.suffix else path / "quality.html"
+    with open_map(map_name) as (conn, info):
+        points = (
+            []
+            if checkpoints is None
+            else read_surveyed_points(checkpoints, info.srid, crs=crs, heights=heights, sigma_m=sigma_m)
+        )
+        found = read_quality(
+            conn,
+            map_name=info.map_name,
+            srid=info.srid,
+            as_of=ui.parse_instant(as_of),
+            points=points,
+            within_m=within_m,
+        )
+    write_quality_page(path, found)
+    if not as_json and found.positional is not None:
+        ui.say(found.positional.statement)
+    _print_written(as_json, path, found.model_dump(mode="json"))
+    if found.needs_attention:
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 

@@ -1,4 +1,5 @@
-"""The map as files for other programs. A format is a function `write(sources, path)` and one line in `FORMATS`.
+"""The map as files for other programs. A format is a function `write(sources, path)` and one line in `FORMATS`; one of work zones
+is a function `export(zones, standing, path, context)`, which returns the number of features, and one line in `ZONE_FORMATS`.
 
 It imports `db` and everything below it. Start with `export.py`; `source.py` reads the rows that every format writes.
 """
@@ -13,6 +14,9 @@ from typing import TYPE_CHECKING, NamedTuple, cast
 
 if TYPE_CHECKING:
     from conetl.exports.source import ExportSource
+    from conetl.exports.zone_feed import FeedContext
+    from conetl.model.map_records import MapFeature
+    from conetl.model.work_zone_records import WorkZone
 
 
 class Order(StrEnum):
@@ -48,7 +52,39 @@ FORMATS = {
 }
 
 
+class ZoneFormat(NamedTuple):
+    """A format of `conetl map export` that holds work zones instead of single objects."""
+
+    suffix: str
+    media_type: str
+    noun: str
+    """Of one feature, in messages."""
+    entry_point: str
+    """As of a `Format`."""
+    required: tuple[str, ...] = ("publisher", "road_names")
+    """Keys of the feed's description (`FeedInfo`)."""
+
+
+ZONE_FORMATS = {
+    "wzdx": ZoneFormat("_wzdx.geojson", "application/json", "work zone", "wzdx:export_work_zone_feed"),
+    "wzdx-devices": ZoneFormat("_devices.geojson", "application/json", "device", "wzdx:export_device_feed"),
+    "datex2": ZoneFormat(
+        "_datex2.xml",
+        "application/xml",
+        "work zone",
+        "datex2:export_situations",
+        ("publisher", "road_names", "country"),
+    ),
+}
+
+
 def writer_of(file_format: str) -> Callable[[Sequence[ExportSource], Path], None]:
     """The function that writes a format of `FORMATS`."""
     writer = resolve_name(f"conetl.exports.{FORMATS[file_format].entry_point}")
     return cast("Callable[[Sequence[ExportSource], Path], None]", writer)
+
+
+def zone_writer_of(file_format: str) -> Callable[[Sequence[WorkZone], Sequence[MapFeature], Path, FeedContext], int]:
+    """The function that writes a format of `ZONE_FORMATS`."""
+    writer = resolve_name(f"conetl.exports.{ZONE_FORMATS[file_format].entry_point}")
+    return cast("Callable[[Sequence[WorkZone], Sequence[MapFeature], Path, FeedContext], int]", writer)

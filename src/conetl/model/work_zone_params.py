@@ -58,7 +58,8 @@ class WorkZoneParams(Params):
     assumed_duration_h: Positive = 24.0
     """WZDx requires an end date of active zones, too: this long after the feed, marked as not verified."""
     max_age_days: Positive = 7.0
-    """A work zone that was not surveyed for longer is `planned` with unknown impact: whether it still stands is unknown."""
+    """A survey is evidence for this long. A zone not surveyed since then has an end in the past and unknown impact: whether it
+    still stands is unknown."""
     keep_ended_days: Positive = 14.0
     """How long an ended work zone stays in the feed, as completed."""
 

@@ -12,7 +12,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
+from conetl.geometry.linear_reference import evenly_spaced
 from conetl.geometry.motion import chain_solver
+from conetl.geometry.motion.chain_solver import ChainCovariance, cross_covariance
 from conetl.geometry.motion.pose_graph import POSE, STATE, LoggedPoses
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov3, cov_matrix, vec3
@@ -31,7 +33,6 @@ from conetl.tracking.trajectory import (
     RefinedTrajectory,
     RefinementOutcome,
     is_by_course,
-    is_interpolated,
     measured_motions,
     read_log,
     refine_trajectory,
@@ -39,6 +40,8 @@ from conetl.tracking.trajectory import (
 
 #: Neighbouring observations of a cone are correlated (background, sun, calibration): this many count as one.
 _CORRELATED = 4.0
+#: Poses that change by less (m) within a drive have common errors only, by as many frames.
+_LEAST_CHANGE_M, _COMPARED = 0.005, 9
 #: Offsets of the clocks beside a course: each finds what the adjustment before it had put into the attitudes.
 _ROUNDS = 3
 
@@ -147,9 +150,17 @@ def _with_common_errors(
         pair.with_pose(sigma_enu_m=vec3(own[:3]), sigma_rpy_rad=vec3(own[3:]))
         for pair, own in zip(refined.frame_pairs, sigma, strict=True)
     )
-    return replace(
-        refined, frame_pairs=pairs, covariance=cov, changes=drifts.shape[2] > 0 or is_interpolated(refined.logged)
-    )
+    return replace(refined, frame_pairs=pairs, covariance=cov, changes=_most_change_m(cov) > _LEAST_CHANGE_M)
+
+
+def _most_change_m(cov: ChainCovariance) -> float:
+    """Largest sigma of the change of a coordinate from the middle of the drive to some other frames."""
+    last, middle = len(cov.cov) - 1, len(cov.cov) // 2
+    variances = [
+        np.diag(cov.cov[k] + cov.cov[middle] - 2 * cross_covariance(cov, min(k, middle), max(k, middle)))[:3]
+        for k in evenly_spaced(range(last + 1), _COMPARED)
+    ]
+    return float(np.sqrt(np.max(variances, initial=0.0)))
 
 
 def cone_groups(

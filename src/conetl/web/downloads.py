@@ -15,7 +15,7 @@ from starlette.background import BackgroundTask
 
 from conetl.db.map.map_store import find_map
 from conetl.db.reader_pool import ReaderPool
-from conetl.exports import FORMATS
+from conetl.exports import FORMATS, ZONE_FORMATS
 from conetl.model.errors import InputError
 from conetl.web.models import Problem
 from conetl.web.parameters import Instant, MapName
@@ -23,7 +23,7 @@ from conetl.web.parameters import Instant, MapName
 router = APIRouter(tags=["downloads"])
 _MEDIA_TYPES = {
     "geojson": "application/geo+json", "csv": "text/csv", "gpkg": "application/geopackage+sqlite3",
-    "wzdx": "application/json",
+    **{name: form.media_type for name, form in ZONE_FORMATS.items()},
 }  # fmt: skip
 _NUMBERS = ",".join([r"-?\d{1,9}(?:\.\d{1,6})?"] * 4)
 Box = Annotated[
@@ -55,7 +55,7 @@ def download(
     """
     from conetl.exports.export import export_map  # here: Arrow takes a second to load
     from conetl.exports.source import ExportContent, ExportRequest
-    from conetl.pipeline.maps.work_zones import export_wzdx
+    from conetl.pipeline.maps.work_zones import export_zones
 
     for instant in (valid_at, known_at, from_valid_at):
         if instant is not None and not 1 < instant.year < 9999:
@@ -67,12 +67,12 @@ def download(
             path = FilePath(kept.enter_context(TemporaryDirectory(prefix="conetl-download-"))) / name
             if find_map(conn, map_name) is None:
                 raise HTTPException(404, f"There is no map {map_name}.")
-            if file_format == "wzdx":
+            if file_format in ZONE_FORMATS:
                 publisher, road_name = (publisher or "").strip(), (road_name or "").strip()
                 if not (publisher and road_name):
                     raise InputError("A WZDx feed requires the publisher and the name of the road.")
-                export_wzdx(
-                    conn, path, devices=False, map_name=map_name, as_of=valid_at, feed=None, publisher=publisher,
+                export_zones(
+                    conn, path, file_format, map_name=map_name, as_of=valid_at, feed=None, publisher=publisher,
                     road_names=[road_name], lanes=None,
                 )  # fmt: skip
             else:
@@ -99,7 +99,7 @@ def _corners(box: str | None) -> tuple[float, float, float, float] | None:
 
 def _file_name(map_name: str, file_format: str, until: datetime | None, since: datetime | None) -> str:
     """Name with the map and the time: of the state, or of the download if the state has none."""
-    suffix = "_wzdx.geojson" if file_format == "wzdx" else FORMATS[file_format].suffix
+    suffix = (ZONE_FORMATS.get(file_format) or FORMATS[file_format]).suffix
     times = (since, until or datetime.now(UTC))
     parts = [f"{time.astimezone(UTC):%Y-%m-%dT%H-%M-%SZ}" for time in times if time]
     return f"{map_name}_{'changes_' if since else ''}{'_'.join(parts)}{suffix}"

@@ -52,7 +52,8 @@ def test_reading_a_map_in_a_folder_without_one_makes_no_database(
     for name in ("CONETL_HOME", "CONETL_DATABASE_URL"):
         monkeypatch.delenv(name, raising=False)
     for command in (
-        "map show", "map show --provisional", "map list", "map export --out cones.gpkg", "report night", "view", "db audit",
+        "map show", "map show --provisional", "map list", "map export --out cones.gpkg", "report night", "report quality",
+        "view", "db audit",
         "db prune --keep-positions 90d", "db archive --keep-positions 90d",
     ):  # fmt: skip
         done = CliRunner().invoke(app, command.split())

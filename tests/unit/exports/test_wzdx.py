@@ -10,7 +10,8 @@ import pytest
 from pyproj import Transformer
 
 from conetl.exports import wzdx
-from conetl.exports.wzdx import read_feed_info, schema_faults
+from conetl.exports.wzdx import schema_faults
+from conetl.exports.zone_feed import read_feed_info
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.line_files import read_lane_lines
 from tests.folders import SHARED

@@ -140,16 +140,9 @@ def check_points(
         Path, typer.Argument(help="Surveyed feet of cones: CSV, GeoJSON, GeoPackage, FlatGeobuf, GeoParquet.")
     ],
     crs: ui.FileCrsOption = None,
-    heights: Annotated[
-        str | None, typer.Option(help="Heights of the file: ellipsoidal (default), or a system like EPSG:5773.")
-    ] = None,
-    sigma_m: Annotated[
-        float | None,
-        typer.Option(min=0, help="Sigma of the survey in m, if the file has no sigma_e_m, sigma_n_m, sigma_u_m."),
-    ] = None,
-    within_m: Annotated[
-        float, typer.Option(min=0.01, help="Match a cone to a point if it is at most this far away, in metres.")
-    ] = 0.75,
+    heights: ui.HeightsOption = None,
+    sigma_m: ui.SurveySigmaOption = None,
+    within_m: ui.WithinOption = 0.75,
     as_of: ui.AsOfOption = None,
     known_at: ui.KnownOption = None,
     map_name: ui.MapOption = None,

@@ -29,7 +29,7 @@ from conetl.cli.map import work_zones
 from conetl.db.map.import_store import read_licence, set_licence
 from conetl.db.map.map_store import find_map
 from conetl.db.retention import parse_age
-from conetl.exports import FORMATS
+from conetl.exports import FORMATS, ZONE_FORMATS
 from conetl.exports.export import export_map
 from conetl.exports.kind_marks import kinds_text
 from conetl.exports.qgis_project import write_qgis_project
@@ -40,12 +40,10 @@ from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LANE_MARKING, noun_of
 from conetl.model.params import ImportParams
 from conetl.pipeline.database import open_maps
-from conetl.pipeline.maps.work_zones import export_wzdx
+from conetl.pipeline.maps.work_zones import export_zones
 from conetl.pipeline.settings import read_settings
 
-#: Formats of work zones instead of single cones (`work_zones.py`).
-WZDX, WZDX_DEVICES = "wzdx", "wzdx-devices"
-ALL_FORMATS = (*FORMATS, WZDX, WZDX_DEVICES)
+ALL_FORMATS = (*FORMATS, *ZONE_FORMATS)
 
 
 def export(
@@ -78,35 +76,37 @@ def export(
     feed: work_zones.FeedOption = None,
     publisher: work_zones.PublisherOption = None,
     road_names: work_zones.RoadNamesOption = None,
+    country: work_zones.CountryOption = None,
     lanes: work_zones.LanesOption = None,
     max_age: work_zones.MaxAgeOption = None,
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Export the map, its history or its changes to a file, or its work zones as a WZDx 4.2 feed.
+    """Export the map, its history or its changes to a file, or its work zones as a feed (WZDx 4.2, DATEX II 3.7).
 
     Writes a manifest, FILE.manifest.json, beside the file. Lane markings are lines in the same file; in CSV, GeoParquet and
     FlatGeobuf, which hold one type of geometry, they are in a second file, FILE_lane_markings.
     """
     file_format = _format_by_name(output) if file_format is None else file_format
     category = None if category == "all" else category
-    if file_format in (WZDX, WZDX_DEVICES):
+    if file_format in ZONE_FORMATS:
         if what is not ExportContent.FEATURES or known_at or since or until or crs or category:
             raise InputError(
                 f"--what, --known-at, --from, --to, --crs and --category cannot be used with --format {file_format}"
             )
         with open_map(map_name) as (conn, info):
-            count = export_wzdx(
-                conn, output, devices=file_format == WZDX_DEVICES, map_name=info.map_name, as_of=parse_instant(as_of),
-                feed=feed, publisher=publisher, road_names=road_names, lanes=lanes,
+            count = export_zones(
+                conn, output, file_format, map_name=info.map_name, as_of=parse_instant(as_of),
+                feed=feed, publisher=publisher, road_names=road_names, country=country, lanes=lanes,
                 max_age=None if max_age is None else timedelta(seconds=parse_age(max_age)),
             )  # fmt: skip
-        text = f"{counted(count, 'work zone' if file_format == WZDX else 'device')} -> {output}"
+        text = f"{counted(count, ZONE_FORMATS[file_format].noun)} -> {output}"
         answer(as_json, {"written": str(output), "features": count}, text)
         return
-    if feed or publisher or road_names or lanes or max_age:
+    if feed or publisher or road_names or country or lanes or max_age:
         raise InputError(
-            f"--feed, --publisher, --road-name, --lanes and --max-age require --format {WZDX} or {WZDX_DEVICES}"
+            "--feed, --publisher, --road-name, --country, --lanes and --max-age require --format "
+            + " or ".join(ZONE_FORMATS)
         )
     if file_format not in FORMATS:
         raise InputError(f"unknown format {file_format}: use one of {', '.join(ALL_FORMATS)}")

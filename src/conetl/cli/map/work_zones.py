@@ -1,4 +1,4 @@
-"""Options of `conetl map export --format wzdx|wzdx-devices`, and `conetl map check-layout`."""
+"""Options of `conetl map export` for formats of work zones, and `conetl map check-layout`."""
 
 from __future__ import annotations
 
@@ -30,12 +30,13 @@ from conetl.pipeline.maps.work_zones import read_zones, zone_as_dict
 from conetl.workzones import layout_check
 
 FeedOption = Annotated[
-    Path | None, typer.Option("--feed", help="WZDx: YAML file with publisher, road_names, contact, licence ...")
+    Path | None, typer.Option("--feed", help="Work zones: YAML file with publisher, road_names, contact, licence ...")
 ]
-PublisherOption = Annotated[str | None, typer.Option("--publisher", help="WZDx: publisher of the feed.")]
+PublisherOption = Annotated[str | None, typer.Option("--publisher", help="Work zones: publisher of the feed.")]
 RoadNamesOption = Annotated[
-    list[str] | None, typer.Option("--road-name", help="WZDx: name of the road; may be repeated.")
+    list[str] | None, typer.Option("--road-name", help="Work zones: name of the road; may be repeated.")
 ]
+CountryOption = Annotated[str | None, typer.Option("--country", help="DATEX II: country of the publisher, like de.")]
 LanesOption = Annotated[
     Path | None,
     typer.Option(
@@ -59,7 +60,8 @@ MaxAgeOption = Annotated[
     str | None,
     typer.Option(
         "--max-age",
-        help="WZDx: publish zones surveyed longer ago as `planned`, with unknown impact: 7d, 36h; default: 7d.",
+        help="Work zones: a survey is evidence for this long; then a zone has an end in the past, and unknown impact: 7d, 36h; "
+        "default: 7d.",
     ),
 ]
 

@@ -1,4 +1,4 @@
-"""Work zones of a map: computed from its history, and exported as WZDx feeds."""
+"""Work zones of a map: computed from its history, and exported as feeds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import numpy as np
 from conetl.db.base_store import read_lanes_near
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import read_paths, read_versions, require_map
-from conetl.exports.wzdx import FeedContext, export_device_feed, export_work_zone_feed, read_feed_info
+from conetl.exports import ZONE_FORMATS, zone_writer_of
+from conetl.exports.zone_feed import FeedContext, read_feed_info
 from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import FEATURE_CLASSES
@@ -38,22 +39,24 @@ class MapZones:
     """File, base layers or the map's lane markings; None if there are no lane lines."""
 
 
-def export_wzdx(
+def export_zones(
     conn: Connection,
     output: Path,
+    file_format: str,
     *,
-    devices: bool,
     map_name: str,
     as_of: datetime | None,
     feed: Path | None,
     publisher: str | None,
     road_names: list[str] | None,
     lanes: Path | None,
+    country: str | None = None,
     max_age: timedelta | None = None,
     now: datetime | None = None,
 ) -> int:
-    """Write a WorkZoneFeed or DeviceFeed, validated by its schema, and return the number of features. Raises InputError."""
-    info = read_feed_info(feed, publisher=publisher, road_names=road_names)
+    """Write a format of `ZONE_FORMATS` and return the number of features. Raises InputError."""
+    required = ZONE_FORMATS[file_format].required
+    info = read_feed_info(feed, required, publisher=publisher, road_names=road_names, country=country)
     params = WorkZoneParams()
     if max_age is not None:
         params = params.model_copy(update={"max_age_days": max_age / timedelta(days=1)})
@@ -70,9 +73,7 @@ def export_wzdx(
         params=params,
         surveyed_at=surveyed_at,
     )
-    if devices:
-        return export_device_feed(found.standing, found.zones, output, context)
-    return export_work_zone_feed(found.zones, output, context)
+    return zone_writer_of(file_format)(found.zones, found.standing, output, context)
 
 
 def read_zones(
