@@ -277,13 +277,13 @@ where not exists (
 )
 group by x.drive_uuid
 union all
-select 'stereo_match', s.drive_uuid, count(*), 'has no left or no right detection'
+select 'stereo_match', s.drive_uuid, count(*), 'has no detection, or an unknown one'
 from conetl.stereo_match s
-where not exists (
+where num_nonnulls(s.left_detection_index, s.right_detection_index) = 0 or s.left_detection_index is not null and not exists (
     select from conetl.detection l
     where l.drive_uuid = s.drive_uuid and l.frame_index = s.frame_index
     and l.side = 'left' and l.detection_index = s.left_detection_index
-) or not exists (
+) or s.right_detection_index is not null and not exists (
     select from conetl.detection r
     where r.drive_uuid = s.drive_uuid and r.frame_index = s.frame_index
     and r.side = 'right' and r.detection_index = s.right_detection_index

@@ -74,18 +74,36 @@ join conetl.frame_pair f using (drive_uuid)
 where m.map_name = %(map_name)s and d.drive_uuid = %(drive_uuid)s and f.frame_index = %(frame_index)s;
 
 -- name: frame_boxes
--- The detections of one frame pair, in pixels of the rectified images. Parameters: drive_uuid; frame_index.
--- Columns: side; box and score; match_index (null: without a stereo match), range_m of its position.
-select
-    b.side, b.x_px, b.y_px, b.w_px, b.h_px, b.score, s.match_index, p.range_m
-from conetl.detection b
-left join conetl.stereo_match s
-    on s.drive_uuid = b.drive_uuid and s.frame_index = b.frame_index
-    and b.detection_index = case b.side when 'left' then s.left_detection_index else s.right_detection_index end
+-- The detections of one frame pair, in pixels of the rectified images, and where the other image shows what the network found in
+-- one only. Parameters: drive_uuid; frame_index.
+-- Columns: side; box; score (null: not found in this image); match_index (null: without a stereo match), range_m of its position.
+with boxes as (
+    select
+        b.side, b.x_px, b.y_px, b.w_px, b.h_px, b.score, b.detection_index, s.match_index
+    from conetl.detection b
+    left join conetl.stereo_match s
+        on s.drive_uuid = b.drive_uuid and s.frame_index = b.frame_index
+        and b.detection_index = case b.side when 'left' then s.left_detection_index else s.right_detection_index end
+    where b.drive_uuid = %(drive_uuid)s and b.frame_index = %(frame_index)s
+    union all
+    select
+        case b.side when 'left' then 'right' else 'left' end,
+        b.x_px + case b.side when 'left' then 1 else -1 end * (s.foot_right_u_px - s.foot_left_u_px),
+        b.y_px + case b.side when 'left' then 1 else -1 end * (s.foot_right_v_px - s.foot_left_v_px),
+        b.w_px, b.h_px, null, null, s.match_index
+    from conetl.stereo_match s
+    join conetl.detection b
+        on b.drive_uuid = s.drive_uuid and b.frame_index = s.frame_index
+        and b.side = case when s.left_detection_index is null then 'right' else 'left' end
+        and b.detection_index = coalesce(s.left_detection_index, s.right_detection_index)
+    where s.drive_uuid = %(drive_uuid)s and s.frame_index = %(frame_index)s
+    and num_nulls(s.left_detection_index, s.right_detection_index) = 1
+)
+select b.side, b.x_px, b.y_px, b.w_px, b.h_px, b.score, b.match_index, p.range_m
+from boxes b
 left join conetl.position p
-    on p.drive_uuid = s.drive_uuid and p.frame_index = s.frame_index and p.match_index = s.match_index
-where b.drive_uuid = %(drive_uuid)s and b.frame_index = %(frame_index)s
-order by b.side, b.detection_index;
+    on p.drive_uuid = %(drive_uuid)s and p.frame_index = %(frame_index)s and p.match_index = b.match_index
+order by b.side, b.detection_index, b.match_index;
 
 -- name: review_changes
 -- Cones without a decision that were removed (the latest first) or moved (the largest moves first) by the last drive that

@@ -51,16 +51,20 @@ with nearest as materialized (
 )
 select
     n.frame_index, n.range_m, d.source_path, d.rig, f.left_path, f.right_path,
-    l.x_px as left_x_px, l.y_px as left_y_px, l.w_px as left_w_px, l.h_px as left_h_px,
-    r.x_px as right_x_px, r.y_px as right_y_px, r.w_px as right_w_px, r.h_px as right_h_px
+    coalesce(l.x_px, r.x_px + s.foot_left_u_px - s.foot_right_u_px) as left_x_px,
+    coalesce(l.y_px, r.y_px + s.foot_left_v_px - s.foot_right_v_px) as left_y_px,
+    coalesce(l.w_px, r.w_px) as left_w_px, coalesce(l.h_px, r.h_px) as left_h_px,
+    coalesce(r.x_px, l.x_px + s.foot_right_u_px - s.foot_left_u_px) as right_x_px,
+    coalesce(r.y_px, l.y_px + s.foot_right_v_px - s.foot_left_v_px) as right_y_px,
+    coalesce(r.w_px, l.w_px) as right_w_px, coalesce(r.h_px, l.h_px) as right_h_px
 from nearest n
 join conetl.drive d using (drive_uuid)
 join conetl.stereo_match s using (drive_uuid, frame_index, match_index)
 join conetl.frame_pair f using (drive_uuid, frame_index)
-join conetl.detection l
+left join conetl.detection l
     on l.drive_uuid = n.drive_uuid and l.frame_index = n.frame_index
     and l.side = 'left' and l.detection_index = s.left_detection_index
-join conetl.detection r
+left join conetl.detection r
     on r.drive_uuid = n.drive_uuid and r.frame_index = n.frame_index
     and r.side = 'right' and r.detection_index = s.right_detection_index;
 

@@ -26,7 +26,7 @@ from conetl.model.map_records import (
     MapFeature,
 )
 from conetl.model.markings import Marking, MarkingTrack
-from conetl.model.rig import Camera, Rig, Side
+from conetl.model.rig import SIDES, Camera, Rig, Side
 from conetl.pipeline.replay import replay_of_newest
 
 SRID = 32632
@@ -92,17 +92,18 @@ def box(
 
 
 def detections(frames: int = 3) -> list[Detection]:
-    return [box(600.5, 180, 20, 30, frame=i, side=side) for i in range(frames) for side in ("left", "right")]
+    return [box(600.5, 180, 20, 30, frame=i, side=side) for i in range(frames) for side in SIDES[: 1 + (i != 1)]]
 
 
 def matches(frames: int = 3) -> list[StereoMatch]:
-    boxes = detections(frames)
+    """In frame pair 1 the network found the object in the left image only (`detections`)."""
+    boxes = {(box.frame_index, box.side): box for box in detections(frames)}
     return [
         StereoMatch(
             frame_index=i,
             match_index=0,
-            left=boxes[2 * i],
-            right=boxes[2 * i + 1],
+            left=boxes.get((i, "left")),
+            right=boxes.get((i, "right")),
             foot_left_uv_px=(610.0, 210.0),
             foot_right_uv_px=(580.0, 210.0),
             centre_left_uv_px=(610.0, 195.0),

@@ -62,7 +62,13 @@ def test_raw_records_come_back_as_they_were(conn, samples):
     assert pair["left_path"] == "image_02/data/0000000001.png"
     assert pair["place"] == "SRID=32632;POINT(458000.5 5428000.25 115.125)"
     assert (pair["map_r_body"], pair["sigma_enu_m"]) == ([1, 0, 0, 0, 1, 0, 0, 0, 1], [0.3, 0.3, 0.5])
-    assert len(execute(conn, "select 1 from detection where side = 'right' and w_px = 20 and h_px = 30")) == 3
+    assert len(execute(conn, "select 1 from detection where side = 'right' and w_px = 20 and h_px = 30")) == 2
+    indices = execute(
+        conn, "select left_detection_index, right_detection_index as right from stereo_match order by frame_index"
+    )
+    assert [tuple(row.values()) for row in indices] == [(0, 0), (0, None), (0, 0)], (
+        "one is found in the left image only"
+    )
     [match] = execute(conn, "select * from stereo_match where frame_index = 2")
     assert (match["foot_right_u_px"], match["tip_left_v_px"], match["refined"]) == (580, 180, True)
     [position] = execute(conn, "select *, ST_Z(centre_geom) as centre_z from position where frame_index = 0")

@@ -107,6 +107,9 @@ def test_history_and_sightings(client, features):
     assert first["camera_xyz_m"] == [0.5, 0.25, 15.125]
     assert (first["left"]["x_px"], first["left"]["score"], first["range_m"]) == (600.5, 0.9, 12.0)
     assert first["corners"][0][2] == 1.0
+    left, right = sightings[1]["left"], sightings[1]["right"]  # the network found it in the left image only
+    assert (left["x_px"] - right["x_px"], left["w_px"] - right["w_px"]) == (30.0, 0.0)
+    assert (left["score"], right["score"]) == (0.9, None)
     removed = get(client, f"{MAP}/features/{features['goes'].feature_id}")["history"][-1]
     assert (removed["kind"], removed["sighting_count"]) == ("removed", 0)
 
@@ -183,9 +186,13 @@ def test_trajectory(client):
     assert way["xyz_m"] == [[0.5, 0.25, 15.125]] * 3
 
 
-def image_path(client, features, side="left"):
-    s = get(client, f"{MAP}/features/{features['comes'].feature_id}/sightings")["sightings"][0]
+def image_path(client, features, side="left", number=0):
+    s = get(client, f"{MAP}/features/{features['comes'].feature_id}/sightings")["sightings"][number]
     return f"{MAP}/drives/{s['drive_uuid']}/pictures/{s['frame_index']}/{s['match_index']}/{side}.jpg"
+
+
+def test_crop_shows_where_an_image_without_a_box_shows_the_cone(client, features):
+    assert client.get(image_path(client, features, "right", 1)).headers["content-type"] == "image/jpeg"
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

@@ -130,7 +130,8 @@ FAULTS = {
     ],
     "orphan_records": [
         ("delete from frame_pair where frame_index = 0",),
-        ("delete from detection where frame_index = 1 and side = 'right'",),
+        ("delete from detection where frame_index = 2 and side = 'right'",),
+        ("update stereo_match set left_detection_index = null where frame_index = 1",),
         ("delete from position where frame_index = 1",),
         ("update track set members = array[[1, 0], [1, 7]]",),
         ("update frame_pair set drive_uuid = gen_random_uuid()",),

@@ -41,6 +41,7 @@ export interface Chosen {
   decisions: Decisions | null;
 }
 
+const scoreText = (box: { score: number | null }) => box.score?.toFixed(2) ?? "none";
 const sigma = (variance: number) => Math.sqrt(variance).toFixed(3);
 
 /** The state that is shown; undefined before the cone was on the map. */
@@ -204,7 +205,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
       holder,
       el("div", { class: "stepper" }, step(i - 1, "‹", "Previous image pair (P)"), slider, step(i + 1, "›", "Next image pair (N)")),
       el("p", { class: "hint", textContent: `Image pair ${i + 1} of ${sightings.length}${chosen.truncated ? " (the first ones)" : ""} · ${s.drive_id} · frame pair ${s.frame_index} · ${utc(s.captured_at)} UTC` }),
-      el("p", { class: "hint", textContent: `${s.range_m.toFixed(1)} m away · score ${s.left.score.toFixed(2)} left, ${s.right.score.toFixed(2)} right · residual ${s.residual_rms_px.toFixed(2)} px` }),
+      el("p", { class: "hint", textContent: `${s.range_m.toFixed(1)} m away · score ${scoreText(s.left)} left, ${scoreText(s.right)} right · residual ${s.residual_rms_px.toFixed(2)} px` }),
     ); // prettier-ignore
     if (stepFocus) seen.querySelector<HTMLElement>(`[data-focus="${stepFocus}"]:not(:disabled)`)?.focus();
     if (key !== shownImage) {

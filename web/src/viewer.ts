@@ -341,7 +341,7 @@ export function createViewer(host: HTMLElement) {
       for (const b of own.boxes) {
         const [x1, y1] = [b.x_px + b.w_px, b.y_px + b.h_px];
         const mine = b.match_index !== null && matches.has(b.match_index);
-        shapes.push({ points: [[b.x_px, b.y_px], [x1, b.y_px], [x1, y1], [b.x_px, y1]], style: mine ? "box chosen" : "box", text: b.score.toFixed(2) }); // prettier-ignore
+        shapes.push({ points: [[b.x_px, b.y_px], [x1, b.y_px], [x1, y1], [b.x_px, y1]], style: mine ? "box chosen" : "box", text: b.score?.toFixed(2) ?? "" }); // prettier-ignore
       }
     if (now && on("cone")) {
       const style = matches.size ? "cone" : "cone dashed";

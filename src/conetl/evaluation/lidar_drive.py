@@ -113,7 +113,7 @@ def _check_pair(
     lowest_m, highest_m = params.track.min_cone_height_m, params.track.max_cone_height_m
     for position in positions:
         match = by_index.get(position.match_index)
-        if match is None or not lowest_m <= position.object_height_m <= highest_m:
+        if match is None or match.left is None or not lowest_m <= position.object_height_m <= highest_m:
             continue
         lidar = steps.lidar_range(points_left, find_outline(left, match.left), rig.left, up)
         if lidar is not None:

@@ -215,15 +215,16 @@ class Detection(Record):
 
 
 class StereoMatch(Record):
-    """Left and right detection of one object, with the image points used for its position.
+    """Left and right detection of one object, or one of both, with the image points used for its position.
 
     `foot`: centre of the base where it meets the ground; `centre`: centre of the box (the paper's point); `tip`: top of the cone.
     """
 
     frame_index: int = Field(ge=0)
     match_index: int = Field(ge=0)
-    left: Detection
-    right: Detection
+    left: Detection | None
+    """None: the network found the object in the other image only, and the images of both show it here."""
+    right: Detection | None
     foot_left_uv_px: Vec2
     foot_right_uv_px: Vec2
     centre_left_uv_px: Vec2
@@ -241,6 +242,22 @@ class StereoMatch(Record):
     refined: bool
     """Whether area-based matching refined the image points, which otherwise come from the boxes alone."""
     cost: NonNegative
+
+    @model_validator(mode="after")
+    def _has_a_box(self) -> StereoMatch:
+        if not self.boxes:
+            raise ValueError("expected a detection in at least one image")
+        return self
+
+    @property
+    def boxes(self) -> tuple[Detection, ...]:
+        """One or two."""
+        return tuple(box for box in (self.left, self.right) if box is not None)
+
+    @property
+    def category(self) -> str:
+        """Of its detections."""
+        return self.boxes[0].category
 
 
 # --------------------------------------------------------------------------- object space

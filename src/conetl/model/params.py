@@ -65,6 +65,8 @@ class MatchParams(Params):
     """Largest difference between the scores of the two boxes."""
     refine: bool = True
     """Refine the left-right correspondence by area-based matching where the images allow it."""
+    one_sided_min_score: Fraction = 0.3
+    """Least score of a detection without a partner that is looked for in the other image."""
 
 
 class PositionParams(Params):

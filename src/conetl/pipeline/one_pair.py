@@ -161,7 +161,9 @@ def locate_pair(paths: tuple[Path, Path], rig: Rig, detector: Detector, params: 
     limits_m = [params.track.heights_m(one.category) for one in located]
     fits = [one for one, (least, most) in zip(located, limits_m, strict=True) if least <= one.object_height_m <= most]
     unmatched = {
-        side: len(found) - len(matches) - sum(r.payload.get("side") == side for r in rejected)
+        side: len(found)
+        - sum(getattr(one, side) is not None for one in matches)
+        - sum(r.payload.get("side") == side for r in rejected)
         for side, found in zip(SIDES, detections, strict=True)
     }
     cones, objects = ([one for one in fits if (one.category == CONE) == is_cone] for is_cone in (True, False))

@@ -177,9 +177,9 @@ def locate_in_camera(
 def _shared_fields(match: StereoMatch, located: _Located, i: int) -> dict[str, Any]:
     """The fields that do not depend on the frame of the record."""
     return {
-        "frame_index": match.frame_index, "match_index": match.match_index, "category": match.left.category,
+        "frame_index": match.frame_index, "match_index": match.match_index, "category": match.category,
         "ray_angle_rad": float(located.ray_angle[i]), "residual_rms_px": float(located.residual_rms[i]),
-        "iterations": int(located.iterations[i]), "score": min(match.left.score, match.right.score),
+        "iterations": int(located.iterations[i]), "score": min(box.score for box in match.boxes),
     }  # fmt: skip
 
 
@@ -225,7 +225,7 @@ def _locate(matches: Sequence[StereoMatch], rig: Rig, params: PositionParams) ->
     foot_cov = result.cov_m2[:count].copy()
     pointing = np.array([m.sigma_pointing_px for m in matches])
     foot_cov[:, 0, 0] += (pointing * result.depth_m[:count, 0] / rig.left.fx_px) ** 2
-    aside = np.array([FEATURE_CLASSES[m.left.category].outline_aside for m in matches])
+    aside = np.array([FEATURE_CLASSES[m.category].outline_aside for m in matches])
     outline_m = np.array([m.sigma_outline_px for m in matches]) * result.depth_m[:count, 0] / rig.left.fx_px
     foot_cov[:, 0, 0] += (aside * outline_m) ** 2
     foot_cov[:, 1, 1] += outline_m**2

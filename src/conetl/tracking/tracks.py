@@ -259,7 +259,7 @@ def boxes_in_use(
 def _boxes_of(group: Sequence[Position], matches: Mapping[tuple[int, int], StereoMatch]) -> Iterator[BoxKey]:
     for position in group:
         match = matches[position.frame_index, position.match_index]
-        yield from (_box_key(match.left), _box_key(match.right))
+        yield from map(_box_key, match.boxes)
 
 
 def _box_key(box: Detection) -> BoxKey:

@@ -119,10 +119,7 @@ def with_variance_factors(
     matches: Sequence[StereoMatch], variances: Mapping[str, VarianceFactors]
 ) -> list[StereoMatch]:
     """The matches of a drive with the factors of their classes applied, where `estimate_variance_factors` used them."""
-    return [
-        _weighed(m, variances[m.left.category]) if m.left.category in variances and _is_usable(m) else m
-        for m in matches
-    ]
+    return [_weighed(m, variances[m.category]) if m.category in variances and _is_usable(m) else m for m in matches]
 
 
 def _weighed(match: StereoMatch, variances: VarianceFactors) -> StereoMatch:
@@ -217,7 +214,7 @@ def _observed_cone(
     disparity = np.array([_disparity_px(m) for m in pairs])
     in_common = np.array([shared_disparity_px(_disparity_px(m)) for m in pairs])
     down_px = np.array([m.sigma_outline_px for m in pairs])
-    aside = np.array([FEATURE_CLASSES[m.left.category].outline_aside for m in pairs])
+    aside = np.array([FEATURE_CLASSES[m.category].outline_aside for m in pairs])
     shared = np.stack([aside * down_px, down_px, in_common], axis=1)
     # What all observations of an object have in common causes no scatter.
     own = np.maximum(disparity**2 - in_common**2, 1e-6)

@@ -194,7 +194,8 @@ class Box(Record):
     y_px: float
     w_px: float
     h_px: float
-    score: float
+    score: float | None
+    """None: the network found the object in the other image only."""
 
 
 class Sighting(Record):

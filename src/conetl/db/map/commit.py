@@ -186,7 +186,7 @@ def _require_consistent(records: DriveRecords, changeset: Changeset) -> None:
         *(
             f"stereo match {m.match_index} of frame {m.frame_index} without its detections"
             for m in matches
-            if not {(m.frame_index, b.side, b.detection_index) for b in (m.left, m.right)} <= boxes
+            if not {(m.frame_index, b.side, b.detection_index) for b in m.boxes} <= boxes
         ),
         *(f"position {p} without its stereo match" for p in (positioned - matched if matches else ())),
         *(

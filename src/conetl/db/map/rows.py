@@ -77,8 +77,8 @@ def match_columns(drive_uuid: UUID, matches: Sequence[StereoMatch]) -> Columns:
     columns: dict[str, Any] = {
         "drive_uuid": [drive_uuid] * len(matches),
         **_attributes(matches, "frame_index match_index refined sigma_u_px sigma_v_px sigma_pointing_px cost"),
-        "left_detection_index": [m.left.detection_index for m in matches],
-        "right_detection_index": [m.right.detection_index for m in matches],
+        "left_detection_index": [m.left and m.left.detection_index for m in matches],
+        "right_detection_index": [m.right and m.right.detection_index for m in matches],
     }
     for point in ("foot", "centre", "tip"):
         for side in ("left", "right"):

@@ -16,7 +16,6 @@ which avoids a bias to half pixels. Outliers (objects in front) are down-weighte
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -56,8 +55,7 @@ _PRIOR_NORMAL = _DESIGN_EFFECT * np.diag(_PRIOR)
 _PRIOR_VARIANCE = np.array([0.0, 0.0, 0.010**2, 0.033**2, 0.033**2, 0.033**2])
 
 
-@dataclass(frozen=True)
-class AreaMatch:
+class AreaMatch(NamedTuple):
     """Result of `match_area`."""
 
     disparity_px: float
@@ -78,12 +76,14 @@ def match_area(
     up: Floats,
     at_infinity_px: float = 0.0,
     row_offset_px: float = 0.0,
+    lead: tuple[float, float] | None = None,
 ) -> AreaMatch | None:
     """Disparity of the object with `outline` in the left image, or None if the images do not determine it.
 
     left, right: rectified images, (H, W, 3) or (H, W), uint8. disparity_px: first guess; search_px: half width of the search.
     camera: the left one. up: unit vector (3,) in its frame (x right, y down, z forward). at_infinity_px: disparity of a point
-    at infinity. row_offset_px: how much lower points are in the right image by calibration.
+    at infinity. row_offset_px: how much lower points are in the right image by calibration. lead: by how much the best
+    correlation must exceed those at disparities that differ by more than so many px; None: any best one is taken.
     """
     if left.ndim == 2:
         left, right = left[:, :, None], right[:, :, None]
@@ -94,16 +94,22 @@ def match_area(
     )
     if pixels is None:
         return None
-    coarse = _whole_pixel_disparity(pixels, right, disparity_px, search_px, at_infinity_px, round(row_offset_px))
+    coarse = _whole_pixel_disparity(pixels, right, disparity_px, search_px, at_infinity_px, round(row_offset_px), lead)
     if coarse is None:
         return None
     return _least_squares(pixels, right, float(coarse), at_infinity_px, row_offset_px)
 
 
 def _whole_pixel_disparity(
-    pixels: BodyPixels, right: Image, guess: float, search_px: float, at_infinity_px: float, row_offset: int
+    pixels: BodyPixels,
+    right: Image,
+    guess: float,
+    search_px: float,
+    at_infinity_px: float,
+    row_offset: int,
+    lead: tuple[float, float] | None,
 ) -> int | None:
-    """Best whole-pixel disparity; None at the limit of the search, below the threshold, or outside the image."""
+    """Best whole-pixel disparity; None at the limit of the search, below the threshold, outside the image, or without a lead."""
     reach = int(np.ceil(search_px)) + 1
     candidates = round(guess) + np.arange(-reach, reach + 1)
     shape = at_infinity_px + (candidates[:, None] - at_infinity_px) / pixels.depth
@@ -125,6 +131,10 @@ def _whole_pixel_disparity(
     best = int(np.argmax(scores))
     if best in (0, 2 * reach) or scores[best] < 0.65 * _MIN_CORRELATION:
         return None
+    if lead is not None:
+        others = scores[np.abs(candidates - candidates[best]) > lead[1]]
+        if others.max(initial=-1.0) > scores[best] - lead[0]:
+            return None
     return int(candidates[best])
 
 

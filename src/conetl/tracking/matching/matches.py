@@ -7,7 +7,6 @@ least total cost is taken.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
@@ -22,11 +21,12 @@ from conetl.model.drive import Detection, StereoMatch
 from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import MatchParams
 from conetl.model.rejections import Rejection, RejectionReason
-from conetl.model.rig import Camera, Rig
+from conetl.model.rig import SIDES, Camera, Rig
 from conetl.tracking.matching.apparent_boxes import hidden_share
 from conetl.tracking.matching.area_matching import AreaMatch, match_area
 from conetl.tracking.matching.cone_outline import Outline, find_outline
 from conetl.tracking.matching.covariance import with_shared_part
+from conetl.tracking.matching.one_sided import OneSided, match_one_box
 from conetl.tracking.matching.plate_pixels import Plate, board_edges, find_plate
 
 Number = TypeVar("Number", float, NDArray[np.float64])
@@ -67,17 +67,16 @@ def match_pair(
     """Match the detections of one frame pair.
 
     up_left: unit vector (3,) pointing up, in the left camera's frame; (0, -1, 0) for a level camera. images: the two rectified
-    images, (H, W, 3) uint8; with them the correspondence is refined by area-based matching (`params.refine`). A detection
-    without a partner of its category gives no match; a box at the border of the image lacks foot or tip and is rejected.
+    images, (H, W, 3) uint8; with them the correspondence is refined by area-based matching (`params.refine`), and a detection
+    without a partner of its category is looked for in the other image (`one_sided.py`); else it gives no match. A box at the
+    border of the image lacks foot or tip and is rejected.
     """
     rejections: list[Rejection] = []
     left_whole = [d for d in left if _is_whole(d, rig.left, rejections)]
     right_whole = [d for d in right if _is_whole(d, rig.right, rejections)]
-    if not left_whole or not right_whole:
-        return [], rejections
     areas: dict[tuple[int, int], AreaMatch | None] = {}
     costs = np.full((len(left_whole), len(right_whole)), np.inf)
-    middles = np.array([[d.x_px + d.w_px / 2 - 0.5, d.y_px + d.h_px / 2 - 0.5] for d in left_whole])
+    middles = np.array([[d.x_px + d.w_px / 2 - 0.5, d.y_px + d.h_px / 2 - 0.5] for d in left_whole]).reshape(-1, 2)
     shifts = infinity_shift_px(rig, middles).tolist()
     outlines: list[Outline | Plate | None] = [None] * len(left_whole)
     for i, (a, (at_infinity_px, rows_up)) in enumerate(zip(left_whole, shifts, strict=True)):
@@ -107,7 +106,37 @@ def match_pair(
         if images is not None and area is not None and FEATURE_CLASSES[a.category].end == "edges":
             ends = board_edges(images[0], a), board_edges(images[1], b)
         matches.append(_stereo_match(index, a, b, ends, float(costs[i, j]), area, outlines[i], hidden, rig, up_left))
+    if images is not None and params.refine:
+        own = {left_whole[i].detection_index for i, _ in pairs}, {right_whole[j].detection_index for _, j in pairs}
+        for k, whole in enumerate((left_whole, right_whole)):
+            for box in whole:
+                if box.detection_index in own[k] or box.score < params.one_sided_min_score:
+                    continue
+                if (found := match_one_box(box, images, (left, right), rig, params, up_left)) is not None:
+                    matches.append(_one_sided_match(len(matches), box, found, images, (left, right), rig, up_left))
     return matches, rejections
+
+
+def _one_sided_match(
+    index: int,
+    box: Detection,
+    found: OneSided,
+    images: tuple[Image, Image],
+    others: tuple[Sequence[Detection], Sequence[Detection]],
+    rig: Rig,
+    up: NDArray[np.float64],
+) -> StereoMatch:
+    """The record of a match of one box."""
+    a, b, area, outline = found
+    at_infinity_px = float(infinity_shift_px(rig, np.array([a.x_px + a.w_px / 2 - 0.5, a.y_px + a.h_px / 2 - 0.5]))[0])
+    ends, area = (a, b), _at_axis(area, box.category, at_infinity_px, rig)
+    if FEATURE_CLASSES[box.category].end == "edges":
+        ends = board_edges(images[0], a), board_edges(images[1], b)
+    hidden = _hidden_foot(box, others[SIDES.index(box.side)])
+    match = _stereo_match(index, a, b, ends, 1.0 - area.correlation, area, outline, hidden, rig, up)
+    # One box shows rows and bearing with the error of one, not of the mean of two.
+    once = {"sigma_v_px": 2**0.5 * match.sigma_v_px, "sigma_pointing_px": 2**0.5 * match.sigma_pointing_px}
+    return match.model_copy(update={**once, "left": None} if box.side == "right" else {**once, "right": None})
 
 
 def with_measured_spread(matches: Sequence[StereoMatch]) -> list[StereoMatch]:
@@ -138,7 +167,7 @@ def with_measured_spread(matches: Sequence[StereoMatch]) -> list[StereoMatch]:
 
 
 def _has_feet(match: StereoMatch) -> bool:
-    return match.left.foot_px is not None and match.right.foot_px is not None
+    return all(box is not None and box.foot_px is not None for box in (match.left, match.right))
 
 
 def foot_image_point(box: Detection, camera: Camera, up: NDArray[np.float64]) -> Vec2:
@@ -225,7 +254,7 @@ def _at_axis(area: AreaMatch, category: str, at_infinity_px: float, rig: Rig) ->
     """The match with the disparity of the object's axis instead of that of its face."""
     parallax = area.disparity_px - at_infinity_px
     nearer = 1 + FEATURE_CLASSES[category].face_m * parallax / (rig.left.fx_px * rig.baseline_m)
-    return replace(area, disparity_px=at_infinity_px + parallax / nearer)
+    return area._replace(disparity_px=at_infinity_px + parallax / nearer)
 
 
 def row_tolerance_px(params: MatchParams, height_px: Number) -> Number:
