@@ -42,14 +42,31 @@ export class ApiError extends Error {
   }
 }
 
+let logIn: (() => Promise<void>) | null = null;
+/** What asks the person for the token when the server requires a login again; requests wait for it. */
+export const onLoginRequired = (ask: typeof logIn): void => void (logIn = ask);
+
 export async function ask(path: string, init: RequestInit = {}): Promise<Response> {
-  let response: Response;
+  const response = await send(path, init);
+  // A missing writer token is answered where the decision is written.
+  if (response.status !== 401 || !logIn || !response.headers.get("WWW-Authenticate")?.includes("realm")) return accepted(response);
+  await logIn();
+  return accepted(await send(path, init));
+}
+
+/** Exchange the token for the cookie of a login; false if it is wrong. */
+export const login = async (token: string): Promise<boolean> => (await send(`maps${query({ token })}`, {})).ok;
+
+async function send(path: string, init: RequestInit): Promise<Response> {
   try {
-    response = await fetch(`./api/${path}`, init);
+    return await fetch(`./api/${path}`, init);
   } catch (error) {
     if (error instanceof DOMException && error.name === "AbortError") throw error;
     throw new ApiError("The server does not answer. Check that `conetl view` is running, then try again.", 0);
   }
+}
+
+async function accepted(response: Response): Promise<Response> {
   if (response.ok) return response;
   let detail = `The server answered ${response.status}.`;
   let body: unknown = null;

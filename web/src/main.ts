@@ -1,5 +1,5 @@
 // State of the page -> requests -> drawing.
-import { api, requestEarly, type Decisions, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { api, login, onLoginRequired, requestEarly, type Decisions, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
 import { createAddress, REST_MS } from "./address";
 import { createBase } from "./base";
 import { countClasses, countOf } from "./classes";
@@ -30,6 +30,7 @@ import { createTools } from "./tools";
 import { createViewer } from "./viewer";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
+onLoginRequired(() => layout.logIn(login));
 // The requests go out first: setting up WebGL keeps this thread for as long as they take.
 layout.card("Loading the map …", "", { busy: true });
 const address = createAddress(() => state, (text) => layout.toast(text, { text: "OK", run: () => undefined }));
@@ -69,6 +70,8 @@ let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
 let all: Cone[] = [];
 let fitted = false;
+/** What the picture shows; null before the first one. */
+let drawn: State | null = null;
 /** Number of the latest refresh: answers to earlier ones are dropped. */
 let refreshNo = 0;
 let decisions: Decisions | null = null;
@@ -113,7 +116,7 @@ createDownloads(layout.tools.download, {
 });
 const showTimeline = createTimeline(layout.timeline, {
   change,
-  showChanges: (kind) => change({ mode: "drive", side: "changes", hidden: onlyKind({ ...state, hidden: state.list === "changes" ? state.hidden : new Set() }, kind), list: "changes" }),
+  showChanges: (changeset, kind) => change({ mode: "drive", changeset, side: "changes", hidden: onlyKind({ ...state, hidden: state.list === "changes" ? state.hidden : new Set() }, kind), list: "changes" }),
   writableMap: () => (decisions?.writable ? state.map : null),
   decided: () => void newDecision(),
   decisions: () => decisions?.decisions ?? [],
@@ -205,7 +208,7 @@ function nameOf(answer: { maps: MapItem[]; chosen: string }): string {
 async function openMap(): Promise<void> {
   closeStream?.();
   selection.clear();
-  timeline = null;
+  timeline = drawn = null;
   all = [];
   paths.clear();
   decisions = null;
@@ -247,7 +250,10 @@ async function openMap(): Promise<void> {
       if (baseHead !== null && head !== baseHead) void openBase(map);
       baseHead = head;
     },
-    status: layout.status,
+    status: (status, text) => {
+      layout.status(status, text);
+      layout.notice(status === "live" || drawn === null ? null : text);
+    },
   });
 }
 
@@ -276,11 +282,11 @@ async function newChangeset(no: number): Promise<void> {
     review.load();
     const item = timeline?.changesets.at(-1);
     if (!item) return;
-    void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
+    void readMaps();
     const counts = changesOf([item]).map((change) => change.text).join(", ") || "no changes";
     const follows = state.mode === "drive" && state.changeset === null;
     const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} was committed, but is not part of the map: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
-    layout.toast(said, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });
+    layout.toast(said, follows ? null : { text: "Show its changes", run: () => change({ mode: "drive", changeset: null, side: "changes" }) });
     await refresh();
     await selection.again();
   } catch (error) {
@@ -301,10 +307,15 @@ async function readDecisions(): Promise<void> {
   }
 }
 
+async function readMaps(): Promise<void> {
+  maps = (await api.maps()).maps;
+  sidebar.showMaps(maps, state.map);
+}
+
 /** After a decision, other cones may stand and other drives count. */
 async function newDecision(): Promise<void> {
   try {
-    await Promise.all([readTimeline(), readDecisions()]);
+    await Promise.all([readTimeline(), readDecisions(), readMaps()]);
     review.load();
     await refresh();
     await selection.again();
@@ -335,16 +346,18 @@ async function refresh(): Promise<void> {
     return;
   }
   layout.busy(true);
+  const asked = state;
   showTimeline(state, timeline.changesets); // the controls react at once, the scene when the data is there
   try {
     const [[next, truncated], drives] = await Promise.all([readCones(state, timeline.changesets), readPaths(drivesShown(state, timeline.changesets))]);
     if (mine !== refreshNo) return;
     layout.card(null);
     selection.follow();
-    layout.notice(truncated ? `Only the first ${countOf(next.length)} are shown: this map is too large for one view.` : null);
+    if (truncated) layout.toast(`Only the first ${countOf(next.length)} are shown: this map is too large for one view.`, null);
     show(next, drives);
+    drawn = asked;
   } catch (error) {
-    if (mine === refreshNo) fail(error, refresh);
+    if (mine === refreshNo) fail(error, () => change(asked));
   } finally {
     if (mine === refreshNo) layout.busy(false);
   }
@@ -420,6 +433,7 @@ function drawMark(): void {
 function draw(): void {
   const shown = visible();
   cones.show(shown);
+  input.shown(shown);
   layout.listPane.open(state.list);
   lists.show(state, all, timeline);
   showSites(all.filter((c) => !c.marking));
@@ -447,8 +461,17 @@ function fit(): void {
   stage.fit([...points, ...(points.length ? near : path)]);
 }
 
+/** Before the first picture a card says why; later the picture stays, and the controls say again what it shows. */
 function fail(error: unknown, again: () => unknown): void {
   stage.start();
+  if (drawn) {
+    const { mode, changeset, side, from, to, valid, known } = drawn;
+    state = { ...state, mode, changeset, side, from, to, valid, known };
+    address.write();
+    layout.busy(false);
+    showTimeline(state, timeline?.changesets ?? []);
+    return layout.toast(`${messageOf(error)} The map still shows what it showed before.`, { text: "Try again", run: () => void again() });
+  }
   if (!all.length) layout.empty(true); // no controls without data
   layout.busy(false);
   const text = messageOf(error);
@@ -457,7 +480,7 @@ function fail(error: unknown, again: () => unknown): void {
 
 // --- mouse and keyboard
 
-listenToInput(stage, layout, tools, { select: (id) => void select(id), key: handleKey });
+const input = listenToInput(stage, layout, tools, { select: (id) => void select(id), key: handleKey });
 
 function handleKey(event: KeyboardEvent): boolean {
   if (review.key(event)) return true;
