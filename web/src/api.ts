@@ -13,7 +13,9 @@ export type Timeline = Schemas["Timeline"];
 export type Feature = Schemas["Feature"];
 export type Marking = Schemas["MarkingShape"];
 export type Change = Schemas["Change"];
-export type Features = Schemas["Features"];
+export type TileAnswer = Schemas["Tile"];
+export type Cluster = Schemas["Cluster"];
+export type Summary = Schemas["Summary"] & { origin_m: Vec3; box_m: [number, number, number, number] | null };
 export type Changes = Schemas["Changes"];
 export type HistoryItem = Schemas["HistoryItem"];
 export type Sighting = Schemas["Sighting"];
@@ -120,8 +122,9 @@ export const api = {
   maps: () => askJson<Schemas["Maps"]>("maps"),
   projection: (map: string, [x, y]: [number, number]) => askMap<Projection>(map, `projection${query({ x_m: String(x), y_m: String(y) })}`),
   timeline: (map: string) => askMap<Timeline>(map, "timeline"),
-  features: (map: string, at: Instant) =>
-    askMap<Features>(map, `features${query({ valid_at: at.valid, known_at: at.known })}`),
+  summary: (map: string, at: Instant) => askMap<Summary>(map, `summary${query({ valid_at: at.valid, known_at: at.known })}`),
+  /** `key`: zoom/x/y. */
+  tile: (map: string, key: string, at: Instant) => askMap<TileAnswer>(map, `tiles/${key}${query({ valid_at: at.valid, known_at: at.known })}`),
   changes: (map: string, changesetNo: number) => askMap<Changes>(map, `changes/${changesetNo}`),
   between: (map: string, from: Instant, to: Instant) => {
     const instants = { from_valid_at: from.valid, from_known_at: from.known, to_valid_at: to.valid, to_known_at: to.known };

@@ -7,6 +7,8 @@ import type { Tools } from "./tools";
 
 export interface InputActions {
   select(id: string | null): void;
+  /** Whether something was there besides the cones. */
+  click(x: number, y: number): boolean;
   /** Whether the key meant something. */
   key(event: KeyboardEvent): boolean;
 }
@@ -33,7 +35,7 @@ export function listenToInput(stage: Stage, layout: Layout, tools: Tools, action
     if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
     if (tools.click(event.offsetX, event.offsetY)) return hover(null);
     const cone: Cone | null = tools.pick(event.offsetX, event.offsetY);
-    if (!cone) return tools.clickGround(event.offsetX, event.offsetY);
+    if (!cone) return actions.click(event.offsetX, event.offsetY) ? undefined : tools.clickGround(event.offsetX, event.offsetY);
     hover(null); // the panel moves the scene, and the cone away from the pointer
     actions.select(cone.id);
   });

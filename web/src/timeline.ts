@@ -38,7 +38,7 @@ function changes(items: TimelineItem[], count: (t: TimelineItem, kind: ChangeKin
 
 const stretches = (sum: number) => plural(sum, "stretch of lane markings", "stretches of lane markings");
 /** Of objects, then of lane markings. */
-export const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf, String), ...changes(items, linesOf, stretches)];
+export const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf, (sum) => sum.toLocaleString("en")), ...changes(items, linesOf, stretches)];
 
 export function createTimeline(host: HTMLElement, actions: TimelineActions) {
   let [now, drives]: [State | null, TimelineItem[]] = [null, []];
