@@ -81,6 +81,10 @@ def make_closures(conn: Connection, map_name: str, *, features: int, versions: i
 
 
 def _analyse(conn: Connection) -> None:
+    execute(conn, "update conetl.drive set rig = %(rig)s", {"rig": _rig().model_dump_json()})
+    execute(conn, _FRAME)
+    execute(conn, _CELLS)
+    conn.commit()
     conn.autocommit = True
     execute(conn, "vacuum analyze")
     conn.autocommit = False
@@ -114,6 +118,25 @@ def _load_block(conn: Connection, map_id: int, start: int, count: int, history: 
         execute(conn, sql, both)
 
 
+#: One of the first drive: the view counts its metres from there.
+_FRAME = """
+insert into conetl.frame_pair (drive_uuid, frame_index, left_path, right_path, captured_at_ns, geom, map_r_body, sigma_enu_m, sigma_rpy_rad)
+select d.drive_uuid, 0, '', '', d.captured_from_ns, ST_SetSRID(ST_MakePoint(ST_XMin(d.area), ST_YMin(d.area), 100), d.srid),
+    array[1, 0, 0, 0, 1, 0, 0, 0, 1], array[0.01, 0.01, 0.01], array[0.001, 0.001, 0.001]
+from conetl.drive d
+join conetl.changeset c using (drive_uuid)
+where c.changeset_no = 1
+on conflict do nothing"""
+#: Triggers were off.
+_CELLS = """
+insert into conetl.feature_cell (map_id, zoom, x, y, category, is_line, feature_count, sum_cm)
+select v.map_id, z, floor(ST_X(v.geom) / 2 ^ (20 - z)), floor(ST_Y(v.geom) / 2 ^ (20 - z)), v.category, v.line is not null, count(*),
+    array[sum(round(ST_X(v.geom) * 100)), sum(round(ST_Y(v.geom) * 100)), sum(round(ST_Z(v.geom) * 100))]::bigint[]
+from conetl.feature_version v
+cross join conetl.cell_zooms() z
+where v.present and upper_inf(v.system_period) and upper_inf(v.valid_period)
+group by 1, 2, 3, 4, 5, 6
+on conflict do nothing"""
 _CLOSURES = (
     "insert into conetl.map (map_name, srid, created_at) values (%(map)s, 32632, '2026-01-01T00:00Z')",
     """

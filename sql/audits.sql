@@ -435,3 +435,22 @@ from location p
 join conetl.feature_version v on v.map_id = p.map_id and p.of_line = (v.line is not null)
     and ST_DWithin(v.geom, p.geom, greatest(p.radius_m - 1e-6, 0))
 where v.present and upper_inf(v.system_period);
+
+-- name: feature_cells
+-- The stored overview is the number of features that stand now, in every cell.
+-- Columns: map_name, zoom, x, y, category, problem, expected, found.
+select
+    m.map_name, zoom, x, y, category, 'the number of features in this cell, or their mean position, is wrong' as problem,
+    e.n as expected, f.feature_count as found
+from (
+    select
+        s.map_id, z as zoom, floor(s.easting_m / 2 ^ (20 - z))::integer as x, floor(s.northing_m / 2 ^ (20 - z))::integer as y, s.category,
+        s.line is not null as is_line, count(*) as n,
+        array[sum(round(s.easting_m * 100)), sum(round(s.northing_m * 100)), sum(round(s.ellipsoidal_height_m * 100))]::bigint[] as sum_cm
+    from conetl.current_feature s
+    cross join conetl.cell_zooms() z
+    group by 1, 2, 3, 4, 5, 6
+) e
+full join conetl.feature_cell f using (map_id, zoom, x, y, category, is_line)
+join conetl.map m on m.map_id = coalesce(e.map_id, f.map_id)
+where (e.n, e.sum_cm) is distinct from (f.feature_count::bigint, f.sum_cm);

@@ -104,6 +104,7 @@ grant update (licence, map_name, id_name) on conetl.map to conetl_writer;  -- no
 grant update (pruned_at, archive_path) on conetl.drive to conetl_writer;  -- archived records are restored when they are needed
 grant update (map_name) on conetl.receipt to conetl_writer;  -- a map may be renamed, but only its owner deletes it
 grant delete on conetl.base_source, conetl.base_tile, conetl.base_line to conetl_writer;  -- see the baseline
+grant update, delete on conetl.feature_cell to conetl_writer;  -- follows from feature_version, see conetl.count_cells
 -- What a drive shows while it is recorded is not history either, see conetl.watched_drive.
 grant update, delete on conetl.watched_drive, conetl.provisional_feature to conetl_writer;
 revoke insert on conetl.schema_migration, conetl.schema_functions from conetl_writer;

@@ -30,14 +30,65 @@ where m.map_name = %(map_name)s
 order by c.changeset_no
 limit 1;
 
--- name: features
--- The features that stood on a map at one instant on the road, as known at another instant, with what a list of them shows.
--- Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest); max_rows; origin_m, from which positions count.
--- Columns: of conetl.feature_state; marking: shape of a lane marking, null of point objects.
+-- name: is_now
+-- Whether a state of a map is that of now, of which the numbers per cell are stored. Parameters: map_name; valid_at, known_at
+-- (timestamptz; 'infinity' = latest). Columns: is_now.
+select conetl.is_now(%(map_name)s, %(valid_at)s, %(known_at)s) as is_now;
+
+-- name: stored_cells
+-- The cells of a tile of the map now. Parameters: map_name; cell_zoom; west_m, south_m, east_m, north_m (of the tile; map CRS; cells
+-- lie within it, or contain it). Columns: category; feature_count; sum_cm, x, y: as in conetl.feature_cell.
+select c.x, c.y, c.category, c.feature_count, c.sum_cm
+from conetl.feature_cell c
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and c.zoom = %(cell_zoom)s
+and c.x >= %(west_m)s / 2 ^ (20 - %(cell_zoom)s) and c.x < %(east_m)s / 2 ^ (20 - %(cell_zoom)s)
+and c.y >= %(south_m)s / 2 ^ (20 - %(cell_zoom)s) and c.y < %(north_m)s / 2 ^ (20 - %(cell_zoom)s);
+
+-- name: counted_cells
+-- The same of any state, or of smaller cells. Parameters: as stored_cells; srid; valid_at, known_at.
+select
+    floor(s.easting_m / 2 ^ (20 - %(cell_zoom)s))::bigint as x, floor(s.northing_m / 2 ^ (20 - %(cell_zoom)s))::bigint as y,
+    s.category, count(*) as feature_count,
+    array[
+        sum(round(s.easting_m * 100)), sum(round(s.northing_m * 100)), sum(round(s.ellipsoidal_height_m * 100))
+    ]::bigint[] as sum_cm
+from conetl.feature_states(
+    %(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz,
+    ST_MakeEnvelope(%(west_m)s, %(south_m)s, %(east_m)s, %(north_m)s, %(srid)s)
+) s
+where s.easting_m >= %(west_m)s and s.easting_m < %(east_m)s and s.northing_m >= %(south_m)s and s.northing_m < %(north_m)s
+group by 1, 2, 3;
+
+-- name: features_in_tile
+-- The features of a tile with what the view shows of them. Parameters: as counted_cells, without cell_zoom; origin_m, from which
+-- positions count. Columns: of conetl.feature_state; marking: shape of a lane marking, null of point objects.
 select {{listed columns of s}}, conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m, {{marking columns of s}} as marking
+from conetl.feature_states(
+    %(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz,
+    ST_MakeEnvelope(%(west_m)s, %(south_m)s, %(east_m)s, %(north_m)s, %(srid)s)
+) s
+where s.easting_m >= %(west_m)s and s.easting_m < %(east_m)s and s.northing_m >= %(south_m)s and s.northing_m < %(north_m)s
+order by s.feature_id;
+
+-- name: stored_summary
+-- How many features of each class stand on a map now, and the cells around them. Parameters: map_name.
+-- Columns: category; feature_count; west_m, south_m, east_m, north_m (map CRS, to 256 m).
+select
+    c.category, sum(c.feature_count) as feature_count, min(c.x) * 256::float8 as west_m, min(c.y) * 256::float8 as south_m,
+    max(c.x + 1) * 256::float8 as east_m, max(c.y + 1) * 256::float8 as north_m
+from conetl.feature_cell c
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and c.zoom = 12
+group by c.category;
+
+-- name: counted_summary
+-- The same of any state. Parameters: map_name; valid_at, known_at.
+select
+    s.category, count(*) as feature_count, min(s.easting_m) as west_m, min(s.northing_m) as south_m,
+    max(s.easting_m) as east_m, max(s.northing_m) as north_m
 from conetl.feature_states(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) s
-order by s.feature_id
-limit %(max_rows)s;
+group by s.category;
 
 -- name: changes_between
 -- Difference between the map at two instants, each as known at its own instant.

@@ -47,17 +47,20 @@ def with_images(drive: Drive, detections: Sequence[Detection], folder: Path) -> 
     return drive.model_copy(update={"source_path": str(folder)})
 
 
-def commit(conn: Any, samples: SimpleNamespace, folder: Path, key: str, day: int, *deltas: Delta) -> Any:
+def commit(
+    conn: Any, samples: SimpleNamespace, folder: Path, key: str, day: int, *deltas: Delta, map_name: str = "default"
+) -> Any:
     """Commit a drive of day `day` (from 0) with images under `folder`; system time is noon of that day."""
     start_ns = samples.START_NS + day * samples.DAY_NS
     made = samples.drive(f"drive_{key}", start_ns=start_ns)
     drive = with_images(made, samples.detections(), folder / made.drive_id)
     noon = utc_from_ns(start_ns) + timedelta(hours=4)
-    with map_transaction(conn), patch("conetl.db.map.commit.system_time", return_value=noon):
+    with map_transaction(conn, map_name), patch("conetl.db.map.commit.system_time", return_value=noon):
         return samples.write(
             conn,
             DriveRecords(drive, samples.detections(), samples.matches(), samples.positions(), [samples.track()]),
             samples.changeset(*deltas, drive_id=drive.drive_id, key=key),
+            map_name=map_name,
         )  # fmt: skip
 
 
@@ -98,6 +101,17 @@ def view_of(database_url: str, **options: Any) -> TestClient:
     return TestClient(create_app(database_url, "default", **options), base_url=OWN)
 
 
+def shown(client: TestClient, map_name: str = "default", **asked: Any) -> dict[str, Any]:
+    """The tile of 1,049 km that holds all of a small map, in one of its states."""
+    path = f"/api/maps/{map_name}"
+    found = client.get(f"{path}/summary", params=asked).json()
+    west, south, *_ = found["box_m"] or (0.0, 0.0)
+    x, y = (int((edge + origin) // 2**20) for edge, origin in zip((west, south), found["origin_m"], strict=False))
+    answer: dict[str, Any] = client.get(f"{path}/tiles/0/{x}/{y}", params=asked).json()
+    assert answer["count"] == len(answer["features"]) + len(answer["markings"]) == sum(found["categories"].values())
+    return answer
+
+
 @contextmanager
 def serving(
     database_url: str,
@@ -106,8 +120,9 @@ def serving(
     writer: Writer | None = None,
     reader_token: SecretStr | None = None,
     basemap: BaseMap | None = None,
+    port: int = 0,
 ) -> Iterator[int]:
-    """The server as `conetl view` runs it, in a thread; yields its port."""
+    """The server as `conetl view` runs it, in a thread; yields its port (0: a free one)."""
     running: uvicorn.Server | None = None
     app = create_app(
         database_url,
@@ -117,7 +132,7 @@ def serving(
         reader_token=reader_token,
         base_map=basemap,
     )
-    listener = socket.create_server(("127.0.0.1", 0), backlog=2048)
+    listener = socket.create_server(("127.0.0.1", port), backlog=2048)
     config = uvicorn.Config(app, log_level="critical", limit_concurrency=256, timeout_graceful_shutdown=1)
     running = uvicorn.Server(config)
     thread = threading.Thread(target=running.run, kwargs={"sockets": [listener]})

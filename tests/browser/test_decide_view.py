@@ -44,7 +44,7 @@ def page(browser: Any, address: str) -> Iterator[Any]:
     problems: list[str] = []
     tab.on("pageerror", lambda e: problems.append(str(e)))
     tab.on("request", lambda r: problems.append(r.url) if TOKEN in r.url else None)
-    tab.goto(address)
+    tab.goto(f"{address}#mode=drive")
     tab.wait_for_selector(".status[data-status=live]")
     tab.wait_for_selector("canvas[data-frames]")
     settle(tab)
@@ -94,7 +94,7 @@ def test_a_cone_is_suppressed_and_comes_back(page, conn):
     [decision] = list_decisions(conn)
     assert (decision.kind, decision.decided_by, decision.note) == ("suppress", "Ada Müller", "a bollard")
     count = len(read_current_features(conn))
-    page.click("text=Any time")
+    page.click("text=The road")
     page.wait_for_selector(f'html[data-cones="{count}"]', state="attached")
     page.click("text=Drive by drive")
     page.wait_for_selector(".legend label[data-kind=suppressed]")
@@ -121,7 +121,7 @@ def test_a_stated_class_shows_on_drives_that_were_committed_before(page, conn):
     assert page.locator(".classes").is_hidden()  # cones alone
     decided = decide_location(conn, "classify", the_one(conn, 4), map_name="default", category="drum")
     page.wait_for_selector(".classes label >> text=Drum")
-    page.click("text=Any time")
+    page.click("text=The road")
     page.wait_for_selector(".classes label >> text=Drum")
     revert(conn, str(decided.decision_id), map_name="default")
     page.wait_for_selector(".classes", state="hidden")
@@ -185,7 +185,7 @@ def test_stored_html_is_text(browser, address, conn, module_database_url, tmp_pa
 
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     with nothing_of_html_happens(tab):
-        tab.goto(f"{address}#map=hostile")
+        tab.goto(f"{address}#map=hostile&mode=drive")
         tab.wait_for_selector("canvas[data-frames]")
         tab.get_by_text(HTML_NAME).first.wait_for()
         for decided in (one, other):
@@ -193,7 +193,7 @@ def test_stored_html_is_text(browser, address, conn, module_database_url, tmp_pa
             tab.press("#search", "Enter")
             tab.wait_for_selector(f"h2:text-is('{decided[:8]}')")
             tab.locator(".panel").get_by_text(f"by {HTML}: {HTML}").first.wait_for()
-        for mode in ("Compare two", "Any time", "Drive by drive"):
+        for mode in ("Compare two", "The road", "Drive by drive"):
             tab.click(f"text={mode}")
             settle(tab)
         tab.locator(".changeset-slider").press("ArrowLeft")
@@ -273,3 +273,16 @@ def test_a_drive_on_hold_is_accepted_and_the_acceptance_withdrawn(page, conn):
     assert [bool(known.hold) for known in list_changesets(conn) if known.drive_id == held.drive.drive_id] == [True]
     if folder := os.environ.get("CONETL_SCREENSHOTS"):
         page.screenshot(path=f"{folder}/hold.png")
+
+
+def test_a_decision_shows_at_once_in_selector_image_and_lists(page, conn):
+    """Of somebody else, while the page shows the road as it opens. Last in this file: the decision stays."""
+    count = len(read_current_features(conn))
+    page.goto(f"{page.url.partition('#')[0]}#map=default&list=cones")
+    page.wait_for_selector(f'html[data-cones="{count}"]', state="attached")
+    page.wait_for_selector(f"#map option:text-is('default ({count} features)')", state="attached")
+    decide_location(conn, "suppress", the_one(conn, 1), map_name="default", note="a bollard", decided_by="Bo")
+    page.wait_for_selector(f'html[data-cones="{count - 1}"]', state="attached")
+    page.wait_for_selector(f"#map option:text-is('default ({count - 1} features)')", state="attached")
+    page.wait_for_selector(f"#list-cones .table[aria-rowcount='{count}']")
+    assert page.locator(".legend label").all_inner_texts() == [f"standing\n{count - 1}"]

@@ -313,7 +313,7 @@ def test_a_phone_needs_no_sideways_scrolling(browser, address, features, long_na
 @pytest.mark.skipif(not AXE.is_file(), reason="axe-core is not installed (npm ci in web/)")
 def test_axe_has_no_serious_finding(browser, address, features):
     tab = browser.new_page(viewport={"width": 1280, "height": 800}, bypass_csp=True)
-    tab.goto(f"{address}#list=changes&feature={features['wanders']}")
+    tab.goto(f"{address}#mode=drive&list=changes&feature={features['wanders']}")
     tab.wait_for_selector("figure img >> nth=1")
     tab.add_script_tag(path=AXE)
 

@@ -276,7 +276,7 @@ def test_two_thousand_drives_of_years_are_clusters_that_open(page, address):
     page.route(
         "**/changes/*", lambda route: route.continue_(url=re.sub(r"changes/\d+", "changes/2", route.request.url))
     )
-    page.goto(address)
+    page.goto(f"{address}#mode=drive")
     page.wait_for_selector(".axis .cluster")
     page.wait_for_selector("canvas[data-frames]")
     years = [text for text in page.locator(".axis-scale span").all_inner_texts() if text in map(str, range(2020, 2027))]

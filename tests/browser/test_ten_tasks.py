@@ -112,6 +112,7 @@ def task(page: Any, address: str, size: str) -> Callable[..., Any]:
 
 def test_1_the_cone_that_moved_most(task, changed, size):
     with task() as hand:
+        hand.click("text=Drive by drive")
         if size != "phone":  # where the page opens with the newest drive, which is on hold
             hand.click(".column[data-changeset='2']")
         else:

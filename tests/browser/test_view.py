@@ -52,7 +52,11 @@ def address(module_database_url: str, features: dict[str, str]) -> Iterator[str]
 
 
 def open_view(page: Any, address: str, hash_: str = "", cones: int = 4) -> None:
-    page.goto(address + hash_)
+    """The changes of the latest drive, unless the address says otherwise."""
+    url = address + hash_
+    if "mode=" not in url and "changeset=" not in url:
+        url += "&mode=drive" if "#" in url else "#mode=drive"
+    page.goto(url)
     page.wait_for_selector(f'html[data-cones="{cones}"]', state="attached")
     page.wait_for_selector("canvas[data-frames]")
     settle(page)
@@ -86,7 +90,7 @@ def click_cone(page: Any, feature_id: str) -> None:
 
 def test_the_first_view_shows_each_kind(page, address):
     started = time.monotonic()
-    page.goto(address)
+    page.goto(f"{address}#mode=drive")
     page.wait_for_selector('html[data-cones="4"]', state="attached")
     page.wait_for_selector("canvas[data-frames]")
     print(f"first view: {time.monotonic() - started:.1f} s (software GL)")
@@ -141,7 +145,7 @@ def test_compare_and_any_time(page, address, samples):
     page.wait_for_url("**from=2**")
     settle(page)
     assert page.locator(".legend label").all_inner_texts() == ["unchanged\n3"]
-    page.click("text=Any time")
+    page.click("text=The road")
     page.wait_for_selector(".legend >> text=standing")
     known = page.locator(".instant-view label:has-text('As known') select")
     committed = f"{utc_from_ns(samples.START_NS):%Y-%m-%d} 12:00:00 UTC"
@@ -227,7 +231,7 @@ def test_a_server_error_is_shown_and_can_be_retried(browser, address):
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     tab.route("**/events", lambda route: route.abort())  # else an event loads the map before the click
     tab.route("**/timeline", lambda route: route.fulfill(status=503, json={"detail": "The database is busy."}))
-    tab.goto(address)
+    tab.goto(f"{address}#mode=drive")
     tab.wait_for_selector(".card >> text=The database is busy.")
     tab.unroute("**/timeline")
     tab.click("text=Try again")

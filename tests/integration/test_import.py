@@ -35,6 +35,7 @@ from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.surveyed_points import read_surveyed_points
 from tests.integration.drives_of_days import DAY_NS, DAYS, START_NS, failed_audits, merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
+from tests.view_map import shown
 
 IMPORTABLE = [name for name in FORMATS if name not in ("mcap", "lanelet2")]
 PARAMS = ImportParams()
@@ -797,7 +798,7 @@ def test_the_browser_shows_a_map_that_began_with_an_import(conn, own_view, surve
     assert [(item["drive_id"], item["kind"]) for item in timeline["changesets"]] == [("map.parquet", "import")]
     way = own_view.get(f"/api/maps/default/drives/{changeset.drive_uuid}/trajectory").json()
     assert way["frame_index"] == []
-    assert len(own_view.get("/api/maps/default/features").json()["features"]) == len(features)
+    assert len(shown(own_view)["features"]) == len(features)
 
 
 def test_an_own_export_adds_no_evidence(conn, surveyed, tmp_path):

@@ -209,7 +209,7 @@ class Faces:
         asked = {
             name: instant.isoformat() for name, instant in (("valid_at", at.valid), ("known_at", at.known)) if instant
         }
-        answer = self.client.get(f"/api/maps/{self.map_name}/features", params=asked).json()
+        answer = shown(self.client, self.map_name, **asked)
         page = {one["feature_id"]: self._on_page(one, answer) for one in (*answer["features"], *answer["markings"])}
         assert_same("page", page, values, at, places=1e-4)
         if at == Instant():

@@ -18,8 +18,8 @@ from conetl.geometry.geodesy import to_geodetic
 from conetl.model.base import utc_from_ns
 from conetl.model.map_records import DeltaKind
 from conetl.web.live import MAX_STREAMS, HeadWatcher
-from conetl.web.models import Changes, Features
-from tests.view_map import commit, cone, missed, view_of
+from conetl.web.models import Changes, Tile
+from tests.view_map import commit, cone, missed, shown, view_of
 
 DAY = timedelta(days=1)
 MAP = "/api/maps/default"
@@ -39,7 +39,7 @@ def kinds(client, features, path, **parameters):
 
 def names_at(client, features, **parameters):
     names = {str(f.feature_id): name for name, f in features.items()}
-    return {names[f["feature_id"]] for f in get(client, f"{MAP}/features", **parameters)["features"]}
+    return {names[f["feature_id"]] for f in shown(client, **parameters)["features"]}
 
 
 def test_maps_and_timeline(client, samples):
@@ -66,7 +66,7 @@ def test_features_of_every_instant(client, features, samples):
 
 
 def test_places_are_offsets_that_a_float32_holds(client, features):
-    answer = get(client, f"{MAP}/features")
+    answer = shown(client)
     for sent in answer["features"]:
         feature = next(f for f in features.values() if str(f.feature_id) == sent["feature_id"])
         place = np.add(np.array(sent["xyz_m"], np.float32).astype(float), answer["origin_m"])
@@ -169,7 +169,7 @@ def test_long_answers_are_what_their_models_say(conn, own_view, samples):
         samples.changed("moved", post, next_ns, xyz_m=(post.xyz_m[0] + 1.5, *post.xyz_m[1:])),
     )
     samples.commit(conn, *moves, key="2", start_ns=next_ns, markings=[samples.marking_track(beside)])
-    for path, model in (("features", Features), ("changes", Changes), ("changes/1", Changes), ("changes/2", Changes)):
+    for path, model in (("tiles/0/0/5", Tile), ("changes", Changes), ("changes/1", Changes), ("changes/2", Changes)):
         model.model_validate(get(own_view, f"{MAP}/{path}"))  # its models are closed
     changes = Changes.model_validate(get(own_view, f"{MAP}/changes/2"))
     [cone], [stretch] = changes.changes, changes.markings
@@ -243,11 +243,11 @@ def test_only_images_inside_the_drive_are_served(client, features, module_databa
 @pytest.mark.parametrize(
     "path",
     [
-        "features?valid_at=yesterday", "features?valid_at=2026", "features?known_at=1772352000", "changes?to_valid_at=20260302",
+        "summary?valid_at=yesterday", "summary?valid_at=2026", "summary?known_at=1772352000", "changes?to_valid_at=20260302",
         "changes/0", "changes/99999999999999999999999",
         "features/not-an-id", "search?text=", "downloads/exe", "downloads/csv?box=1,2,3",
-        "downloads/csv?box=3,2,1,4", "downloads/csv?valid_at=0001-01-01T00:00:00Z", "x';drop table conetl.map--/features",
-        "features?valid_at=0001-01-01T00:00:00%2B21:55",
+        "downloads/csv?box=3,2,1,4", "downloads/csv?valid_at=0001-01-01T00:00:00Z", "x';drop table conetl.map--/summary",
+        "summary?valid_at=0001-01-01T00:00:00%2B21:55",
         f"drives/{NOBODY}/pictures/-1/0/left.jpg", f"drives/{NOBODY}/pictures/0/0/left.jpg?context=1e9",
         f"drives/{NOBODY}/pictures/0/0/both.jpg",
     ],

@@ -18,7 +18,7 @@ from conetl.pipeline.settings import Settings
 from conetl.web.decisions import Writer
 from conetl.web.security import MAX_BODY_BYTES
 from tests.integration.drives_of_days import failed_audits, merge, survey
-from tests.view_map import OWN, view_of
+from tests.view_map import OWN, shown, view_of
 
 TOKEN = "a-token-that-nobody-guesses"
 PATH = "/api/maps/default/decisions"
@@ -40,7 +40,7 @@ def post(client, request, status=201, token=TOKEN, **headers):
 
 
 def standing(client):
-    return client.get("/api/maps/default/features").json()["features"]
+    return shown(client)["features"]
 
 
 def request_for(feature, kind="suppress", **changes):

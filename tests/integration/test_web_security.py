@@ -111,7 +111,8 @@ PARAMETERS = {
     ],
     "/ogc/collections": ["bbox", "datetime", "limit", "offset"],
     "/ogc/collections/default.features/tiles/WebMercatorQuad/0/0/0": ["ids", "sortby", "properties", "category", "limit"],
-    f"{MAP}/features": ["valid_at", "known_at"],
+    f"{MAP}/tiles/0/0/5": ["valid_at", "known_at"],
+    f"{MAP}/summary": ["valid_at", "known_at"],
     f"{MAP}/changes": ["from_valid_at", "to_known_at"],
     f"{MAP}/search": ["text"],
     f"{MAP}/downloads/csv": ["valid_at", "box"],
@@ -182,7 +183,7 @@ def test_head_answers_as_get_without_a_body(server):
 
 
 def test_extreme_requests(server):
-    for path in (f"{MAP}/features?valid_at=", f"{ITEMS}?ids=", f"{ITEMS}?bbox="):
+    for path in (f"{MAP}/summary?valid_at=", f"{ITEMS}?ids=", f"{ITEMS}?bbox="):
         assert ask(server, path + "1," * MAX_URL_BYTES)[0] in (400, 414)
     assert ask(server, f"{ITEMS}?" + "&".join(["at=2026-03-01"] * 500))[0] == 400
     assert ask(server, f"{ITEMS}?ids=" + ",".join(["00000000-0000-4000-8000-000000000000"] * 150))[0] == 200
@@ -228,10 +229,10 @@ def test_thousands_of_streams_are_refused_and_the_server_keeps_running(server):
             held.append(writer)
 
         await asyncio.gather(*(one() for _ in range(100)))
-        answered.append((await asyncio.to_thread(ask, server, f"{MAP}/features"))[0])  # with all streams taken
+        answered.append((await asyncio.to_thread(ask, server, f"{MAP}/summary"))[0])  # with all streams taken
         for start in range(100, count, 500):
             await asyncio.gather(*(one() for _ in range(min(500, count - start))))
-        answered.append((await asyncio.to_thread(ask, server, f"{MAP}/features"))[0])
+        answered.append((await asyncio.to_thread(ask, server, f"{MAP}/summary"))[0])
         for writer in held:
             writer.close()
         return said, answered

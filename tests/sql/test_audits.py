@@ -93,6 +93,7 @@ FAULTS = {
         ("update feature_version set first_missed_ns = first_seen_ns where version = 2",),
         ("delete from feature_version where first_missed_ns is not null",),
     ],
+    "feature_cells": [("update feature_cell set feature_count = feature_count + 1 where zoom = 12",)],
     "overlapping_periods": [
         (
             DROP_EXCLUDE,

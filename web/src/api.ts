@@ -13,7 +13,9 @@ export type Timeline = Schemas["Timeline"];
 export type Feature = Schemas["Feature"];
 export type Marking = Schemas["MarkingShape"];
 export type Change = Schemas["Change"];
-export type Features = Schemas["Features"];
+export type TileAnswer = Schemas["Tile"];
+export type Cluster = Schemas["Cluster"];
+export type Summary = Schemas["Summary"] & { origin_m: Vec3; box_m: [number, number, number, number] | null };
 export type Changes = Schemas["Changes"];
 export type HistoryItem = Schemas["HistoryItem"];
 export type Sighting = Schemas["Sighting"];
@@ -42,14 +44,31 @@ export class ApiError extends Error {
   }
 }
 
+let logIn: (() => Promise<void>) | null = null;
+/** What asks the person for the token when the server requires a login again; requests wait for it. */
+export const onLoginRequired = (ask: typeof logIn): void => void (logIn = ask);
+
 export async function ask(path: string, init: RequestInit = {}): Promise<Response> {
-  let response: Response;
+  const response = await send(path, init);
+  // A missing writer token is answered where the decision is written.
+  if (response.status !== 401 || !logIn || !response.headers.get("WWW-Authenticate")?.includes("realm")) return accepted(response);
+  await logIn();
+  return accepted(await send(path, init));
+}
+
+/** Exchange the token for the cookie of a login; false if it is wrong. */
+export const login = async (token: string): Promise<boolean> => (await send(`maps${query({ token })}`, {})).ok;
+
+async function send(path: string, init: RequestInit): Promise<Response> {
   try {
-    response = await fetch(`./api/${path}`, init);
+    return await fetch(`./api/${path}`, init);
   } catch (error) {
     if (error instanceof DOMException && error.name === "AbortError") throw error;
     throw new ApiError("The server does not answer. Check that `conetl view` is running, then try again.", 0);
   }
+}
+
+async function accepted(response: Response): Promise<Response> {
   if (response.ok) return response;
   let detail = `The server answered ${response.status}.`;
   let body: unknown = null;
@@ -103,8 +122,9 @@ export const api = {
   maps: () => askJson<Schemas["Maps"]>("maps"),
   projection: (map: string, [x, y]: [number, number]) => askMap<Projection>(map, `projection${query({ x_m: String(x), y_m: String(y) })}`),
   timeline: (map: string) => askMap<Timeline>(map, "timeline"),
-  features: (map: string, at: Instant) =>
-    askMap<Features>(map, `features${query({ valid_at: at.valid, known_at: at.known })}`),
+  summary: (map: string, at: Instant) => askMap<Summary>(map, `summary${query({ valid_at: at.valid, known_at: at.known })}`),
+  /** `key`: zoom/x/y. */
+  tile: (map: string, key: string, at: Instant) => askMap<TileAnswer>(map, `tiles/${key}${query({ valid_at: at.valid, known_at: at.known })}`),
   changes: (map: string, changesetNo: number) => askMap<Changes>(map, `changes/${changesetNo}`),
   between: (map: string, from: Instant, to: Instant) => {
     const instants = { from_valid_at: from.valid, from_known_at: from.known, to_valid_at: to.valid, to_known_at: to.known };

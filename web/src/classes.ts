@@ -37,9 +37,9 @@ export const classIcon = (category: string): SVGSVGElement => svgOf(classOf(cate
 
 let counts = new Map<string, number>();
 
-/** To be called with what the map has in view, whatever the filters. */
-export function countClasses(cones: Cone[]): void {
-  const found = new Map<string, number>();
+/** To be called with what is drawn, whatever the filters, and the numbers of what else the map has. */
+export function countClasses(cones: Cone[], rest: Map<string, number>): void {
+  const found = new Map([...rest].filter(([, n]) => n > 0));
   for (const { category } of cones) found.set(category, (found.get(category) ?? 0) + 1);
   counts = new Map([...found].sort(([a], [b]) => classOrder(a) - classOrder(b)));
 }

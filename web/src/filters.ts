@@ -145,8 +145,8 @@ export function createFilterBar(actions: FilterActions) {
 
   return {
     node,
-    /** `cones`: all of the list, whatever the filters; `shownCount`: rows that are left. */
-    show(next: State, cones: Cone[], shownCount: number, items: TimelineItem[]): void {
+    /** `cones`: all of the list, whatever the filters; `shownCount`: rows that are left; `beyond`: cones of the map that are not listed. */
+    show(next: State, cones: Cone[], shownCount: number, items: TimelineItem[], beyond: number): void {
       state = next;
       const counts = new Map<Kind, number>();
       for (const cone of cones) counts.set(cone.kind, (counts.get(cone.kind) ?? 0) + 1);
@@ -165,7 +165,7 @@ export function createFilterBar(actions: FilterActions) {
       for (const field of [minP, maxP, sigma, low, high, from, to]) field.show();
       const left = cones.length - shownCount;
       const why = next.inView ? (filterCount(next) ? "by filters or outside the view" : "outside the view") : "by filters";
-      fill(summary, left ? `${countOf(left)} hidden ${why}` : countOf(cones.length), filterCount(next) > 0 && " – ", filterCount(next) > 0 && clear);
+      fill(summary, beyond > 0 && `${countOf(beyond)} not listed: zoom in – `, left ? `${countOf(left)} hidden ${why}` : countOf(cones.length), filterCount(next) > 0 && " – ", filterCount(next) > 0 && clear);
     },
   };
 

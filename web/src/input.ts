@@ -1,27 +1,42 @@
 // Mouse and keyboard.
 import type { Cone } from "./kinds";
 import type { Layout } from "./layout";
+import { tipOf } from "./overlays";
 import type { Stage } from "./scene";
 import type { Tools } from "./tools";
 
 export interface InputActions {
   select(id: string | null): void;
+  /** Whether something was there besides the cones. */
+  click(x: number, y: number): boolean;
   /** Whether the key meant something. */
   key(event: KeyboardEvent): boolean;
 }
 
-export function listenToInput(stage: Stage, layout: Layout, tools: Tools, actions: InputActions): void {
+export function listenToInput(stage: Stage, layout: Layout, tools: Tools, actions: InputActions) {
   const { canvas } = stage;
+  /** The cone that the tooltip is about. */
+  let hovered: Cone | null = null;
+  function placeTip(): void {
+    const at = hovered && stage.project(tipOf(hovered));
+    layout.tip(at && hovered, ...(at ?? [0, 0]));
+  }
+  function hover(cone: Cone | null): void {
+    hovered = cone;
+    placeTip();
+  }
+  stage.beforeDraw(placeTip); // wherever the camera goes, it stays at its cone
+
   let down: [number, number] | null = null;
   canvas.addEventListener("pointerdown", (event) => {
     down = [event.clientX, event.clientY];
   });
   canvas.addEventListener("pointerup", (event) => {
     if (!down || event.button !== 0 || Math.hypot(event.clientX - down[0], event.clientY - down[1]) > 5) return;
-    if (tools.click(event.offsetX, event.offsetY)) return layout.tip(null, 0, 0);
+    if (tools.click(event.offsetX, event.offsetY)) return hover(null);
     const cone: Cone | null = tools.pick(event.offsetX, event.offsetY);
-    if (!cone) return tools.clickGround(event.offsetX, event.offsetY);
-    layout.tip(null, 0, 0); // the panel moves the scene, and the cone away from the pointer
+    if (!cone) return actions.click(event.offsetX, event.offsetY) ? undefined : tools.clickGround(event.offsetX, event.offsetY);
+    hover(null); // the panel moves the scene, and the cone away from the pointer
     actions.select(cone.id);
   });
   let hovering = false;
@@ -32,10 +47,10 @@ export function listenToInput(stage: Stage, layout: Layout, tools: Tools, action
       hovering = false;
       const cone = tools.pick(event.offsetX, event.offsetY);
       canvas.classList.toggle("over", cone !== null);
-      layout.tip(cone, event.offsetX, event.offsetY);
+      hover(cone);
     });
   });
-  canvas.addEventListener("pointerleave", () => layout.tip(null, 0, 0));
+  canvas.addEventListener("pointerleave", () => hover(null));
 
   window.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
@@ -50,4 +65,9 @@ export function listenToInput(stage: Stage, layout: Layout, tools: Tools, action
     if (target.matches("input[type=range]") && event.key.startsWith("Arrow")) return;
     if (tools.key(event) || actions.key(event) || stage.key(event)) event.preventDefault();
   });
+
+  return {
+    /** These cones are drawn now: the tooltip follows, or closes. */
+    shown: (cones: Cone[]) => hover(hovered && (cones.find((c) => c.id === hovered?.id) ?? null)),
+  };
 }

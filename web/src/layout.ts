@@ -1,6 +1,6 @@
 // The frame of the page: header, side panels, cards for empty maps, loading and errors.
 import { classOf, onlyCones } from "./classes";
-import { el, fill, plural, probabilityText, shortId } from "./dom";
+import { el, fill, messageOf, plural, probabilityText, shortId } from "./dom";
 import { icon, STYLES, type Cone } from "./kinds";
 import { createListPane } from "./list_pane";
 import type { LiveStatus } from "./live";
@@ -51,6 +51,13 @@ export function createLayout(app: HTMLElement) {
   const noticeHost = el("div", { class: "scene-notice", hidden: true, role: "status" });
   const toasts = el("div", { class: "toasts", aria: { live: "polite" } });
   const tip = el("div", { class: "tip", hidden: true, aria: { hidden: "true" } });
+  let tipped: Cone | null = null;
+  const token = el("input", { type: "password", name: "token", required: true, autocomplete: "current-password" });
+  const refused = el("p", { class: "hint bad", role: "alert" });
+  const loginForm = el("form", {}, el("h2", { textContent: "Log in again" }), el("p", { class: "hint", textContent: "The login has expired. `conetl status` prints the address with the token." }),
+    el("label", {}, "Token ", token), refused, el("button", { type: "submit", class: "primary", textContent: "Log in" })); // prettier-ignore
+  const loginDialog = el("dialog", { class: "help login" }, loginForm);
+  let loggingIn: Promise<void> | null = null;
   const help = el("dialog", { class: "help" },
     el("h2", { textContent: "Shortcuts" }), el("dl", {}, ...SHORTCUTS.flatMap(([keys, what]) => [el("dt", { textContent: keys }), el("dd", { textContent: what })])),
     el("p", { class: "hint", textContent: "Cones are drawn with their measured height and a standard width; markers have a fixed size. To share this view, send the address of this page." }),
@@ -71,9 +78,15 @@ export function createLayout(app: HTMLElement) {
   const helpButton = el("button", { type: "button", class: "link help-button", onclick: () => help.showModal() }, "Shortcuts ", el("kbd", { textContent: "?" }));
   app.append(
     el("header", { class: "top" }, menu, brand, tools.search, el("span", { class: "space" }), dot, tools.download, listButton, helpButton),
-    progress, sidebar, view, panel, list, timeline, toasts, help,
+    progress, sidebar, view, panel, list, timeline, toasts, help, loginDialog,
   ); // prettier-ignore
   view.append(cardHost, noticeHost, tip);
+
+  function tell(cone: Cone): void {
+    const shift = cone.kind === "moved" && cone.shift_m !== null ? ` by ${cone.shift_m.toFixed(2)} m` : "";
+    fill(tip, el("b", {}, icon(cone.kind), `${STYLES[cone.kind].label}${shift}`), !onlyCones() && classOf(cone.category).label, cone.marking && el("span", { textContent: wordsOf(cone.marking) }), el("span", { class: "mono", textContent: shortId(cone.id) }),
+      el("span", { textContent: `existence probability ${probabilityText(cone.probability)}, sigma ${cone.sigma_m.toFixed(3)} m, ${plural(cone.observations, "observation")}` })); // prettier-ignore
+  }
 
   return {
     view, sidebar, panel, timeline, brand, listPane, tools,
@@ -88,6 +101,25 @@ export function createLayout(app: HTMLElement) {
         el("h2", { textContent: title }), Boolean(text) && el("p", { textContent: text }),
         options.code && el("code", { textContent: options.code }),
         action && el("button", { type: "button", class: "primary", textContent: action.text, onclick: () => action.run() }))); // prettier-ignore
+    },
+    /** Ask for the token until `accepts` takes it; one dialog for all requests that wait. */
+    logIn(accepts: (token: string) => Promise<boolean>): Promise<void> {
+      loggingIn ??= new Promise<void>((done, fail) => {
+        loginDialog.oncancel = () => fail(new Error("You are not logged in."));
+        loginForm.onsubmit = (event) => {
+          event.preventDefault();
+          void accepts(token.value.trim()).then((right) => {
+            refused.textContent = right ? "" : "This token is wrong.";
+            token.value = "";
+            if (right) done();
+          }, (error: unknown) => (refused.textContent = messageOf(error))); // prettier-ignore
+        };
+        loginDialog.showModal();
+      }).finally(() => {
+        loginDialog.close();
+        loggingIn = null;
+      });
+      return loggingIn;
     },
     notice(text: string | null): void {
       noticeHost.hidden = text === null;
@@ -111,9 +143,7 @@ export function createLayout(app: HTMLElement) {
     tip(cone: Cone | null, x: number, y: number): void {
       tip.hidden = cone === null;
       if (!cone) return;
-      const shift = cone.kind === "moved" && cone.shift_m !== null ? ` by ${cone.shift_m.toFixed(2)} m` : "";
-      fill(tip, el("b", {}, icon(cone.kind), `${STYLES[cone.kind].label}${shift}`), !onlyCones() && classOf(cone.category).label, cone.marking && el("span", { textContent: wordsOf(cone.marking) }), el("span", { class: "mono", textContent: shortId(cone.id) }),
-        el("span", { textContent: `existence probability ${probabilityText(cone.probability)}, sigma ${cone.sigma_m.toFixed(3)} m, ${plural(cone.observations, "observation")}` })); // prettier-ignore
+      if (cone !== tipped) tell((tipped = cone));
       const left = x + 14 + tip.offsetWidth > view.clientWidth ? x - 14 - tip.offsetWidth : x + 14;
       tip.style.transform = `translate(${left}px, ${Math.max(4, y - tip.offsetHeight / 2)}px)`;
     },

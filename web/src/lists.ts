@@ -36,6 +36,8 @@ export function createLists(pane: ListPane, actions: ListActions) {
   let items: TimelineItem[] = [];
   let drives = new Map<number, string>();
   let all: Cone[] = [];
+  /** Number of cones of the map that are not drawn one by one, and not listed. */
+  let beyond = 0;
   let scrollToChosen = true;
 
   const driveOf = (c: Cone) => drives.get(c.changeset) ?? "";
@@ -77,7 +79,7 @@ export function createLists(pane: ListPane, actions: ListActions) {
       host.prepend(bar.node);
       if (!state) return;
       update();
-      bar.show(state, sorted, rows.length, items);
+      bar.show(state, sorted, rows.length, items, name === "cones" ? beyond : 0);
       table.show(rows, sortOf(), shown());
       table.choose(state.feature, true);
     });
@@ -102,8 +104,8 @@ export function createLists(pane: ListPane, actions: ListActions) {
   const opened = () => lists[pane.opened === "changes" ? "changes" : "cones"];
 
   return {
-    show(next: State, cones: Cone[], timeline: { origin_m: Vec3; changesets: TimelineItem[] } | null): void {
-      state = next;
+    show(next: State, cones: Cone[], timeline: { origin_m: Vec3; changesets: TimelineItem[] } | null, rest: number): void {
+      [state, beyond] = [next, rest];
       all = cones;
       origin = timeline?.origin_m ?? [0, 0, 0];
       if (timeline && items !== timeline.changesets) {
@@ -117,7 +119,7 @@ export function createLists(pane: ListPane, actions: ListActions) {
         coneCount += 1;
         if (isChange(cone.kind)) changeCount += 1;
       }
-      lists.cones.tab.count(coneCount, onlyCones() ? "Cones" : "Objects");
+      lists.cones.tab.count(coneCount + beyond, onlyCones() ? "Cones" : "Objects");
       lists.changes.tab.count(changeCount);
       for (const { tab } of Object.values(lists)) tab.redraw();
     },

@@ -12,16 +12,19 @@ export interface LiveHandlers {
   status(status: LiveStatus, text: string): void;
 }
 
-const RETRY_MS = 10_000;
+const RETRY_MS = 3_000;
+const clock = (t: Date) => t.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", second: "2-digit" });
 
 /** Listen until the returned function is called. */
 export function listen(map: string, on: LiveHandlers): () => void {
   let source: EventSource | null = null;
   let timer = 0;
+  let lostAt: Date | null = null;
   let ended = false;
 
   function open(): void {
     source = api.events(map);
+    source.addEventListener("open", () => (lostAt = null));
     source.addEventListener("changeset", (event: MessageEvent<string>) => {
       on.status("live", "New drives appear as soon as they are committed.");
       on.newest(Number(event.data));
@@ -30,9 +33,17 @@ export function listen(map: string, on: LiveHandlers): () => void {
     source.addEventListener("base", (event: MessageEvent<string>) => on.base(event.data));
     source.addEventListener("trouble", (event: MessageEvent<string>) => on.status("trouble", event.data));
     source.addEventListener("error", () => {
-      on.status("waiting", "No connection to the server: new drives do not appear. Trying again …");
-      if (source?.readyState === EventSource.CLOSED && !ended) timer = window.setTimeout(open, RETRY_MS);
+      if (ended) return;
+      lostAt ??= new Date();
+      on.status("waiting", `No connection to the server since ${clock(lostAt)}: this is the map as it was then. Trying again …`);
+      if (source?.readyState === EventSource.CLOSED) timer = window.setTimeout(() => void reopen(), RETRY_MS);
     });
+  }
+
+  /** A refused stream does not say why; a request does, and asks for a login that has expired. */
+  async function reopen(): Promise<void> {
+    await api.maps().catch(() => undefined);
+    if (!ended) open();
   }
 
   open();

@@ -1,12 +1,14 @@
 // State of the page -> requests -> drawing.
-import { api, requestEarly, type Decisions, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { api, login, onLoginRequired, requestEarly, type Decisions, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
 import { createAddress, REST_MS } from "./address";
 import { createBase } from "./base";
+import { footprint } from "./basemap";
 import { countClasses, countOf } from "./classes";
+import { createClusters } from "./clusters";
 import { createCones } from "./cones";
 import { aboutFeature, createDecisionList } from "./decisions";
 import { el, fill, messageOf } from "./dom";
-import { isGone, type Cone } from "./kinds";
+import { isGone, type Cone, type Kind } from "./kinds";
 import { createDownloads, pictureOf } from "./downloads";
 import { acceptedBy, onlyKind } from "./filters";
 import { listenToInput } from "./input";
@@ -14,7 +16,7 @@ import { createLayout } from "./layout";
 import { createLists } from "./lists";
 import { listen } from "./live";
 import { createOverlays } from "./overlays";
-import { changesetOf, drivesShown, readCones, shownInstant, unknownChangeset } from "./query";
+import { changesetOf, drivesShown, readChanges, shownInstant, unknownChangeset, withChanges, type Changed } from "./query";
 import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
 import { createMarker, createSearch } from "./search";
@@ -26,10 +28,12 @@ import "./style.css";
 import "./table.css";
 import { themeSwitch } from "./theme";
 import { changesOf, createTimeline } from "./timeline";
+import { createTiles } from "./tiles";
 import { createTools } from "./tools";
 import { createViewer } from "./viewer";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
+onLoginRequired(() => layout.logIn(login));
 // The requests go out first: setting up WebGL keeps this thread for as long as they take.
 layout.card("Loading the map …", "", { busy: true });
 const address = createAddress(() => state, (text) => layout.toast(text, { text: "OK", run: () => undefined }));
@@ -49,6 +53,8 @@ try {
   throw error;
 }
 const cones = createCones(stage);
+const tiles = createTiles(stage);
+const clusters = createClusters(stage, layout.view);
 const overlays = createOverlays(stage, layout.view);
 const base = createBase(stage, (error) => layout.toast(`Base layers: ${messageOf(error)}`, null));
 
@@ -67,8 +73,14 @@ const tools = createTools(stage, layout.view, cones, {
 
 let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
+/** What changed, and all that is drawn: with what stands in view. */
+let changed: Changed | null = null;
 let all: Cone[] = [];
 let fitted = false;
+/** Where the whole map is, if it is too large to be read. */
+let overview: Vec3[] = [];
+/** What the picture shows; null before the first one. */
+let drawn: State | null = null;
 /** Number of the latest refresh: answers to earlier ones are dropped. */
 let refreshNo = 0;
 let decisions: Decisions | null = null;
@@ -103,7 +115,7 @@ const showMarker = createMarker(stage, layout.view, () => {
 });
 const lists = createLists(layout.listPane, { change, select: (id, centre) => void select(id, centre), inView });
 createDownloads(layout.tools.download, {
-  shown: () => timeline?.changesets.length && unknownChangeset(state, timeline.changesets) === null ? { map: state.map, drive: state.mode === "drive" ? changeset(state.changeset) ?? null : null, coneCount: all.filter((c) => !isGone(c.kind)).length, box: boxInView(), ...shownInstant(state, timeline.changesets) } : null,
+  shown: () => timeline?.changesets.length && unknownChangeset(state, timeline.changesets) === null ? { map: state.map, drive: state.mode === "drive" ? changeset(state.changeset) ?? null : null, coneCount: all.filter((c) => !isGone(c.kind)).length + beyond(), box: boxInView(), ...shownInstant(state, timeline.changesets) } : null,
   picture: () => new Promise((done, fail) => {
     stage.draw();
     // In the same frame, after it was drawn: later the canvas is empty.
@@ -113,7 +125,7 @@ createDownloads(layout.tools.download, {
 });
 const showTimeline = createTimeline(layout.timeline, {
   change,
-  showChanges: (kind) => change({ mode: "drive", side: "changes", hidden: onlyKind({ ...state, hidden: state.list === "changes" ? state.hidden : new Set() }, kind), list: "changes" }),
+  showChanges: (changeset, kind) => change({ mode: "drive", changeset, side: "changes", hidden: onlyKind({ ...state, hidden: state.list === "changes" ? state.hidden : new Set() }, kind), list: "changes" }),
   writableMap: () => (decisions?.writable ? state.map : null),
   decided: () => void newDecision(),
   decisions: () => decisions?.decisions ?? [],
@@ -178,7 +190,11 @@ stage.onCamera((camera) => {
   state.camera = camera;
   address.writeAtRest();
   window.clearTimeout(movedTimer);
-  movedTimer = window.setTimeout(() => lists.moved(), REST_MS);
+  movedTimer = window.setTimeout(() => {
+    lists.moved();
+    tools.moved();
+    if (drawn && !tiles.isWhole()) void readView();
+  }, REST_MS);
 });
 window.addEventListener("hashchange", () => {
   const next = address.read();
@@ -205,8 +221,9 @@ function nameOf(answer: { maps: MapItem[]; chosen: string }): string {
 async function openMap(): Promise<void> {
   closeStream?.();
   selection.clear();
-  timeline = null;
+  timeline = drawn = changed = null;
   all = [];
+  tiles.close();
   paths.clear();
   decisions = null;
   showDecisionList(null);
@@ -247,7 +264,10 @@ async function openMap(): Promise<void> {
       if (baseHead !== null && head !== baseHead) void openBase(map);
       baseHead = head;
     },
-    status: layout.status,
+    status: (status, text) => {
+      layout.status(status, text);
+      layout.notice(status === "live" || drawn === null ? null : text);
+    },
   });
 }
 
@@ -276,11 +296,11 @@ async function newChangeset(no: number): Promise<void> {
     review.load();
     const item = timeline?.changesets.at(-1);
     if (!item) return;
-    void api.maps().then((answer) => sidebar.showMaps((maps = answer.maps), state.map));
+    void readMaps();
     const counts = changesOf([item]).map((change) => change.text).join(", ") || "no changes";
     const follows = state.mode === "drive" && state.changeset === null;
     const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} was committed, but is not part of the map: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
-    layout.toast(said, follows ? null : { text: "Show", run: () => change({ mode: "drive", changeset: null }) });
+    layout.toast(said, follows ? null : { text: "Show its changes", run: () => change({ mode: "drive", changeset: null, side: "changes" }) });
     await refresh();
     await selection.again();
   } catch (error) {
@@ -301,10 +321,15 @@ async function readDecisions(): Promise<void> {
   }
 }
 
+async function readMaps(): Promise<void> {
+  maps = (await api.maps()).maps;
+  sidebar.showMaps(maps, state.map);
+}
+
 /** After a decision, other cones may stand and other drives count. */
 async function newDecision(): Promise<void> {
   try {
-    await Promise.all([readTimeline(), readDecisions()]);
+    await Promise.all([readTimeline(), readDecisions(), readMaps()]);
     review.load();
     await refresh();
     await selection.again();
@@ -322,7 +347,7 @@ async function refresh(): Promise<void> {
     const hint = unknown ? `Select one of the maps of this database: ${there.join(", ")}. To create a new map, ingest a drive:` : "Ingest a drive; it appears here at once:";
     layout.card(title, hint, { code: `conetl ingest ${state.map === "default" ? "" : `--map ${state.map} `}path/to/drive` });
     layout.empty(true);
-    show([], []);
+    clear();
     return;
   }
   layout.empty(false);
@@ -330,21 +355,35 @@ async function refresh(): Promise<void> {
   if (unknown !== null) {
     const numbers = timeline.changesets.map((t) => t.changeset_no);
     const there = numbers.length === 1 ? `It has one changeset, number ${numbers[0]}.` : `It has ${numbers.length} changesets, numbers ${numbers.length > 8 ? `${numbers[0]} to ${numbers.at(-1)}` : numbers.join(", ")}.`;
-    show([], []);
+    clear();
     layout.card(`The map “${state.map}” has no changeset ${unknown}`, there, { action: { text: "Show the latest", run: () => change({ changeset: null, from: 0, to: null, known: null }) } });
     return;
   }
   layout.busy(true);
+  const asked = state;
   showTimeline(state, timeline.changesets); // the controls react at once, the scene when the data is there
   try {
-    const [[next, truncated], drives] = await Promise.all([readCones(state, timeline.changesets), readPaths(drivesShown(state, timeline.changesets))]);
+    const [next, drives] = await Promise.all([
+      readChanges(state, timeline.changesets), readPaths(drivesShown(state, timeline.changesets)),
+      tiles.open(state.map, shownInstant(state, timeline.changesets).at),
+    ]); // prettier-ignore
     if (mine !== refreshNo) return;
+    if (!fitted && !tiles.isWhole()) {
+      fitted = true;
+      all = [];
+      fit();
+    }
+    const [places] = await Promise.all([tiles.isWhole() ? [] : tiles.overview(), tiles.load()]);
+    if (mine !== refreshNo) return;
+    overview = places;
+    changed = next;
     layout.card(null);
     selection.follow();
-    layout.notice(truncated ? `Only the first ${countOf(next.length)} are shown: this map is too large for one view.` : null);
-    show(next, drives);
+    if (next?.truncated) layout.toast(`Only the first ${countOf(next.changes.size)} changes are shown: this map is too large for one view.`, null);
+    show(drives);
+    drawn = asked;
   } catch (error) {
-    if (mine === refreshNo) fail(error, refresh);
+    if (mine === refreshNo) fail(error, () => change(asked));
   } finally {
     if (mine === refreshNo) layout.busy(false);
   }
@@ -371,15 +410,49 @@ function withDecisions(cones: Cone[]): Cone[] {
   });
 }
 
-function show(next: Cone[], drives: Trajectory[]): void {
+/** Other tiles may be in view. */
+async function readView(): Promise<void> {
+  const mine = refreshNo;
+  try {
+    if ((await tiles.load()) && mine === refreshNo) merge();
+  } catch (error) {
+    fail(error, readView);
+  }
+}
+
+function clear(): void {
+  tiles.close();
+  changed = null;
+  show([]);
+}
+
+/** Number of features that stand in the state that is shown, and are not drawn one by one. */
+const beyond = (): number => [...beyondByClass().values()].reduce((sum, n) => sum + n, 0);
+
+function beyondByClass(): Map<string, number> {
+  const rest = new Map(tiles.isWhole() ? [] : Object.entries(tiles.summary()?.categories ?? {}));
+  if (rest.size) for (const { category } of tiles.shown().cones) rest.set(category, (rest.get(category) ?? 0) - 1);
+  return rest;
+}
+
+/** Draw what changed with what is in view. */
+function merge(): void {
+  const next = withChanges(tiles.shown().cones, changed, state);
   all = state.mode === "drive" ? withDecisions(next) : next;
-  countClasses(all);
+  countClasses(all, beyondByClass());
+  draw();
+}
+
+function show(drives: Trajectory[]): void {
+  merge();
   overlays.showPaths(drives);
   stage.start();
-  const heights = all.map((c) => c.xyz[2]).sort((a, b) => a - b);
+  const heights = (all.length ? all.map((c) => c.xyz[2]) : tiles.shown().clusters.map((c) => c.xyz_m[2])).sort((a, b) => a - b);
   const middle = heights[Math.floor(heights.length / 2)];
-  if (middle !== undefined) stage.setGround(middle);
-  draw();
+  if (middle !== undefined && middle !== stage.ground) {
+    stage.setGround(middle);
+    draw();
+  }
   if (!fitted && (all.length || drives.length)) {
     fitted = true;
     fit();
@@ -395,17 +468,18 @@ function inView(point: Vec3): boolean {
   return pixel !== null && pixel[0] >= 0 && pixel[1] >= 0 && pixel[0] <= stage.canvas.clientWidth && pixel[1] <= stage.canvas.clientHeight;
 }
 
-/** Around the cones in the view, in the map's CRS; null without any. */
+/** Around the cones in the view, of a large map around the view, in the map's CRS; null without any. */
 function boxInView(): [number, number, number, number] | null {
   const [east, north] = timeline?.origin_m ?? [0, 0];
-  const box = all.filter((c) => inView(c.xyz)).reduce(([w, s, e, n], { xyz: [x, y] }) => [Math.min(w, x), Math.min(s, y), Math.max(e, x), Math.max(n, y)] as const, [Infinity, Infinity, -Infinity, -Infinity] as const);
+  const places = tiles.isWhole() ? all.map((c) => c.xyz).filter(inView) : footprint(stage);
+  const box = places.reduce(([w, s, e, n], [x, y]) => [Math.min(w, x), Math.min(s, y), Math.max(e, x), Math.max(n, y)] as const, [Infinity, Infinity, -Infinity, -Infinity] as const);
   const [w, s, e, n] = box;
   return Number.isFinite(w) ? [w + east - 0.5, s + north - 0.5, e + east + 0.5, n + north + 0.5] : null;
 }
 
 /** Height of the nearest cone. */
 function groundAt(x: number, y: number): number {
-  let [best, height] = [Infinity, 0];
+  let [best, height] = [Infinity, stage.ground];
   for (const { xyz } of all) {
     const distance = Math.hypot(xyz[0] - x, xyz[1] - y);
     if (distance < best) [best, height] = [distance, xyz[2]];
@@ -417,18 +491,24 @@ function drawMark(): void {
   showMarker(state.mark ? [...state.mark, groundAt(...state.mark)] : null);
 }
 
+/** What is neither drawn one by one nor changed. */
+const restKind = (): Kind => (changed ? "unchanged" : "standing");
+
 function draw(): void {
   const shown = visible();
+  const rest = beyond();
   cones.show(shown);
+  input.shown(shown);
   layout.listPane.open(state.list);
-  lists.show(state, all, timeline);
-  showSites(all.filter((c) => !c.marking));
+  lists.show(state, all, timeline, rest);
+  showSites(tiles.isWhole() ? all.filter((c) => !c.marking) : null);
+  clusters.show(tiles.shown().clusters, (category) => !state.filter.hiddenClasses?.includes(category) && !state.hidden.has(restKind()));
   drawMark();
   base.apply(state);
-  tools.show(all);
+  tools.show(tiles.isWhole() ? all : overview.map((xyz) => ({ xyz, kind: restKind() })));
   tools.apply(state);
   overlays.showLabels(shown, state.feature);
-  sidebar.show(state, all, shown.length);
+  sidebar.show(state, all, shown.length, { kind: restKind(), count: rest });
   showTimeline(state, timeline?.changesets ?? []);
   selection.draw();
   document.documentElement.dataset["cones"] = String(shown.length);
@@ -437,7 +517,9 @@ function draw(): void {
 /** Show everything from above and behind the drive. */
 function fit(): void {
   const path = [...paths.values()].at(-1)?.xyz_m ?? [];
-  const points: Vec3[] = all.flatMap((c) => [c.xyz, ...(c.old ? [c.old] : [])]);
+  const [w = 0, s = 0, e = 0, n = 0] = tiles.summary()?.box_m ?? [];
+  const corners: Vec3[] = [w, e].flatMap((x) => [s, n].map((y): Vec3 => [x, y, stage.ground]));
+  const points: Vec3[] = tiles.isWhole() ? all.flatMap((c) => [c.xyz, ...(c.old ? [c.old] : [])]) : corners;
   const near = path.filter(nearTo(points, 7));
   const [a, b] = [path[0], path.at(-1)];
   if (a && b && state.camera === null) {
@@ -447,8 +529,17 @@ function fit(): void {
   stage.fit([...points, ...(points.length ? near : path)]);
 }
 
+/** Before the first picture a card says why; later the picture stays, and the controls say again what it shows. */
 function fail(error: unknown, again: () => unknown): void {
   stage.start();
+  if (drawn) {
+    const { mode, changeset, side, from, to, valid, known } = drawn;
+    state = { ...state, mode, changeset, side, from, to, valid, known };
+    address.write();
+    layout.busy(false);
+    showTimeline(state, timeline?.changesets ?? []);
+    return layout.toast(`${messageOf(error)} The map still shows what it showed before.`, { text: "Try again", run: () => void again() });
+  }
   if (!all.length) layout.empty(true); // no controls without data
   layout.busy(false);
   const text = messageOf(error);
@@ -457,7 +548,13 @@ function fail(error: unknown, again: () => unknown): void {
 
 // --- mouse and keyboard
 
-listenToInput(stage, layout, tools, { select: (id) => void select(id), key: handleKey });
+const input = listenToInput(stage, layout, tools, { select: (id) => void select(id), key: handleKey, click: comeNearer });
+
+function comeNearer(x: number, y: number): boolean {
+  const at = clusters.pick(x, y);
+  if (at) stage.lookAt(at, stage.pose()[5] / 4);
+  return at !== null;
+}
 
 function handleKey(event: KeyboardEvent): boolean {
   if (review.key(event)) return true;

@@ -15,7 +15,7 @@ export function createMinimap(stage: Stage, host: HTMLElement) {
   const box = el("div", { class: "minimap", hidden: true, title: "Overview: click to move the view", aria: { hidden: "true" } }, canvas);
   host.append(box);
   const back = el("canvas", { width: canvas.width, height: canvas.height });
-  let cones: Cone[] = [];
+  let cones: Pick<Cone, "kind" | "xyz">[] = [];
   let [left, bottom, right, top] = [0, 0, 0, 0];
   let scale = 1;
   let dirty = true;
@@ -70,7 +70,7 @@ export function createMinimap(stage: Stage, host: HTMLElement) {
   box.addEventListener("pointermove", (event) => event.buttons && go(event));
 
   return {
-    show(next: Cone[]): void {
+    show(next: Pick<Cone, "kind" | "xyz">[]): void {
       cones = next;
       const [e, n] = [cones.map((c) => c.xyz[0]), cones.map((c) => c.xyz[1])];
       [left, right, bottom, top] = [...ends(e), ...ends(n)];

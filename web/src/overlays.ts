@@ -40,7 +40,7 @@ export function ellipse95(cov: HistoryItem["cov_m2"]): Ellipse {
   };
 }
 
-const tipOf = ({ xyz: [x, y, z], height_m }: Cone): Vec3 => [x, y, z + height_m];
+export const tipOf = ({ xyz: [x, y, z], height_m }: Cone): Vec3 => [x, y, z + height_m];
 
 /** Enlargement that makes the ellipse visible beside a cone. */
 export const niceFactor = (e: Ellipse): number => [1, 10, 100, 1000].find((f) => e.major_m * f >= 0.3) ?? 1000;

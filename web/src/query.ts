@@ -1,5 +1,5 @@
 // From the state of the page to the cones and drives that show it.
-import { api, type Change, type Changes, type Feature, type Features, type HistoryItem, type Instant, type Marking, type TimelineItem } from "./api";
+import { api, type Change, type Changes, type Feature, type HistoryItem, type Instant, type Marking, type TileAnswer, type TimelineItem } from "./api";
 import { knownText, utc } from "./dom";
 import { isGone, type Cone } from "./kinds";
 import type { State } from "./state";
@@ -21,7 +21,7 @@ const changed = (c: Change & { marking?: Marking; old_marking?: Marking | null }
 };
 
 /** Point objects and lane markings. */
-export const allStanding = ({ features, markings }: Features): Cone[] => [...features, ...markings].map(standing);
+export const standingIn = ({ features, markings }: TileAnswer): Cone[] => [...features, ...markings].map(standing);
 const allChanged = ({ changes, markings }: Changes): Cone[] => [...changes, ...markings].map(changed);
 
 /** The first changeset number of the address that the map does not have; null if it has them all. */
@@ -31,7 +31,7 @@ export function unknownChangeset(state: State, items: TimelineItem[]): number | 
   return named.find((no) => no !== null && !items.some((t) => t.changeset_no === no)) ?? null;
 }
 
-/** What `readCones` shows in a state: its times, the earlier time of a comparison, and words for it. */
+/** What a state shows: its times, the earlier time of a comparison, and words for it. */
 export function shownInstant(state: State, items: TimelineItem[]): { at: Instant; since: string | null; title: string } {
   const known = knownAt(state, items);
   if (state.mode === "instant") return { at: { valid: state.valid, known }, since: null, title: `${state.valid === null ? "latest state" : `at ${utc(state.valid)} UTC`}, ${knownText(known)}` };
@@ -48,19 +48,27 @@ export function shownInstant(state: State, items: TimelineItem[]): { at: Instant
   return { at, since: null, title: `${before ? "before" : "after"} ${item ? `${item.drive_id} of ${utc(item.captured_from, false)} UTC` : ""}, as known then` };
 }
 
-/** The cones to draw for a state, and whether the answer was cut short. */
-export async function readCones(state: State, items: TimelineItem[]): Promise<[Cone[], boolean]> {
-  const { map, mode, side } = state;
-  const item = mode === "drive" ? changesetOf(items, state.changeset) : undefined;
-  if (mode === "drive" && !item) return [[], false];
-  const asked = mode === "compare" ? api.between(map, ...comparedInstants(state, items)) : item && side !== "before" ? api.changes(map, item.changeset_no) : null;
-  const [features, answer] = await Promise.all([api.features(map, shownInstant(state, items).at), asked]);
-  const there = allStanding(features);
-  if (!answer) return [there, features.truncated];
-  const changes = new Map(allChanged(answer).map((c) => [c.id, c]));
+/** What changed in a state; null where it shows none. */
+export interface Changed {
+  changes: Map<string, Cone>;
+  /** Whether the answer was cut short. */
+  truncated: boolean;
+}
+
+export async function readChanges(state: State, items: TimelineItem[]): Promise<Changed | null> {
+  const item = state.mode === "drive" ? changesetOf(items, state.changeset) : undefined;
+  if (state.mode === "instant" || (item && state.side === "before")) return null;
+  const answer = await (item ? api.changes(state.map, item.changeset_no) : api.between(state.map, ...comparedInstants(state, items)));
+  return { changes: new Map(allChanged(answer).map((c) => [c.id, c])), truncated: answer.truncated };
+}
+
+/** The cones to draw: what changed, and the rest of what stood there. */
+export function withChanges(there: Cone[], changed: Changed | null, state: State): Cone[] {
+  if (!changed) return there;
+  const { changes } = changed;
   const rest = there.filter((c) => !changes.has(c.id)).map((c): Cone => ({ ...c, kind: "unchanged" }));
   const after = () => [...changes.values()].filter((c) => !isGone(c.kind)).map((c): Cone => ({ ...c, old: null, oldLine: null, shift_m: null }));
-  return [[...(item && side === "after" ? after() : changes.values()), ...rest], features.truncated || answer.truncated];
+  return [...(state.mode === "drive" && state.side === "after" ? after() : changes.values()), ...rest];
 }
 
 /** Whether a change had happened in the state that is shown; `known` is the instant of the database, null now. */

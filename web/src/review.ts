@@ -25,7 +25,7 @@ const MOST = 500;
 const keyOf = (i: ReviewItem) => `${i.kind} ${i.feature_id ?? i.changeset_id ?? ""} ${i.changeset_no}`;
 
 export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, actions: ReviewActions) {
-  const badge = el("b", { class: "badge", textContent: "0", data: { count: "0" } });
+  const badge = el("b", { class: "badge", textContent: "…", data: { count: "" } });
   const button = el("button", { type: "button", class: "link review-button", title: "Drives and changes to review", onclick: () => open() }, el("span", { textContent: "Review " }), badge);
   const list = el("ol", { class: "review-items" });
   const about = el("div", {});
@@ -41,7 +41,9 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
   const own = tab((host) => fill(host, body));
 
   let items: ReviewItem[] = [];
-  let total = 0;
+  /** null until the server has said it. */
+  let total: number | null = null;
+  let map = "";
   let current: string | null = null;
   let failed = "";
   let loadNo = 0;
@@ -65,6 +67,10 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
   async function load(): Promise<void> {
     const mine = ++loadNo;
     const found: ReviewItem[] = [];
+    if (map !== actions.map()) {
+      [map, items, total, current] = [actions.map(), [], null, null];
+      draw();
+    }
     try {
       do {
         const page = await judging.review(actions.map(), found.length, PAGE);
@@ -72,6 +78,8 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
         total = Object.values(page.counts).reduce((a, b) => a + b, 0);
         found.push(...page.items);
         if (!page.items.length) break;
+        if (items.length < found.length) items = [...found];
+        draw();
       } while (found.length < Math.min(total, MOST));
       items = found;
       failed = "";
@@ -86,10 +94,10 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
 
   function draw(): void {
     const open = waiting();
-    const count = open.length + Math.max(total - items.length, 0);
-    badge.textContent = total > items.length ? `${count}+` : String(count);
-    badge.dataset["count"] = String(count);
-    button.setAttribute("aria-label", `Review: ${plural(count, "item")}`);
+    const count = total === null ? null : open.length + Math.max(total - items.length, 0);
+    badge.textContent = count === null ? (failed ? "?" : "…") : count.toLocaleString("en");
+    badge.dataset["count"] = String(count ?? "");
+    button.setAttribute("aria-label", `Review: ${count === null ? "number of items unknown" : plural(count, "item")}`);
     own.count(count);
     const hidden = items.length - open.length;
     const rows = open.flatMap((item, i) => {
@@ -108,7 +116,7 @@ export function createReview(tab: (render: (host: HTMLElement) => void) => Tab, 
   function drawDetail(): void {
     const item = chosen();
     buttons.hidden = !item;
-    if (!item) return fill(about, el("p", { class: "hint", textContent: waiting().length ? "Select an item (↑ ↓), then accept (A), reject (R) or skip (S) it." : "Nothing to review." }));
+    if (!item) return fill(about, el("p", { class: "hint", textContent: waiting().length ? "Select an item (↑ ↓), then accept (A), reject (R) or skip (S) it." : total === null ? "Loading …" : "Nothing to review." }));
     const figures = item.checks.map((c) => el("tr", {}, el("th", { textContent: c.name }), el("td", { class: "mono", textContent: c.figures || "not measured" })));
     fill(about, el("p", { class: "why", textContent: item.why }), figures.length > 0 && el("table", {}, ...figures),
       el("p", { class: "hint", textContent: meaning(item) })); // prettier-ignore

@@ -17,7 +17,7 @@ const PLAN_PHI = 0.001;
 const PHI = 0.95;
 /** Of the plan's camera over the ground. */
 const PLAN_HEIGHT_M = 2000;
-const [LEAST_M, MOST_M] = [0.6, 20000];
+const [LEAST_M, MOST_M] = [0.6, 2e6];
 const GRID_LINES = 60;
 const PIECE_CELLS = 5;
 /** z is up in the map; three's spherical angles want y up. */

@@ -53,13 +53,13 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
       actions.change({ hidden }, false);
     };
     const box = el("input", { type: "checkbox", id: `kind-${kind}`, checked: !state.hidden.has(kind), onchange });
-    return el("label", { class: "check", data: { kind } }, box, icon(kind), kindLabel(kind, state), el("b", { textContent: String(count) }));
+    return el("label", { class: "check", data: { kind } }, box, icon(kind), kindLabel(kind, state), el("b", { textContent: count.toLocaleString("en") }));
   }
 
   function classRow({ filter }: State, category: string, count: number): HTMLLabelElement {
     const onchange = () => actions.change({ filter: toggleClass(filter, category) }, false);
     const box = el("input", { type: "checkbox", id: `class-${category}`, checked: !filter.hiddenClasses?.includes(category), onchange });
-    return el("label", { class: "check" }, box, classIcon(category), classOf(category).label, el("b", { textContent: String(count) }));
+    return el("label", { class: "check" }, box, classIcon(category), classOf(category).label, el("b", { textContent: count.toLocaleString("en") }));
   }
 
   return {
@@ -78,16 +78,19 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
       }
       baseSection.hidden = !layers.length;
     },
-    show(state: State, cones: Cone[], shownCount: number): void {
+    /** `rest`: what the map has besides these cones. */
+    show(state: State, cones: Cone[], shownCount: number, rest: { kind: Kind; count: number }): void {
       const counts = new Map<Kind, number>();
       for (const cone of cones) counts.set(cone.kind, (counts.get(cone.kind) ?? 0) + 1);
+      if (rest.count > 0) counts.set(rest.kind, (counts.get(rest.kind) ?? 0) + rest.count);
       const rows = KIND_ORDER.filter((kind) => counts.has(kind)).map((kind) => legendRow(state, kind, counts.get(kind) ?? 0));
       const hint = !rows.length ? "No cones on the map at this time." : shownCount < cones.length ? `${countOf(cones.length - shownCount)} hidden by filters` : "";
+      const clustered = rest.count > 0 && `${countOf(rest.count)} in clusters or outside the view. Filters other than kind and class apply to what is drawn one by one: zoom in.`;
       const focused = document.activeElement?.id ?? "";
       heading.textContent = onlyCones() ? "Cones shown" : "Objects shown";
       classSection.hidden = classCounts().size < 2 && state.filter.hiddenClasses === null;
       fill(classes, ...[...classCounts()].map(([category, n]) => classRow(state, category, n)));
-      fill(legend, ...rows, Boolean(hint) && el("p", { class: "hint" }, hint, filterCount(state) > 0 && " – ", filterCount(state) > 0 && clear));
+      fill(legend, ...rows, Boolean(hint) && el("p", { class: "hint" }, hint, filterCount(state) > 0 && " – ", filterCount(state) > 0 && clear), clustered && el("p", { class: "hint", textContent: clustered }));
       document.getElementById(focused)?.focus();
       if (document.activeElement !== probability) probability.value = String(state.minProbability);
       probabilityText.textContent = state.minProbability.toFixed(2);

@@ -86,11 +86,12 @@ export function createSites(host: HTMLElement, fly: (points: Vec3[]) => void) {
   const list = el("ul", { class: "sites" });
   const section = el("section", { class: "sites-section", hidden: true }, el("h2", { textContent: "Sites" }), list);
   host.append(section);
-  let of: Cone[] | null = null;
-  return (cones: Cone[]): void => {
+  let of: Cone[] | null | undefined;
+  /** Null: not all of them are known. */
+  return (cones: Cone[] | null): void => {
     if (of === cones) return;
     of = cones;
-    const sites = sitesOf(cones.map((c) => c.xyz));
+    const sites = sitesOf(cones?.map((c) => c.xyz) ?? []);
     section.hidden = sites.length < 2;
     const [first] = sites;
     fill(list, ...(section.hidden || !first ? [] : sites.map((site, i) =>

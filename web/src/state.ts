@@ -45,13 +45,13 @@ export interface State {
 
 export function initialState(): State {
   return {
-    map: "", mode: "drive", changeset: null, side: "changes", from: 0, to: null, valid: null, known: null,
+    map: "", mode: "instant", changeset: null, side: "changes", from: 0, to: null, valid: null, known: null,
     hidden: new Set(), minProbability: 0, filter: anyCone(), inView: false, sort: null, mark: null, feature: null, sighting: null, trajectory: true,
     points: true, lines: true, scene: SCENE, list: null, camera: null,
   };
 }
 
-const MODES: Mode[] = ["drive", "compare", "instant"];
+const MODES: Mode[] = ["instant", "drive", "compare"];
 const SIDES: Side[] = ["before", "changes", "after"];
 /** Names in the address and fields of what is shown unless it is "0". */
 const SWITCHES = [["way", "trajectory"], ["points", "points"], ["lines", "lines"]] as const;
@@ -79,7 +79,8 @@ export function parseState(hash: string, problems: string[] = []): State {
   }
   const number = (name: string) => value<number | null>(name, null, "a number", (text) => (/^\d{1,15}$/.test(text) ? Number(text) : undefined));
   state.map = p.get("map") ?? "";
-  state.mode = value("mode", "drive", `one of ${MODES.join(", ")}`, (text) => MODES.find((m) => m === text));
+  // A link that names a drive shows that drive.
+  state.mode = value("mode", p.has("changeset") || p.has("side") ? "drive" : "instant", `one of ${MODES.join(", ")}`, (text) => MODES.find((m) => m === text));
   state.side = value("side", "changes", `one of ${SIDES.join(", ")}`, (text) => SIDES.find((s) => s === text));
   state.changeset = number("changeset");
   state.from = number("from") ?? 0;
@@ -113,7 +114,7 @@ export function parseState(hash: string, problems: string[] = []): State {
 export function formatState(state: State): string {
   const p = new URLSearchParams();
   p.set("map", state.map);
-  if (state.mode !== "drive") p.set("mode", state.mode);
+  if (state.mode !== "instant") p.set("mode", state.mode);
   if (state.mode === "drive") {
     if (state.changeset !== null) p.set("changeset", String(state.changeset));
     if (state.side !== "changes") p.set("side", state.side);

@@ -28,6 +28,15 @@ const STEPS: ["time" | "month" | "year", number][] = [
 ]; // prettier-ignore
 const MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"];
 const SIZE = { time: 1, month: 30.4 * DAY, year: 365.2 * DAY };
+const MOST_LABELS = 500;
+
+/** From the first to the last of some times, with a margin; around now without any. */
+export function spanOf(times: number[]): Span {
+  const known = times.filter(Number.isFinite);
+  const [least, most] = known.length ? [known.reduce((a, b) => Math.min(a, b)), known.reduce((a, b) => Math.max(a, b))] : [Date.now(), Date.now()];
+  const margin = Math.max((most - least) * 0.03, 10 * MINUTE);
+  return { start: least - margin, end: most + margin };
+}
 
 /** Neighbours nearer than LEAST_PX are one cluster; times ascending. */
 export function clusters(times: number[], { start, end }: Span, width: number): Cluster[] {
@@ -55,17 +64,11 @@ export function labels({ start, end }: Span, width: number): { time: number; tex
   const most = Math.max(width / LABEL_PX, 1);
   const [unit, step] = STEPS.find(([u, n]) => (end - start) / (SIZE[u] * n) <= most) ?? ["year", 10 ** Math.ceil(Math.log10((end - start) / SIZE.year / most))];
   const first = new Date(start);
-  const times: number[] = [];
-  if (unit === "time") for (let t = Math.ceil(start / step) * step; t <= end; t += step) times.push(t);
-  else {
-    const months = unit === "year" ? 12 * step : step;
-    let month = Math.floor((first.getUTCFullYear() * 12 + first.getUTCMonth()) / months) * months;
-    for (; ; month += months) {
-      const t = Date.UTC(Math.floor(month / 12), month % 12);
-      if (t > end) break;
-      if (t >= start) times.push(t);
-    }
-  }
+  const months = unit === "year" ? 12 * step : step;
+  const month = Math.floor((first.getUTCFullYear() * 12 + first.getUTCMonth()) / months) * months;
+  const at = (i: number) => (unit === "time" ? (Math.ceil(start / step) + i) * step : Date.UTC(Math.floor(month / 12), (month % 12) + i * months));
+  const count = Math.min(Math.floor((end - start) / (SIZE[unit] * step)) + 3, MOST_LABELS);
+  const times = Array.from({ length: count || 0 }, (_, i) => at(i)).filter((t) => t >= start && t <= end);
   // The year stands at the first label and where it changes, below a day the whole date; what a long label covers is left out.
   let [before, until] = ["", -Infinity];
   const found: { time: number; text: string; short: string; major: boolean }[] = [];
@@ -73,15 +76,15 @@ export function labels({ start, end }: Span, width: number): { time: number; tex
     const iso = new Date(time).toISOString();
     const context = unit === "time" && step < DAY ? iso.slice(0, 10) : iso.slice(0, 4);
     const text = unit === "year" ? iso.slice(0, 4) : unit === "month" ? MONTHS[new Date(time).getUTCMonth()]! : step >= DAY ? iso.slice(5, 10) : iso.slice(11, 16);
-    const at = ((time - start) / (end - start)) * width;
+    const x = ((time - start) / (end - start)) * width;
     const major = context !== before;
-    if (at < until && !major) continue;
+    if (x < until && !major) continue;
     const last = found.at(-1);
-    if (at < until && last) Object.assign(last, { text: last.short, major: false }); // its date is a few pixels long
+    if (x < until && last) Object.assign(last, { text: last.short, major: false }); // its date is a few pixels long
     before = context;
     const long = unit === "year" ? text : step >= DAY && unit === "time" ? `${context}-${text}` : `${context} ${text}`;
     const shown = !major ? text : unit === "time" && step < DAY && text === "00:00" ? context : long;
-    until = at + 7 * shown.length + 10;
+    until = x + 7 * shown.length + 10;
     found.push({ time, text: shown, short: text, major });
   }
   return found;
@@ -111,8 +114,8 @@ export function createTimeAxis(actions: AxisActions) {
   let order: number[] = [];
   let items: TimelineItem[] = [];
   let chosen = -1;
-  let full: Span = { start: 0, end: 1 };
-  let seen: Span = full;
+  let full = spanOf([]);
+  let seen = full;
   let drawnWidth = 0;
   let drawn: [HTMLElement, number, number][] = [];
 
@@ -214,11 +217,8 @@ export function createTimeAxis(actions: AxisActions) {
         const began = next.map((t) => Date.parse(t.captured_from));
         order = began.map((_, i) => i).sort((a, b) => began[a]! - began[b]!);
         times = order.map((i) => began[i]!);
-        const ends = next.map((t) => Date.parse(t.valid_at));
-        const [least, most] = [times.reduce((a, b) => Math.min(a, b), Infinity), [...times, ...ends].reduce((a, b) => Math.max(a, b), -Infinity)];
-        const margin = Math.max((most - least) * 0.03, 10 * MINUTE);
         const wasWhole = seen.end - seen.start >= (full.end - full.start) * 0.999;
-        full = { start: least - margin, end: most + margin };
+        full = spanOf([...times, ...next.map((t) => Date.parse(t.valid_at))]);
         if (wasWhole) seen = full;
       } else if (order[chosen] === index) return;
       chosen = order.indexOf(index);

@@ -11,8 +11,8 @@ import { createTimeAxis } from "./timeaxis";
 export interface TimelineActions {
   /** Without `refetch` only what is loaded is drawn again. */
   change(values: Partial<State>, refetch?: boolean): void;
-  /** Open the list of what the drive changed, of one kind. */
-  showChanges(kind: Kind): void;
+  /** Open the list of what a drive changed, of one kind. */
+  showChanges(changeset: number | null, kind: Kind): void;
   /** Map whose drives may be reverted here; null where this server is read-only. */
   writableMap(): string | null;
   decided(): void;
@@ -20,7 +20,7 @@ export interface TimelineActions {
   decisions(): Decision[];
 }
 
-const MODES: [Mode, string][] = [["drive", "Drive by drive"], ["compare", "Compare two"], ["instant", "Any time"]];
+const MODES: [Mode, string][] = [["instant", "The road"], ["drive", "Drive by drive"], ["compare", "Compare two"]];
 const SIDES: [Side, string][] = [["before", "Before"], ["changes", "Changes"], ["after", "After"]];
 const CHANGED: ChangeKind[] = ["added", "moved", "removed", "split", "merged", "height_changed", "missed", "confirmed"];
 const BAR_PX = 30;
@@ -38,7 +38,7 @@ function changes(items: TimelineItem[], count: (t: TimelineItem, kind: ChangeKin
 
 const stretches = (sum: number) => plural(sum, "stretch of lane markings", "stretches of lane markings");
 /** Of objects, then of lane markings. */
-export const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf, String), ...changes(items, linesOf, stretches)];
+export const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf, (sum) => sum.toLocaleString("en")), ...changes(items, linesOf, stretches)];
 
 export function createTimeline(host: HTMLElement, actions: TimelineActions) {
   let [now, drives]: [State | null, TimelineItem[]] = [null, []];
@@ -154,7 +154,7 @@ function driveView(actions: TimelineActions) {
         text,
         el("strong", { textContent: t.drive_id }),
         el("span", { textContent: [position, ...(t.kind === "drive" ? [`recorded ${utc(t.captured_from)} UTC`, plural(t.frame_pair_count, "frame pair")] : [`state of the road on ${utc(t.captured_from)} UTC`]), `committed ${utc(t.committed_at)} UTC, as known then`].join(" · ") }),
-        el("span", { class: "chips" }, ...changesOf([t]).map((c) => changeChip(c.kind, c.text, (kind) => actions.showChanges(kind))),
+        el("span", { class: "chips" }, ...changesOf([t]).map((c) => changeChip(c.kind, c.text, (kind) => actions.showChanges(state.changeset, kind))),
           !t.counts && notCounted(about, t.hold),
           t.hold !== null && el("span", { class: "hold-reason", title: t.hold, textContent: t.hold })),
       ); // prettier-ignore
@@ -226,8 +226,9 @@ function compareView(actions: TimelineActions) {
 function instantView(actions: TimelineActions) {
   const slider = el("input", { type: "range", class: "instant-slider", min: "0", max: "1000", step: "1", aria: { label: "Time on the road" } });
   const input = el("input", { type: "text", size: 19, placeholder: "2026-03-02 09:41:07", spellcheck: false, autocomplete: "off" });
-  const latest = el("button", { type: "button", textContent: "Latest", onclick: () => actions.change({ valid: null }) });
+  const latest = el("button", { type: "button", textContent: "Now", title: "The road now", onclick: () => actions.change({ valid: null }) });
   const known = knownSelect(actions);
+  const last = el("div", { class: "drive-text" });
   let items: TimelineItem[] = [];
   let valid: string | null = null;
   const show = (time: number) => actions.change({ valid: new Date(time).toISOString() });
@@ -254,7 +255,7 @@ function instantView(actions: TimelineActions) {
 
   return {
     node: el("div", { class: "instant-view" },
-      el("div", { class: "form-line" }, el("label", {}, "Time on the road (UTC) ", input), latest, known.node),
+      el("div", { class: "form-line" }, el("label", {}, "Time on the road (UTC) ", input), latest, known.node, last),
       el("div", { class: "instant-track" }, axis.node, slider)), // prettier-ignore
     update(state: State, now: TimelineItem[]): void {
       if (!now.length) return;
@@ -264,6 +265,10 @@ function instantView(actions: TimelineActions) {
       place();
       if (input.validity.valid) input.value = utc(new Date(time()).toISOString());
       latest.disabled = state.valid === null;
+      const t = items.filter((one) => Date.parse(one.valid_at) <= time()).at(-1);
+      const no = t === items.at(-1) ? null : t?.changeset_no ?? null;
+      fill(last, t && el("span", {}, "Last drive ", el("button", { type: "button", class: "link", title: "Show its changes", textContent: t.drive_id, onclick: () => actions.change({ mode: "drive", changeset: no, side: "changes" }) })),
+        t && el("span", { class: "chips" }, ...changesOf([t]).map((c) => changeChip(c.kind, c.text, (kind) => actions.showChanges(no, kind))), !t.counts && notCounted([], t.hold))); // prettier-ignore
       known.update(state, items);
     },
   };

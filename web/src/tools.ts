@@ -1,5 +1,5 @@
 // The tools around the scene, joined to the page's state: plan, layers, base map, coordinates, measuring, mini map, swipe.
-import { api, type BaseMapItem, type Instant, type Timeline, type Vec3 } from "./api";
+import type { BaseMapItem, Timeline, Vec3 } from "./api";
 import { createBasemap } from "./basemap";
 import { createCones } from "./cones";
 import { createCursor } from "./cursor";
@@ -10,12 +10,13 @@ import { createLayers } from "./layers";
 import { createMeasure } from "./measure";
 import { createMinimap } from "./minimap";
 import { createProjection } from "./lonlat";
-import { allStanding, changesetOf, comparedInstants } from "./query";
+import { changesetOf, comparedInstants } from "./query";
 import type { Stage } from "./scene";
 import type { SceneState } from "./scene_state";
 import type { CameraPose, State } from "./state";
 import { createSwipe } from "./swipe";
 import { onTheme } from "./theme";
+import { createTiles, type Tiles } from "./tiles";
 import "./tools.css";
 
 export interface ToolActions {
@@ -46,6 +47,7 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
   const layers = createLayers(host, { change, measure: () => measure.toggle() });
   let timeline: Timeline | null = null;
   let states: [Cone[], Cone[]] | null = null;
+  const tiles: [Tiles, Tiles] = [createTiles(stage), createTiles(stage)];
   let key = "";
   let ground = stage.ground;
 
@@ -62,19 +64,24 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
     if (next === key) return;
     key = next;
     states = null;
-    const kinds = new Map(actions.cones().map((c) => [c.id, c.kind]));
-    /** What stood then; marked are those that moved, and on the right the new ones. */
-    const read = async (at: Instant, marked: Kind[]): Promise<Cone[]> =>
-      allStanding(await api.features(state.map, at)).map((c) => ({ ...c, kind: marked.find((k) => k === kinds.get(c.id)) ?? c.kind }));
     try {
-      const found = await Promise.all([read(instants[0], ["moved"]), read(instants[1], ["moved", "added", "split", "height_changed"])]);
-      if (key !== next) return;
-      states = found;
-      apply(actions.state());
+      await Promise.all(tiles.map((side, i) => side.open(state.map, instants[i as 0 | 1])));
+      if (key === next) await readView();
     } catch (error) {
       key = "";
       actions.trouble(`The two states cannot be compared: ${messageOf(error)}`);
     }
+  }
+
+  /** What stood then in view; marked are those that moved, and on the right the new ones. */
+  async function readView(): Promise<void> {
+    const of = key;
+    const changed = await Promise.all(tiles.map((side) => side.load()));
+    if (of !== key || (states && !changed.some(Boolean))) return;
+    const kinds = new Map(actions.cones().map((c) => [c.id, c.kind]));
+    const marked = ({ shown }: Tiles, those: Kind[]) => shown().cones.map((c): Cone => ({ ...c, kind: those.find((k) => k === kinds.get(c.id)) ?? c.kind }));
+    states = [marked(tiles[0], ["moved"]), marked(tiles[1], ["moved", "added", "split", "height_changed"])];
+    apply(actions.state());
   }
 
   function apply(state: State): void {
@@ -142,9 +149,12 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
       stage.setPose(pose);
     },
     apply,
-    show(cones: Cone[]): void {
-      minimap.show(cones);
+    /** Kind and position of what the mini map shows. */
+    show(places: Pick<Cone, "kind" | "xyz">[]): void {
+      minimap.show(places);
     },
+    /** The camera rests. */
+    moved: () => void (states && readView().catch((error: unknown) => actions.trouble(messageOf(error)))),
     /** What an address says is measured, once its cones are there. */
     openMeasure: () => measure.open(scene().measure),
     pick: (x: number, y: number) => swipe.pick(x, y),

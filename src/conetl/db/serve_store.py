@@ -25,22 +25,23 @@ def read_some(conn: Connection, statement: str, most: int, **parameters: Any) ->
 
 
 def read_listing(
-    conn: Connection, statement: str, most: int, fields: Sequence[Sequence[str]], **parameters: Any
+    conn: Connection, statement: str, fields: Sequence[Sequence[str]], *, most: int | None = None, **parameters: Any
 ) -> tuple[str | None, str | None, bool]:
-    """Point objects and lane markings among the first `most` rows of a statement with a column `marking`, each with its fields as
-    JSON objects between commas (None: there are none), and whether there are more rows. Raises DatabaseError."""
+    """Point objects and lane markings of a statement with a column `marking`, each with its fields as JSON objects between commas
+    (None: there are none), and whether there are more rows than `most` (None: any number). Raises DatabaseError."""
     points, lines = (
         f"string_agg((select row_to_json(r) from (select {', '.join(names)}) r)::text, ',')" for names in fields
     )
+    shown = "true" if most is None else f"row_no <= {most}"
     sql = f"""
         select
-            {points} filter (where marking is null and row_no <= {most}) as points,
-            {lines} filter (where marking is not null and row_no <= {most}) as lines,
-            count(*) > {most} as truncated
+            {points} filter (where marking is null and {shown}) as points,
+            {lines} filter (where marking is not null and {shown}) as lines,
+            not bool_and({shown}) as truncated
         from (select row_number() over () as row_no, s.* from ({load_sql(statement).rstrip(";")}) s) q"""
     with database_errors("The map cannot be read"):
         [row] = execute(conn, sql, parameters)
-    return row["points"], row["lines"], row["truncated"]
+    return row["points"], row["lines"], bool(row["truncated"])
 
 
 class Head(NamedTuple):

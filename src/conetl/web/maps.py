@@ -1,24 +1,22 @@
-"""Routes of maps: changesets, features as of an instant, changes, one feature's history and sightings, camera paths."""
+"""Routes of maps: changesets, changes, one feature's history and sightings, camera paths."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
 from uuid import UUID
 
 from fastapi import APIRouter, HTTPException, Request, Response
-from pydantic import BaseModel
 
 from conetl.db import serve_store as store
 from conetl.db.connection import or_infinity
 from conetl.db.map.archive import list_maps
 from conetl.db.map.map_store import list_changesets, require_map
 from conetl.geometry.rig import map_SE3_left
-from conetl.model.base import Vec3, utc_from_ns
+from conetl.model.base import utc_from_ns
 from conetl.model.rig import Rig
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
+from conetl.web.listing import listing
 from conetl.web.parameters import MAX_FEATURES, ChangesetNo, Instant, MapName, Origin, Reader
 
 router = APIRouter(tags=["maps"])
@@ -47,21 +45,10 @@ def timeline(map_name: MapName, conn: Reader, origin: Origin) -> m.Timeline:
     return m.Timeline(map_name=map_name, srid=srid, origin_m=origin, changesets=items)
 
 
-@router.get(f"{_MAP}/features", response_model=m.Features)
-def features(
-    map_name: MapName, conn: Reader, origin: Origin, valid_at: Instant = None, known_at: Instant = None
-) -> Response:
-    """Features on the road at `valid_at`, as known at `known_at`."""
-    instants = {"valid_at": or_infinity(valid_at), "known_at": or_infinity(known_at)}
-    lists: dict[str, type[m.Feature]] = {"features": m.Feature, "markings": m.Stretch}
-    return _listing(conn, "serving.features", lists, origin, map_name=map_name, max_rows=MAX_FEATURES + 1, **instants)
-
-
 @router.get(f"{_MAP}/changes/{{changeset_no}}", response_model=m.Changes)
 def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Reader, origin: Origin) -> Response:
     """The decision of one changeset about every feature that its drive could see."""
-    one = {"map_name": map_name, "changeset_no": changeset_no}
-    return _listing(conn, "history.changes_of_changeset", _CHANGES, origin, **one)
+    return listing(conn, "history.changes_of_changeset", _CHANGES, origin, map_name=map_name, changeset_no=changeset_no)
 
 
 @router.get(f"{_MAP}/changes", response_model=m.Changes)
@@ -75,8 +62,8 @@ def changes_between(
     to_known_at: Instant = None,
 ) -> Response:
     """Features that differ between two instants, each as known at its own."""
-    return _listing(
-        conn, "serving.changes_between", _CHANGES, origin, map_name=map_name, max_rows=MAX_FEATURES + 1,
+    return listing(
+        conn, "serving.changes_between", _CHANGES, origin, most=MAX_FEATURES, map_name=map_name, max_rows=MAX_FEATURES + 1,
         from_valid_at=or_infinity(from_valid_at), from_known_at=or_infinity(from_known_at),
         to_valid_at=or_infinity(to_valid_at), to_known_at=or_infinity(to_known_at),
     )  # fmt: skip
@@ -133,15 +120,3 @@ def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader, origin: Origin
         xyz_m=[to.offset(map_SE3_left(to.pose_of(row), rig)[:3, 3].tolist(), origin) for row in rows] if rig else [],
         truncated=truncated,
     )
-
-
-def _listing(
-    conn: Reader, statement: str, models: Mapping[str, type[BaseModel]], origin: Vec3, **parameters: Any
-) -> Response:
-    """Point objects and lane markings, by the names and models of their lists. PostgreSQL writes the JSON; for a drive of 60,000
-    features that takes half of the time."""
-    fields = [tuple(model.model_fields) for model in models.values()]
-    *lists, truncated = store.read_listing(conn, statement, MAX_FEATURES, fields, origin_m=list(origin), **parameters)
-    body = [f'"{name}":[{found or ""}]' for name, found in zip(models, lists, strict=True)]
-    head = f'{{"origin_m":{list(origin)},"truncated":{str(truncated).lower()}'
-    return Response(",".join([head, *body]) + "}", media_type="application/json")

@@ -127,9 +127,33 @@ class Stretch(Feature):
     marking: MarkingShape
 
 
-class Features(Listing):
+class Cluster(Record):
+    """The features of one cell of a tile."""
+
+    xyz_m: Vec3
+    """Their mean position."""
+    count: int
+    categories: dict[str, int]
+    """Number of each class."""
+
+
+class Tile(Listing):
+    """What stands in a square of the map: all features, or clusters."""
+
+    count: int
+    """Number of features in the tile."""
+    clusters: list[Cluster]
     features: list[Feature]
     markings: list[Stretch]
+
+
+class Summary(Record):
+    origin_m: list[float]
+    """Easting, northing, height."""
+    categories: dict[str, int]
+    """Number of features of each class."""
+    box_m: list[float] | None
+    """West, south, east, north around them, as offsets from the origin; of the map now to 256 m. Null without features."""
 
 
 class Change(Feature):

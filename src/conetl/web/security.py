@@ -84,8 +84,10 @@ class Guard:
             return answer
         if not self._tokens or self._is_known(request.cookies.get(cookie, "")) or self._is_known(_credential(request)):
             return None
+        # For Basic a browser opens a dialog of its own, at every request of a page that is open; the page asks once.
+        scheme = "Bearer" if request.headers.get("sec-fetch-dest") == "empty" else "Basic"
         return JSONResponse(
-            {"detail": _LOG_IN}, status_code=401, headers={"WWW-Authenticate": f'Basic realm="{_REALM}"'}
+            {"detail": _LOG_IN}, status_code=401, headers={"WWW-Authenticate": f'{scheme} realm="{_REALM}"'}
         )
 
     def _is_known(self, given: str) -> bool:
