@@ -88,6 +88,7 @@ def test_an_offset_is_held_if_it_moves_cones_by_more_than_sigmas_cover(share: fl
     """Of a baseline of 0.4 m, cones 4 m beside the path are off by nine times the offset."""
     rig, pairs = make_rig(), make_path(20)
     [finding] = check_exposures((share, 0.002, 0.0, 0.5), rig, pairs)
+    assert check_exposures((share, 0.002, 0.0, 0.5), rig, pairs[:1]) == [], "a speed takes two frame pairs"
     assert finding.effect_m == pytest.approx(share * (4.0 - rig.baseline_m))
     found = judge(finding)
     assert found.verdict == verdict and ("sigmas of all positions include" in found.detail) == (verdict == "widened")

@@ -114,8 +114,9 @@ def _jackknife(effects: Floats, rows: Floats, part: Ints) -> Floats | None:
 def check_exposures(
     ahead: tuple[float, ...], rig: Rig, frame_pairs: Sequence[FramePair], limits: ExposureCheckParams = _DEFAULT
 ) -> list[Finding]:
-    """Whether both cameras expose at the same instant; where not, by how many milliseconds at the speed of the drive."""
-    if not ahead:
+    """Whether both cameras expose at the same instant; where not, by how many milliseconds at the speed of the drive, which takes
+    two frame pairs."""
+    if not ahead or len(frame_pairs) < 2:
         return []
     baseline_m = float(np.linalg.norm(left_SE3_right(rig)[:3, 3]))
     off_m, sigma_m, limit_m = (baseline_m * np.array([*ahead[:2], limits.max_ahead_share])).tolist()

@@ -90,7 +90,7 @@ def check_turn_jumps(
         if min((near < k).sum(), (near > k).sum()) < 2:
             continue
         usual = np.median(accepted[near] / step_s[near, None], axis=0) * step_s[k]
-        limit = np.maximum(np.radians(limits.turn_deg), limits.sigmas * np.hypot(*sigma[k : k + 2]))
+        limit = np.maximum(np.radians(limits.turn_deg), limits.sigmas * sigma[k : k + 2].max(axis=0))
         if np.isnan(rejected[k, 0]):
             off = np.abs(logged[k] - usual)
             limit = limit + _TURN_ACCELERATION * step_s[k] * (times_s[end] - times_s[begin]) / 8
