@@ -287,7 +287,13 @@ def long_name(conn: Any) -> Iterator[str]:
 
 def test_a_phone_needs_no_sideways_scrolling(browser, address, features, long_name):
     tab = browser.new_page(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
-    for hash_ in ("", f"feature={features['wanders']}", "mode=drive&list=changes", "mode=compare&list=cones", "mode=drive"):
+    for hash_ in (
+        "",
+        f"feature={features['wanders']}",
+        "mode=drive&list=changes",
+        "mode=compare&list=cones",
+        "mode=drive",
+    ):
         tab.goto("about:blank")
         tab.goto(f"{address}#{hash_}")
         tab.wait_for_selector("canvas[data-frames]")
