@@ -130,7 +130,13 @@ def serve(map_: Planted) -> None:
     page = {"first_row": 0, "max_rows": 100}
     store.review_page(conn, "default", "changes", change="moved", moved_from_m=0.0, **page)
     store.review_page(conn, "default", "doubtful", least=0.1, most=1.0, **page)
-    edges = {"west_m": 0.0, "south_m": 0.0, "east_m": 2.0**24, "north_m": 2.0**24, "srid": require_map(conn, "default").srid}
+    edges = {
+        "west_m": 0.0,
+        "south_m": 0.0,
+        "east_m": 2.0**24,
+        "north_m": 2.0**24,
+        "srid": require_map(conn, "default").srid,
+    }
     standing = store.read_rows(
         conn, "serving.features_in_tile", map_name="default", valid_at="infinity", known_at="infinity", **edges,
         origin_m=[0.0, 0.0, 0.0],
