@@ -4,9 +4,10 @@ A private cluster in a temporary folder gets two drives past `--cones` cones, `-
 points, all along one road. Each run opens the page in a new browser; the first image is complete when all cones, all lines and
 points are drawn. Processor time is that of Chromium's processes until then. Then the number of drawn points, the time to find
 the cone under a click, and the frame time while the camera turns are measured. Last, the list of another map with `--rows` cones
-is scrolled from its top to its end.
+is scrolled from its top to its end (at most 2,000 cones are listed from afar). Maps of `--sizes` features are opened last: time
+to the first image with cones or clusters, and of tiles.
 
-    python benchmarks/bench_view.py [--points 100000] [--cones 500] [--lines 200] [--runs 3] [--rows 100000] [--images folder]
+    python benchmarks/bench_view.py [--points 100000] [--cones 500] [--lines 200] [--runs 3] [--rows 2000] [--sizes 60000 1000000]
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import json
 import os
 import subprocess
 import time
+import urllib.request
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -28,7 +30,7 @@ from playwright.sync_api import sync_playwright
 from pyproj import CRS
 
 from benchmarks.harness import CONETL, arguments_of, load, own_cluster, processor_s, served_view, write_json
-from benchmarks.made_up_maps import DAY_NS, MAP_NAME, SPACING_M, SRID, drive_along, position_of
+from benchmarks.made_up_maps import DAY_NS, MAP_NAME, SPACING_M, SRID, drive_along, load_roads, position_of
 from conetl.db.connection import connect
 from conetl.db.map.map_store import map_transaction
 from conetl.model.drive import DriveRecords
@@ -43,7 +45,7 @@ WATCH = """
 window.marks = {};
 const watch = () => {
   const root = document.documentElement, canvas = document.querySelector('canvas');
-  const is = { cones: Number(root.dataset.cones) > 0, lines: Number(root.dataset.lines) > 0,
+  const is = { cones: Number(root.dataset.cones) + Number(root.dataset.clustered) > 0, lines: Number(root.dataset.lines) > 0,
                frame: Number(canvas?.dataset.frames) > 0, points: Number(canvas?.dataset.points) > 0 };
   for (const [name, there] of Object.entries(is)) if (there) window.marks[name] ??= performance.now();
   if (Object.values(is).every(Boolean)) root.dataset.firstImage ??= 'complete';
@@ -160,7 +162,8 @@ def main() -> None:
     parser.add_argument("--points", type=int, default=100_000)
     parser.add_argument("--cones", type=int, default=500)
     parser.add_argument("--lines", type=int, default=200)
-    parser.add_argument("--rows", type=int, default=100_000)
+    parser.add_argument("--rows", type=int, default=2_000)
+    parser.add_argument("--sizes", type=int, nargs="*", default=[])
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--images", type=Path)
     options = parser.parse_args()
@@ -176,6 +179,8 @@ def main() -> None:
             figures = measure(playwright, address, options)
             if options.rows:
                 figures |= scroll(playwright, f"{address}/#map={MANY}&mode=instant&list=cones", options.images)
+    with sync_playwright() as playwright:
+        figures["sizes"] = [large(playwright, size) for size in options.sizes]
     write_json(options.json, figures)
 
 
@@ -191,6 +196,30 @@ def measure(playwright: Any, address: str, options: argparse.Namespace) -> dict[
             figures = use(tab, options.images)
         tab.context.browser.close()
     return {"runs": runs, **figures}
+
+
+def large(playwright: Any, size: int) -> dict[str, float]:
+    """First image and slowest tile of a map of `size` features."""
+    with own_cluster() as (home, url):
+        with closing(connect(url)) as conn:
+            load_roads(conn, size)
+        with served_view(home, url, MAP_NAME) as (address, _):
+            slowest_s = 0.0
+            for zoom in range(13):
+                at = position_of(np.array([size // 2]))[0]
+                x, y = (int(value // 2 ** (20 - zoom)) for value in at[:2])
+                started = time.monotonic()
+                urllib.request.urlopen(f"{address}/api/maps/{MAP_NAME}/tiles/{zoom}/{x}/{y}", timeout=60).close()
+                slowest_s = max(slowest_s, time.monotonic() - started)
+            browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+            tab = browser.new_page(viewport={"width": 1280, "height": 800})
+            tab.add_init_script(WATCH)
+            tab.goto(address, wait_until="commit")
+            tab.wait_for_function("() => window.marks.cones && window.marks.frame", timeout=120_000)
+            first_s = max(tab.evaluate("[window.marks.cones, window.marks.frame]")) / 1000
+            browser.close()
+    print(f"{size:,} features: first image {first_s:.2f} s, slowest tile {slowest_s:.2f} s; load {load()}")
+    return {"size": size, "first_image_s": first_s, "slowest_tile_s": slowest_s}
 
 
 def use(tab: Any, folder: Path | None) -> dict[str, float]:

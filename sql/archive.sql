@@ -5,7 +5,9 @@
 -- changeset_count, layer_count (base layers), last_committed_at (of changesets and decisions).
 select
     m.map_name, m.srid, m.vertical_srid, m.created_at,
-    (select count(*) from conetl.current_feature f where f.map_id = m.map_id) as feature_count,
+    (
+        select coalesce(sum(c.feature_count), 0) from conetl.feature_cell c where c.map_id = m.map_id and c.zoom = 4
+    ) as feature_count,
     (select count(*) from conetl.changeset c where c.map_id = m.map_id) as changeset_count,
     (select count(distinct b.layer_name) from conetl.base_source b where b.map_id = m.map_id) as layer_count,
     greatest(

@@ -46,7 +46,8 @@ and c.x >= %(west_m)s / 2 ^ (20 - %(cell_zoom)s) and c.x < %(east_m)s / 2 ^ (20 
 and c.y >= %(south_m)s / 2 ^ (20 - %(cell_zoom)s) and c.y < %(north_m)s / 2 ^ (20 - %(cell_zoom)s);
 
 -- name: counted_cells
--- The same of any state, or of smaller cells. Parameters: as stored_cells; srid; valid_at, known_at.
+-- The same of any state, or of smaller cells. Parameters: map_name; cell_zoom; west_m, south_m, east_m, north_m; srid (of the map);
+-- valid_at, known_at (timestamptz; 'infinity' = latest). Columns: as stored_cells.
 select
     floor(s.easting_m / 2 ^ (20 - %(cell_zoom)s))::bigint as x, floor(s.northing_m / 2 ^ (20 - %(cell_zoom)s))::bigint as y,
     s.category, count(*) as feature_count,
@@ -61,8 +62,8 @@ where s.easting_m >= %(west_m)s and s.easting_m < %(east_m)s and s.northing_m >=
 group by 1, 2, 3;
 
 -- name: features_in_tile
--- The features of a tile with what the view shows of them. Parameters: as counted_cells, without cell_zoom; origin_m, from which
--- positions count. Columns: of conetl.feature_state; marking: shape of a lane marking, null of point objects.
+-- The features of a tile with what the view shows of them. Parameters: map_name; west_m, south_m, east_m, north_m (of the tile); srid
+-- (of the map); valid_at, known_at (timestamptz; 'infinity' = latest); origin_m, from which positions count. Columns: of conetl.feature_state; marking: shape of a lane marking, null of point objects.
 select {{listed columns of s}}, conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m, {{marking columns of s}} as marking
 from conetl.feature_states(
     %(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz,
@@ -83,7 +84,7 @@ where m.map_name = %(map_name)s and c.zoom = 12
 group by c.category;
 
 -- name: counted_summary
--- The same of any state. Parameters: map_name; valid_at, known_at.
+-- The same of any state. Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest). Columns: as stored_summary.
 select
     s.category, count(*) as feature_count, min(s.easting_m) as west_m, min(s.northing_m) as south_m,
     max(s.easting_m) as east_m, max(s.northing_m) as north_m

@@ -90,7 +90,7 @@ def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):
 
 def test_cones_are_found_among_points_and_each_tile_comes_once(page, address, features):
     asked: list[str] = []
-    page.on("request", lambda r: asked.append(r.url) if "/tiles/" in r.url else None)
+    page.on("request", lambda r: asked.append(r.url) if "/base/tiles/" in r.url else None)
     open_view(page, address)
     all_drawn(page)
     frames = page.get_attribute("canvas", "data-frames")

@@ -254,7 +254,7 @@ def test_an_address_that_is_wrong_is_said_so(browser, address):
         ("mode=instant&known=55", "has no changeset 55"),
         ("map=elsewhere", "There is no map “elsewhere”"),
         (f"feature={NOBODY}", f"has no feature {NOBODY}"),
-        ("mode=instnt", "mode=instnt is not one of drive"),
+        ("mode=instnt", "mode=instnt is not one of instant"),
         (
             "mode=instant&valid=yesterday&feature=12&crs=EPSG:4326&p=2&sigma=2&smax=x",
             "valid=yesterday is not a time", "feature=12 is not the id of a cone", "crs is unknown", "sigma is unknown",
@@ -287,7 +287,13 @@ def long_name(conn: Any) -> Iterator[str]:
 
 def test_a_phone_needs_no_sideways_scrolling(browser, address, features, long_name):
     tab = browser.new_page(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
-    for hash_ in ("", f"feature={features['wanders']}", "list=changes", "mode=compare&list=cones", "mode=instant"):
+    for hash_ in (
+        "",
+        f"feature={features['wanders']}",
+        "mode=drive&list=changes",
+        "mode=compare&list=cones",
+        "mode=drive",
+    ):
         tab.goto("about:blank")
         tab.goto(f"{address}#{hash_}")
         tab.wait_for_selector("canvas[data-frames]")

@@ -33,6 +33,7 @@ from tests.integration.map_by_tables import Instant, MapByTables
 from tests.synthetic.painted_road import Paint, markings_of
 from tests.synthetic.road import random_world
 from tests.synthetic.world import ORIGIN_M, START_NS, Cone
+from tests.view_map import shown
 
 HISTORIES = int(os.environ.get("HISTORIES", "4"))
 WORLDS, WORLD_M, DAYS, DRIVES = 10, 45.0, 6, 4
@@ -196,8 +197,8 @@ class Faces:
             for name, instant in (("as-of", at.valid), ("known-at", at.known))
             if instant
         ]
-        shown = json.loads(self.conetl("map", "show", "--json", "--map", self.map_name, *options))["features"]
-        assert_same("map show", {one["feature_id"]: one for one in shown}, values, at)
+        listed = json.loads(self.conetl("map", "show", "--json", "--map", self.map_name, *options))["features"]
+        assert_same("map show", {one["feature_id"]: one for one in listed}, values, at)
         self._assert_files(ExportRequest(self.map_name, as_of=at.valid, known_at=at.known), points, lines, at)
         asked = {name: instant.isoformat() for name, instant in (("at", at.valid), ("known_at", at.known)) if instant}
         for kind, wanted in (("features", points), ("lane_markings", lines)):

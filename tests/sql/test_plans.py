@@ -18,7 +18,7 @@ from conetl.db import serve_store as store
 from conetl.db.connection import Connection, connect, execute, query
 from conetl.db.map.commit import path_wkt
 from conetl.db.map.drive_store import drives_at_the_same_time, drives_with_boxes
-from conetl.db.map.map_store import feature_log, list_changesets
+from conetl.db.map.map_store import feature_log, list_changesets, require_map
 from conetl.db.map.results import CommittedChangeset
 from conetl.db.retention import archive_drive, prunable_drives, restore_drives
 from conetl.db.schema import run_audits
@@ -26,7 +26,7 @@ from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest
 from conetl.reports.drive_page import write_drive_page
 from conetl.reports.night_page import write_night_page
-from conetl.web import frames, maps
+from conetl.web import frames, maps, tiles
 from conetl.web.parameters import origin_of
 from tests.integration.drives_of_days import DAY_NS, Survey, merge, survey_of
 from tests.synthetic.world import START_NS, Cone
@@ -116,7 +116,11 @@ def compare_with_stored_drives(map_: Planted) -> None:
 def serve(map_: Planted) -> None:
     conn, drive_uuid, origin = map_.conn, map_.changeset.drive_uuid, origin_of(map_.conn, "default")
     maps.timeline("default", conn, origin)
-    maps.features("default", conn, origin)
+    for known_at in (None, datetime(2000, 1, 1, tzinfo=UTC)):  # now: stored; then: counted
+        tiles.summary("default", conn, origin, known_at=known_at)
+        for zoom in (0, 10):
+            x, y = (int(value // 2 ** (20 - zoom)) for value in origin[:2])
+            tiles.tile("default", zoom, x, y, conn, origin, known_at=known_at)
     maps.changes_of_changeset("default", 2, conn, origin)
     maps.changes_between("default", conn, origin)
     maps.feature_history("default", map_.feature_id, conn, origin)
@@ -126,15 +130,17 @@ def serve(map_: Planted) -> None:
     page = {"first_row": 0, "max_rows": 100}
     store.review_page(conn, "default", "changes", change="moved", moved_from_m=0.0, **page)
     store.review_page(conn, "default", "doubtful", least=0.1, most=1.0, **page)
+    edges = {
+        "west_m": 0.0,
+        "south_m": 0.0,
+        "east_m": 2.0**24,
+        "north_m": 2.0**24,
+        "srid": require_map(conn, "default").srid,
+    }
     standing = store.read_rows(
-        conn,
-        "serving.features",
-        map_name="default",
-        valid_at="infinity",
-        known_at="infinity",
-        max_rows=1000,
+        conn, "serving.features_in_tile", map_name="default", valid_at="infinity", known_at="infinity", **edges,
         origin_m=[0.0, 0.0, 0.0],
-    )
+    )  # fmt: skip
     store.last_changes(conn, "default", [row["feature_id"] for row in standing])
     store.track_ranges(conn, [(drive_uuid, track.track_index) for track in map_.drive.tracks[::2]])
     store.read_frame_boxes(conn, drive_uuid, 100)

@@ -15,7 +15,7 @@ from conetl.db.live_store import read_provisional
 from conetl.db.serve_store import read_base_tile, read_some
 from conetl.web import models as m
 from conetl.web import rows as to
-from conetl.web.parameters import MAX_FEATURES, MapName, Origin, Reader, cut
+from conetl.web.parameters import MapName, Origin, Reader
 
 router = APIRouter(tags=["layers"], prefix="/maps/{map_name}")
 _MAX_TILES = 20_000
@@ -97,6 +97,6 @@ def base_tile(map_name: MapName, sha256: Sha256, conn: Reader, request: Request)
 @router.get("/provisional")
 def provisional(map_name: MapName, conn: Reader, origin: Origin) -> m.ProvisionalFeatures:
     """Cones of drives that are being recorded; the ingest of a drive replaces its own."""
-    rows, truncated = cut(read_provisional(conn, map_name=map_name), MAX_FEATURES)
+    rows = read_provisional(conn, map_name=map_name)
     features = [to.answer(m.ProvisionalFeature, row, origin, is_watched=row["ended_at"] is None) for row in rows]
-    return m.ProvisionalFeatures(origin_m=origin, features=features, truncated=truncated)
+    return m.ProvisionalFeatures(origin_m=origin, features=features, truncated=False)

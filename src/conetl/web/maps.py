@@ -17,12 +17,14 @@ from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.listing import listing
-from conetl.web.parameters import MAX_FEATURES, ChangesetNo, Instant, MapName, Origin, Reader
+from conetl.web.parameters import ChangesetNo, Instant, MapName, Origin, Reader
 
 router = APIRouter(tags=["maps"])
 _MAP = "/maps/{map_name}"
 _MAX_SIGHTINGS = 2_000
 _MAX_TRAJECTORY = 50_000
+#: Of a comparison of two instants; the answer, and the page, say whether there are more.
+_MAX_CHANGES = 100_000
 _CHANGES: dict[str, type[m.Change]] = {"changes": m.Change, "markings": m.StretchChange}
 
 
@@ -63,7 +65,7 @@ def changes_between(
 ) -> Response:
     """Features that differ between two instants, each as known at its own."""
     return listing(
-        conn, "serving.changes_between", _CHANGES, origin, most=MAX_FEATURES, map_name=map_name, max_rows=MAX_FEATURES + 1,
+        conn, "serving.changes_between", _CHANGES, origin, most=_MAX_CHANGES, map_name=map_name, max_rows=_MAX_CHANGES + 1,
         from_valid_at=or_infinity(from_valid_at), from_known_at=or_infinity(from_known_at),
         to_valid_at=or_infinity(to_valid_at), to_known_at=or_infinity(to_known_at),
     )  # fmt: skip

@@ -19,8 +19,6 @@ from conetl.db.reader_pool import ReaderPool
 from conetl.db.serve_store import read_origin
 from conetl.model.base import Vec3
 
-#: Largest number of features of one answer, which says whether there are more.
-MAX_FEATURES = 100_000
 T = TypeVar("T")
 #: Both ends of a temporal filter; None: open.
 Interval = tuple[datetime | None, datetime | None]
