@@ -14,6 +14,10 @@ declare
     source text;
     sign integer;
 begin
+    if tg_op = 'TRUNCATE' then
+        delete from conetl.feature_cell;
+        return null;
+    end if;
     for source, sign in
         select s.name, s.sign
         from (values ('written', 1, 'DELETE'), ('gone', -1, 'INSERT')) s (name, sign, without)

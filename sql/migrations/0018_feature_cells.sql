@@ -39,6 +39,8 @@ create trigger sum_by_cell_of_changed after update on conetl.feature_version
 referencing old table as gone new table as written for each statement execute function conetl.count_cells();
 create trigger sum_by_cell_of_deleted after delete on conetl.feature_version
 referencing old table as gone for each statement execute function conetl.count_cells();
+create trigger sum_by_cell_of_none after truncate on conetl.feature_version
+for each statement execute function conetl.count_cells();
 
 insert into conetl.feature_cell (map_id, zoom, x, y, category, is_line, feature_count, sum_cm)
 select

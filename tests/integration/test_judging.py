@@ -96,7 +96,7 @@ def test_the_history_is_that_of_an_instant_of_the_database(client):
 
 def test_a_frame_projects_onto_its_boxes(client):
     """The cameras of a frame pair put the position of each sighting at the foot of its box."""
-    feature = get(client, "features")["features"][0]
+    feature = get(client, "tiles/0/0/5")["features"][0]
     for sighting in get(client, f"features/{feature['feature_id']}/sightings")["sightings"][::5]:
         frame = get(client, f"drives/{sighting['drive_uuid']}/frames/{sighting['frame_index']}")
         for side in ("left", "right"):
@@ -145,5 +145,5 @@ def test_the_queue_is_paged_and_what_is_decided_leaves_it(client, module_conn, h
     now = next(item for item in get(client, "review")["items"] if item["kind"] == "removal")
     pin = {"kind": "pin", "feature_id": now["feature_id"], "expected_version": now["version"]}
     decide(client, pin)
-    assert now["feature_id"] in {f["feature_id"] for f in get(client, "features")["features"]}
+    assert now["feature_id"] in {f["feature_id"] for f in get(client, "tiles/0/0/5")["features"]}
     assert now["feature_id"] not in {item["feature_id"] for item in get(client, "review?limit=100")["items"]}

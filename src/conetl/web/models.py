@@ -137,7 +137,7 @@ class Cluster(Record):
     """Number of each class."""
 
 
-class Tile(Listing):
+class FeatureTile(Listing):
     """What stands in a square of the map: all features, or clusters."""
 
     count: int

@@ -32,7 +32,7 @@ Zoom = Annotated[int, Path(ge=0, le=20)]
 Index = Annotated[int, Path(ge=-(2**31), le=2**31 - 1)]
 
 
-@router.get("/tiles/{zoom}/{x}/{y}", response_model=m.Tile)
+@router.get("/tiles/{zoom}/{x}/{y}", response_model=m.FeatureTile)
 def tile(
     map_name: MapName,
     zoom: Zoom,
@@ -42,7 +42,7 @@ def tile(
     origin: Origin,
     valid_at: Instant = None,
     known_at: Instant = None,
-) -> m.Tile | Response:
+) -> m.FeatureTile | Response:
     """What stood in a tile at `valid_at`, as known at `known_at`: all features, or clusters if there are more than 2,000."""
     side_m = 2.0 ** (20 - zoom)
     edges: dict[str, Any] = {
@@ -55,7 +55,7 @@ def tile(
     cells = state.cells(zoom + _CELL_STEPS, edges)
     count = sum(cell["feature_count"] for cell in cells)
     if count > MAX_IN_TILE:
-        return m.Tile(
+        return m.FeatureTile(
             origin_m=origin, truncated=False, count=count, clusters=_clusters(cells, origin), features=[], markings=[]
         )
     head = f'"count":{count},"clusters":[],'
