@@ -156,4 +156,5 @@ def test_an_expired_login_asks_again(tab, module_database_url, features):
         tab.fill(".login input[name=token]", TOKEN)
         tab.keyboard.press("Enter")
         tab.wait_for_selector(".panel h2 >> text=" + features["wanders"][:8])
-        assert tab.locator(".login").is_hidden() and not re.search(TOKEN, tab.url)
+        tab.wait_for_selector(".login", state="hidden")
+        assert not re.search(TOKEN, tab.url)

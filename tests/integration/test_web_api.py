@@ -169,7 +169,12 @@ def test_long_answers_are_what_their_models_say(conn, own_view, samples):
         samples.changed("moved", post, next_ns, xyz_m=(post.xyz_m[0] + 1.5, *post.xyz_m[1:])),
     )
     samples.commit(conn, *moves, key="2", start_ns=next_ns, markings=[samples.marking_track(beside)])
-    for path, model in (("tiles/0/0/5", FeatureTile), ("changes", Changes), ("changes/1", Changes), ("changes/2", Changes)):
+    for path, model in (
+        ("tiles/0/0/5", FeatureTile),
+        ("changes", Changes),
+        ("changes/1", Changes),
+        ("changes/2", Changes),
+    ):
         model.model_validate(get(own_view, f"{MAP}/{path}"))  # its models are closed
     changes = Changes.model_validate(get(own_view, f"{MAP}/changes/2"))
     [cone], [stretch] = changes.changes, changes.markings

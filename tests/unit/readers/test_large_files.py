@@ -99,7 +99,9 @@ def test_elements_behind_the_points_of_a_track_are_not_read_on(tmp_path: Path) -
     start = path.read_bytes().partition(b"</trkseg")[0]
     for text in (b"<a></a>", b"<trkpt lat='x' lon='y'></trkpt>"):
         path.write_bytes(start + text * 500_000)
-        with pytest.raises(InputError, match=r"[\d,]+ lines have (0|40) usable records: not a log|tags in [\d,]+ bytes"):
+        with pytest.raises(
+            InputError, match=r"[\d,]+ lines have (0|40) usable records: not a log|tags in [\d,]+ bytes"
+        ):
             read_trajectory(path)
 
 
