@@ -23,6 +23,7 @@ from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
+from conetl.web.judging_models import Measured, Review, ReviewItem
 from conetl.web.parameters import MapName, Origin, Reader, cut, origin_of
 from conetl.web.security import WritersRoute
 
@@ -51,7 +52,7 @@ _CONES: dict[str, tuple[str, dict[str, float | str]]] = {
     "move": ("changes", {"change": "moved"}),
     "doubtful": ("doubtful", {"least": _LEAST, "most": _MOST}),
 }
-assert ("held", *_CONES) == get_args(m.ReviewItem.model_fields["kind"].annotation)
+assert ("held", *_CONES) == get_args(ReviewItem.model_fields["kind"].annotation)
 
 
 class _Request(Record):
@@ -177,7 +178,7 @@ def review(
     origin: Origin,
     offset: Annotated[int, Query(ge=0, le=1_000_000)] = 0,
     limit: Annotated[int, Query(ge=1, le=_MAX_ITEMS)] = 50,
-) -> m.Review:
+) -> Review:
     """What to review: drives on hold, removed cones, moves of 1 m or more, cones with an existence probability of 0.3 to 0.7.
     What was decided already is left out."""
     held = held_drives(conn, map_name=map_name)
@@ -190,19 +191,19 @@ def review(
         changes = last_changes(conn, map_name, ids)
         items += _cones(conn, map_name, kind, [changes[one] for one in ids if one in changes], origin)
         before += counts[kind]
-    return m.Review(origin_m=origin, counts=counts, items=items)
+    return Review(origin_m=origin, counts=counts, items=items)
 
 
-def _held(drive: HeldDrive) -> m.ReviewItem:
-    checks = [m.Measured(name=c.name, figures=c.figures, detail=c.detail) for c in drive.checks]
-    return m.ReviewItem(
+def _held(drive: HeldDrive) -> ReviewItem:
+    checks = [Measured(name=c.name, figures=c.figures, detail=c.detail) for c in drive.checks]
+    return ReviewItem(
         kind="held", changeset_no=drive.changeset_no, changeset_id=drive.changeset_id, drive_id=drive.drive_id, at=drive.since,
         why=drive.reason, checks=checks, feature_id=None, version=None, xyz_m=None, existence_probability=None,
     )  # fmt: skip
 
 
-def _cones(conn: Connection, map_name: str, kind: Any, rows: list[dict[str, Any]], origin: Vec3) -> list[m.ReviewItem]:
+def _cones(conn: Connection, map_name: str, kind: Any, rows: list[dict[str, Any]], origin: Vec3) -> list[ReviewItem]:
     return [
-        to.answer(m.ReviewItem, row, origin, kind=kind, changeset_id=None, at=row["changed_at"], why=why, checks=[])
+        to.answer(ReviewItem, row, origin, kind=kind, changeset_id=None, at=row["changed_at"], why=why, checks=[])
         for row, why in zip(rows, reasons_of(conn, map_name, None, rows), strict=True)
     ]

@@ -17,8 +17,8 @@ from conetl.model.errors import ConetlError
 from conetl.model.rig import Rig
 from conetl.reports.camera_images import Box, crop_jpeg, frame_jpeg, image_file
 from conetl.reports.drive_passes import expected_box, passes_of
-from conetl.web import models as m
 from conetl.web import rows as to
+from conetl.web.judging_models import Frame, Passes
 from conetl.web.parameters import ChangesetNo, Index, MapName, Origin, Reader, cut
 
 router = APIRouter(prefix="/maps/{map_name}")
@@ -39,7 +39,7 @@ Context = Annotated[
 
 
 @router.get("/features/{feature_id}/passes", tags=["frames"])
-def passes(map_name: MapName, feature_id: UUID, conn: Reader, origin: Origin, version: Version = None) -> m.Passes:
+def passes(map_name: MapName, feature_id: UUID, conn: Reader, origin: Origin, version: Version = None) -> Passes:
     """The drives that have the position of a feature in view, with the frame pairs that show it, observed or empty."""
     history = store.read_feature_history(conn, map_name, feature_id)
     states = [row for row in history if version in (None, row["version"])]
@@ -47,7 +47,7 @@ def passes(map_name: MapName, feature_id: UUID, conn: Reader, origin: Origin, ve
         raise HTTPException(404, f"The map {map_name} has no feature {feature_id} of this version.")
     found = passes_of(conn, map_name, feature_id, states[-1], max_drives=_MAX_PASSES + 1)
     shown, truncated = cut(found, _MAX_PASSES)
-    return m.Passes(
+    return Passes(
         feature_id=feature_id,
         version=states[-1]["version"],
         origin_m=origin,
@@ -59,12 +59,12 @@ def passes(map_name: MapName, feature_id: UUID, conn: Reader, origin: Origin, ve
 @router.get("/drives/{drive_uuid}/frames/{frame_index}", tags=["frames"])
 def frame(
     map_name: MapName, drive_uuid: UUID, frame_index: Index, conn: Reader, origin: Origin, request: Request
-) -> m.Frame:
+) -> Frame:
     """The cameras and detections of one frame pair, and whether its images are still there."""
     row = _frame(conn, map_name, drive_uuid, frame_index)
     boxes = store.read_frame_boxes(conn, drive_uuid, frame_index)
     left, right = (to.frame_view(row, side, boxes[side], _problem(row, side), origin) for side in ("left", "right"))
-    return m.Frame(
+    return Frame(
         drive_id=row["drive_id"],
         drive_uuid=drive_uuid,
         frame_index=frame_index,

@@ -14,7 +14,8 @@ from conetl.model.base import TICK, Vec3, utc_from_ns
 from conetl.model.drive import Pose
 from conetl.model.rig import Rig, Side
 from conetl.reports.drive_passes import DrivePass
-from conetl.web.models import Box, Decision, FrameBox, FrameView, HistoryItem, Sighting, TimelineItem
+from conetl.web.judging_models import FrameBox, FrameView
+from conetl.web.models import Box, Decision, HistoryItem, Sighting, TimelineItem
 
 Row = Mapping[str, Any]
 A = TypeVar("A", bound=BaseModel)

@@ -76,40 +76,45 @@ def match_area(
     up: Floats,
     at_infinity_px: float = 0.0,
     row_offset_px: float = 0.0,
-    lead: tuple[float, float] | None = None,
 ) -> AreaMatch | None:
     """Disparity of the object with `outline` in the left image, or None if the images do not determine it.
 
     left, right: rectified images, (H, W, 3) or (H, W), uint8. disparity_px: first guess; search_px: half width of the search.
     camera: the left one. up: unit vector (3,) in its frame (x right, y down, z forward). at_infinity_px: disparity of a point
-    at infinity. row_offset_px: how much lower points are in the right image by calibration. lead: by how much the best
-    correlation must exceed those at disparities that differ by more than so many px; None: any best one is taken.
+    at infinity. row_offset_px: how much lower points are in the right image by calibration.
     """
     if left.ndim == 2:
         left, right = left[:, :, None], right[:, :, None]
-    pixels = (
-        plate_pixels(left, outline, camera, up)
-        if isinstance(outline, Plate)
-        else cone_pixels(left, outline, camera, up)
-    )
+    pixels = body_pixels(left, outline, camera, up)
     if pixels is None:
         return None
-    coarse = _whole_pixel_disparity(pixels, right, disparity_px, search_px, at_infinity_px, round(row_offset_px), lead)
+    coarse = whole_pixel_disparity(pixels, right, disparity_px, search_px, at_infinity_px, round(row_offset_px))
     if coarse is None:
         return None
-    return _least_squares(pixels, right, float(coarse), at_infinity_px, row_offset_px)
+    return least_squares(pixels, right, float(coarse), at_infinity_px, row_offset_px)
 
 
-def _whole_pixel_disparity(
+def body_pixels(image: Image, outline: Outline | Plate, camera: Camera, up: Floats) -> BodyPixels | None:
+    """The pixels of an object in its image (H, W, C); None if there are too few. camera: its camera; up: as for `match_area`."""
+    if isinstance(outline, Plate):
+        return plate_pixels(image, outline, camera, up)
+    return cone_pixels(image, outline, camera, up)
+
+
+def whole_pixel_disparity(
     pixels: BodyPixels,
     right: Image,
     guess: float,
     search_px: float,
     at_infinity_px: float,
     row_offset: int,
-    lead: tuple[float, float] | None,
+    lead: tuple[float, float] | None = None,
 ) -> int | None:
-    """Best whole-pixel disparity; None at the limit of the search, below the threshold, outside the image, or without a lead."""
+    """Best whole-pixel disparity; None at the limit of the search, below the threshold, outside the image, or without a lead.
+
+    lead: by how much its correlation must exceed those at disparities that differ by more than so many px. Others: as for
+    `match_area`.
+    """
     reach = int(np.ceil(search_px)) + 1
     candidates = round(guess) + np.arange(-reach, reach + 1)
     shape = at_infinity_px + (candidates[:, None] - at_infinity_px) / pixels.depth
@@ -138,10 +143,10 @@ def _whole_pixel_disparity(
     return int(candidates[best])
 
 
-def _least_squares(
+def least_squares(
     pixels: BodyPixels, right: Image, start: float, at_infinity_px: float, row_offset_px: float
 ) -> AreaMatch | None:
-    """Gauss-Newton on all unknowns; gain and offset of each colour are eliminated in every step."""
+    """Gauss-Newton on all unknowns from a whole-pixel disparity; gain and offset of each colour are eliminated in every step."""
     beyond = pixels.beyond
     reach = np.concatenate(
         [part.columns - at_infinity_px - (start - at_infinity_px) / part.depth for part in (pixels, beyond)]

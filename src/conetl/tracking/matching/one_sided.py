@@ -19,16 +19,17 @@ from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.params import MatchParams
 from conetl.model.rig import SIDES, Rig
 from conetl.tracking.matching.apparent_boxes import iou
-from conetl.tracking.matching.area_matching import AreaMatch, match_area
+from conetl.tracking.matching.area_matching import AreaMatch, body_pixels, least_squares, whole_pixel_disparity
 from conetl.tracking.matching.cone_outline import Outline, find_outline
+from conetl.tracking.matching.cone_pixels import BodyPixels
 from conetl.tracking.matching.plate_pixels import Plate, find_plate
 
 #: Heights of boxes are off by this share.
 _HEIGHT_SLACK = 0.1
 #: The best correlation exceeds by this much those at disparities that differ by more than this share of the box's width.
 _LEAD, _LEAD_BEYOND = 0.1, 0.5
-#: Half width (px) of the search back, and largest difference of both disparities.
-_BACK_PX, _AGREE_PX = 3.0, 0.5
+#: Half width (px) of the search back, and largest difference of both whole-pixel disparities.
+_BACK_PX, _AGREE_PX = 3.0, 1
 #: Overlap (intersection over union) of boxes of one object.
 _SAME_IOU = 0.3
 #: Edge of the image (px) that the interpolation needs.
@@ -63,37 +64,42 @@ def match_one_box(
     ).tolist()
     up_right = np.linalg.inv(left_SE3_right(rig))[:3, :3] @ up_left
 
-    def matched(
-        one: Detection, guess_px: float, reach_px: float, lead_px: float
-    ) -> tuple[AreaMatch, Outline | Plate] | None:
-        """Disparity, left minus right, of a box against the other image."""
+    def shown(
+        one: Detection, guess_px: float, reach_px: float, lead: tuple[float, float] | None
+    ) -> tuple[int, BodyPixels, Outline | Plate] | None:
+        """Whole-pixel disparity, left minus right, of a box against the other image."""
         k = SIDES.index(one.side)
         sign = 1 - 2 * k
         round_body = FEATURE_CLASSES[one.category].round_body
         outline = find_outline(images[k], one) if round_body else find_plate(one, found[k])
-        area = match_area(
-            images[k], images[1 - k], outline, sign * (guess_px + at_infinity_px), reach_px,
-            camera=(rig.left, rig.right)[k], up=(up_left, up_right)[k], at_infinity_px=sign * at_infinity_px,
-            row_offset_px=-sign * rows_up, lead=(_LEAD, lead_px) if lead_px else None,
-        )  # fmt: skip
-        return area and (area._replace(disparity_px=sign * area.disparity_px - at_infinity_px), outline)
+        pixels = body_pixels(images[k], outline, (rig.left, rig.right)[k], (up_left, up_right)[k])
+        if pixels is None:
+            return None
+        disparity_px = whole_pixel_disparity(
+            pixels, images[1 - k], sign * guess_px, reach_px, sign * at_infinity_px, round(-sign * rows_up), lead
+        )
+        return None if disparity_px is None else (sign * disparity_px, pixels, outline)
 
     least, most = _disparities_px(box, images[0].shape[1], at_infinity_px, rig, params)
     if least >= most:
         return None
-    first = matched(box, (least + most) / 2, (most - least) / 2, _LEAD_BEYOND * box.w_px)
+    first = shown(box, (least + most) / 2 + at_infinity_px, (most - least) / 2, (_LEAD, _LEAD_BEYOND * box.w_px))
     if first is None:
         return None
-    other = _displaced(box, first[0].disparity_px + at_infinity_px, rows_up)
+    other = _displaced(box, first[0], rows_up)
     # A box that is there and could not be matched contradicts this one.
     place = other.x_px, other.y_px, other.x_px + other.w_px, other.y_px + other.h_px
     if any(iou(place, one) > _SAME_IOU for one in found[SIDES.index(other.side)]):
         return None
-    back = matched(other, first[0].disparity_px, _BACK_PX, 0.0)
-    if back is None or abs(back[0].disparity_px - first[0].disparity_px) > _AGREE_PX:
+    back = shown(other, first[0], _BACK_PX, None)
+    if back is None or abs(back[0] - first[0]) > _AGREE_PX:
         return None
-    (left, right), (area, outline) = ((box, other), first) if box.side == "left" else ((other, box), back)
-    return OneSided(left, right, area._replace(disparity_px=area.disparity_px + at_infinity_px), outline)
+    disparity_px, pixels, outline = first if box.side == "left" else back
+    area = least_squares(pixels, images[1], float(disparity_px), at_infinity_px, -rows_up)
+    if area is None:
+        return None
+    other = _displaced(box, area.disparity_px, rows_up)
+    return OneSided(*((box, other) if box.side == "left" else (other, box)), area, outline)
 
 
 def _disparities_px(
