@@ -28,7 +28,8 @@ async def events(map_name: MapName, request: Request) -> StreamingResponse:
     """Server-sent events, at once and after every commit: `changeset` and `decision` with their number, `base`, `trouble`."""
     watcher: HeadWatcher = request.app.state.watcher
     if watcher.full():
-        raise HTTPException(503, _TOO_MANY, headers={"Retry-After": "30"})
+        # Closed, since idle connections count towards the server's limit and would keep others out for seconds.
+        raise HTTPException(503, _TOO_MANY, headers={"Retry-After": "30", "Connection": "close"})
     headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
     return StreamingResponse(watcher.events(map_name), media_type="text/event-stream", headers=headers)
 
