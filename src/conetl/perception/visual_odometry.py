@@ -1,7 +1,7 @@
 """Points of the static scene followed through the four images of two frame pairs (pyramidal Lucas-Kanade, Bouguet 2001).
 
 Corners get a rough disparity by block matching and are followed left -> right, left -> next left -> next right and right -> next
-right, which must end at the same point, and back from the next left. Points without disparity (sky, far scenery) are left out.
+right, which must end at the same point. Points without disparity (sky, far scenery) are left out.
 Points on moving objects are found later (`geometry/motion/stereo_motion.py`).
 """
 
@@ -32,9 +32,8 @@ _Size = tuple[int, int]
 #: one by one: windows of 11 x 11 are no more accurate and take 1.5 times as long.
 _WINDOW_PX: _Size = (16, 7)
 _WINDOW_OF_SPANS_PX: _Size = (16, 14)
-_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
-#: For backward checks, whose tolerance is most of a pixel.
-_STOP_OF_CHECKS = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
+#: A point is found when its last step is below 0.05 px: with 0.01 px motions are no more accurate.
+_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.05)
 #: Least eigenvalue of a corner's structure matrix as a share of a strong corner's: weaker ones are skipped.
 _WEAK_SHARE = 0.004
 #: Side of the blocks that are matched, at a quarter of the size.
@@ -131,9 +130,6 @@ def _follow(
     next_left, good = _flow(first.left, second.left, left, guess[:, 0], 2, window_px)
     good &= _clear_of_padding(next_left, working, "left", window_px)
     left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
-    home, good = _flow(second.left, first.left, next_left, left, 0, window_px, _STOP_OF_CHECKS)
-    good &= np.linalg.norm(home - left, axis=1) <= params.circle_tolerance_px
-    left, right, guess, next_left = left[good], right[good], guess[good], next_left[good]
     shift = working.infinity_shift(next_left).astype(np.float32)
     across = next_left - _offset(guess[:, 0, 0] - guess[:, 1, 0], shift[:, 1])
     next_right, good = _flow(second.left, second.right, next_left, across, 0, window_px)
@@ -141,7 +137,7 @@ def _follow(
     good &= _clear_of_padding(next_right, working, "right", window_px)
     good &= next_left[:, 0] - next_right[:, 0] - shift[:, 0] >= _least_disparity(working, params) / 2
     left, right, next_left, next_right = left[good], right[good], next_left[good], next_right[good]
-    other_route, good = _flow(first.right, second.right, right, next_right, 0, window_px, _STOP_OF_CHECKS)
+    other_route, good = _flow(first.right, second.right, right, next_right, 0, window_px)
     good &= np.linalg.norm(other_route - next_right, axis=1) <= params.circle_tolerance_px
     if int(good.sum()) < params.min_points:
         return _no_points(NoMeasurement.TOO_FEW_POINTS)
@@ -239,14 +235,13 @@ def _flow(
     guess: NDArray[np.floating],
     levels: int,
     window_px: _Size,
-    stop: tuple[int, int, float] = _STOP,
 ) -> tuple[Points, Bools]:
     """Image points (N, 2) in another image, from a guess on the `levels`-th pyramid level, and which were found."""
     if not len(points):
         return points, np.zeros(0, dtype=bool)
     found, status, _ = cv2.calcOpticalFlowPyrLK(
         source, target, np.ascontiguousarray(points), np.array(guess, np.float32, order="C"), maxLevel=levels,
-        winSize=window_px, criteria=stop, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+        winSize=window_px, criteria=_STOP, flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
     )  # fmt: skip
     return np.asarray(found, dtype=np.float32), status.reshape(-1).astype(bool) & np.isfinite(found).all(axis=1)
 

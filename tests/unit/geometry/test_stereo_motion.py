@@ -124,7 +124,7 @@ def test_a_guess_that_most_points_follow_spares_the_search(monkeypatch: pytest.M
     # One point at the bound more or less.
     assert (guessed.inliers != searched.inliers).mean() < 0.02
     apart = error_of(guessed.next_SE3_first) - error_of(searched.next_SE3_first)
-    assert (np.abs(apart) < 0.2 * np.sqrt(np.diag(searched.cov))).all()
+    assert (np.abs(apart) < 0.25 * np.sqrt(np.diag(searched.cov))).all()
 
 
 def test_a_guess_outside_of_the_gate_is_not_believed_however_many_follow_it() -> None:

@@ -149,8 +149,8 @@ def test_points_stay_where_they_are_on_a_wall_that_comes_nearer() -> None:
     seen = on_wall @ se3.compose(se3.invert(second), first).T
     expected = seen[:, :2] / seen[:, 2:3] * (camera.fx_px, camera.fy_px) + (camera.cx_px, camera.cy_px)
     assert len(rays) > 200
-    off = after[:, :2] - expected
-    assert np.sqrt((off**2).mean(axis=0)).max() < 0.08
+    off = np.sort(np.abs(after[:, :2] - expected), axis=0)[: int(0.98 * len(rays))]  # motions leave slipped points out
+    assert np.sqrt((off**2).mean(axis=0)).max() < 0.06
 
 
 def test_what_opencv_refuses_costs_its_interval_only(monkeypatch: pytest.MonkeyPatch) -> None:

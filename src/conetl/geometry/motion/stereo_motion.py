@@ -26,7 +26,7 @@ _UPPER = np.triu_indices(6)
 _HYPOTHESES = 64
 _MINIMAL_POINTS = 3
 _MAX_ITERATIONS = 20
-_CHOOSING_ITERATIONS = 4
+_CHOOSING_ITERATIONS = 3
 _CAUCHY_SIGMAS = 2.385  # 95 % efficiency on normal errors (Rey 1983)
 _NEAREST_M = 0.3
 #: Points whose depth has a relative sigma above this are left out.

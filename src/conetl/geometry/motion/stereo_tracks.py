@@ -211,15 +211,17 @@ def _intervals(
     params: TrajectoryParams,
 ) -> Iterator[_Interval]:  # fmt: skip
     """All intervals in order; points are moved to the time stamps by the expected motions. lasts_s: time of each."""
-    cameras = cameras_of(rig)
+    cameras, rolling = cameras_of(rig), bool(readouts_s(rig).any())
     before: Floats | None = None
     for points, to_try, own_s in zip(tracks, motions_to_try(frame_pairs, rig), lasts_s, strict=True):
         motion, expected = None, to_try[0]
         if points.missing is None:
             first_px, second_px, sigma_px = points.points()
             for expected in to_try:
-                rate = rate_of(expected, own_s)
-                first, second = (points_at_stamp(rig, cameras, px, rate)[:, :3] for px in (first_px, second_px))
+                first, second = first_px[:, :3], second_px[:, :3]
+                if rolling:
+                    rate = rate_of(expected, own_s)
+                    first, second = (points_at_stamp(rig, cameras, px, rate)[:, :3] for px in (first_px, second_px))
                 motion = estimate_motion(
                     cameras, first, second, sigma_px, expected, params, seed=points.first_frame_index, guess=before
                 )

@@ -236,7 +236,15 @@ def _estimated(parts: Sequence[DifferenceTerms], assumed: ErrorShares, jitter_s:
         size = len(starts[0])
         bounds = list(zip(low[:size], high[:size], strict=True))
         found = [
-            minimize(misfit, start, (size,), jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 30})
+            minimize(
+                misfit,
+                start,
+                (size,),
+                jac=True,
+                method="L-BFGS-B",
+                bounds=bounds,
+                options={"maxiter": 30, "ftol": 1e-6},
+            )
             for start in starts
         ]
         return np.asarray(min(found, key=lambda one: float(one.fun)).x)
