@@ -246,14 +246,16 @@ def write_quality_page(path: Path, quality: MapQuality) -> Path:
         "No check points: positional accuracy was not tested." if found is None else found.statement,
     ]
     left = max(len(quality.squares) - _MAX_ROWS, 0)
+    more = f"; {left} more are in the JSON" if left else ""
     sections = [
         *([] if found is None else [_positions(found)]),
         _table("Measures by element (ISO 19157-1)", "", quality.measures),
         Section("Age", "Since drives passed a square, and since an object was last observed.", ("days", "squares", "objects"),
             [(f"up to {one.up_to_days}" if one.up_to_days else "more", one.squares, one.features) for one in quality.ages]),
-        _table("Coverage", f"Squares of 256 m that drives passed, the oldest first; {left} more are in the JSON.",
+        _table("Coverage", f"Squares of 256 m that drives passed, the oldest first{more}.",
             quality.squares[:_MAX_ROWS]),
-        _table("From road to map", "From the end of a drive to its changes on the map; backfills and holds count.", [latency]),
+        Section("From road to map", "From the end of a drive to its changes on the map, in hours; backfills and holds count.",
+            ("drives", "median", "95 %"), [(latency.drives, _hours(latency.p50_s), _hours(latency.p95_s))]),
         Section("Audits", "Offending rows, of all maps of the database.", ("audit", "rows"),
             [(name.replace("_", " "), count) for name, count in quality.audits.items()]),
     ]  # fmt: skip
@@ -294,6 +296,10 @@ def _cell(value: object) -> str:
         return f"{value:%Y-%m-%d %H:%M}"
     text = f"{value:.4f}".rstrip("0").rstrip(".") if isinstance(value, float) else value
     return "" if text is None else str(text)
+
+
+def _hours(seconds: float | None) -> str:
+    return "" if seconds is None else f"{seconds / 3600:,.2f}"
 
 
 def _age_classes(

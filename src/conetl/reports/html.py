@@ -30,6 +30,10 @@ class Section:
     image: bytes | None = None
     image_alt: str = ""
 
+    def is_text(self, column: int) -> bool:
+        """Whether a column holds words, which are aligned to the left."""
+        return any(re.search(r"[^\W\d_]{3}", str(row[column])) for row in self.rows)
+
 
 def write_page(path: Path, page: str) -> Path:
     """Write a page, completely or not at all, and return its path. Raises InputError where it cannot be written."""
