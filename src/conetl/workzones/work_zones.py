@@ -154,7 +154,10 @@ def _zones_of_neighbourhood(
                 live.append(_Live(zone, set(cluster)))
         for one in live:
             cones = tuple(standing[key] for key in sorted(one.members, key=lambda key: (since[key], str(key))))
-            one.zone = replace(one.zone, cones=cones)
+            phases = one.zone.phases
+            if not phases or {cone.feature_id for cone in phases[-1][1]} != one.members:
+                phases = (*phases, (instant_ns, cones))
+            one.zone = replace(one.zone, cones=cones, phases=phases)
     return [*ended, *(one.zone for one in live)]
 
 

@@ -1,0 +1,71 @@
+-- Plans of work zones, people's verdicts on differences, and where drives looked.
+
+-- name: plans
+-- The plans of a map as the database knew them. Parameters: map_name; list_name (null: all); known_at (timestamptz, 'infinity': now).
+-- Columns: list_name, plan_id, record (as PlannedZone), geom (well-known binary, map CRS), file_name, known_from.
+select p.list_name, p.plan_id, p.record, ST_AsBinary(p.geom) as geom, p.file_name, lower(p.system_period) as known_from
+from conetl.plan p
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and (%(list_name)s::text is null or p.list_name = %(list_name)s)
+and p.system_period @> %(known_at)s::timestamptz
+order by p.list_name, p.plan_id;
+
+-- name: end_plans
+-- End the current versions of plans. Parameters: map_id; list_name; plan_ids (text[]); at.
+update conetl.plan set system_period = tstzrange(lower(system_period), %(at)s::timestamptz)
+where map_id = %(map_id)s and list_name = %(list_name)s and plan_id = any(%(plan_ids)s::text[]) and upper_inf(system_period);
+
+-- name: verdicts
+-- Verdicts on a map's differences, in the order in which they were given. Parameters: map_name; known_at ('infinity': now).
+-- Columns: as below; easting_m, northing_m (map CRS); seen_from, seen_until (null: open).
+select
+    v.kind, v.list_name, v.plan_id, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, v.radius_m,
+    lower(v.seen_period) as seen_from, upper(v.seen_period) as seen_until, v.verdict, v.note, v.decided_by, v.decided_at
+from conetl.plan_verdict v
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and v.decided_at <= %(known_at)s::timestamptz
+order by v.verdict_no;
+
+-- name: insert_verdict
+-- What a person says about a difference. Parameters: as the columns; easting_m, northing_m; seen_from, seen_until (null: open).
+insert into conetl.plan_verdict (
+    map_id, srid, kind, list_name, plan_id, geom, radius_m, seen_period, verdict, note, decided_by, decided_at
+) values (
+    %(map_id)s, %(srid)s, %(kind)s, %(list_name)s, %(plan_id)s,
+    ST_SetSRID(ST_MakePoint(%(easting_m)s, %(northing_m)s), %(srid)s), %(radius_m)s,
+    tstzrange(%(seen_from)s, %(seen_until)s, '[]'), %(verdict)s, %(note)s, %(decided_by)s, %(decided_at)s
+);
+
+-- name: frames_near
+-- The frame pairs in boxes that show absence, of the active drives. Parameters: map_name; west_m, south_m, east_m, north_m (float8[] of
+-- equal lengths, map CRS); until_ns; least_detail (grey levels). Columns: drive_id, frame_index, captured_at_ns, easting_m, northing_m.
+with box as materialized (
+    select ST_MakeEnvelope(b.west_m, b.south_m, b.east_m, b.north_m, m.srid) as area
+    from unnest(%(west_m)s::float8[], %(south_m)s::float8[], %(east_m)s::float8[], %(north_m)s::float8[])
+        as b (west_m, south_m, east_m, north_m)
+    cross join conetl.map m
+    where m.map_name = %(map_name)s
+),
+near as materialized (
+    select distinct f.drive_uuid, f.frame_index, f.captured_at_ns, ST_X(f.geom) as easting_m, ST_Y(f.geom) as northing_m
+    from box b
+    join conetl.frame_pair f on f.geom && b.area
+    where f.captured_at_ns <= %(until_ns)s and coalesce(f.detail, 'infinity') >= %(least_detail)s
+)
+select d.drive_id, n.frame_index, n.captured_at_ns, n.easting_m, n.northing_m
+from near n
+join conetl.active_drive d using (drive_uuid)
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s
+order by d.drive_id, d.drive_uuid, n.frame_index;
+
+-- name: images
+-- The left images of frame pairs of the active drives. Parameters: map_name; drive_ids (text[]), frames (integer[]).
+-- Columns: drive_id, frame_index, source_path (of the drive), left_path (in it).
+select d.drive_id, f.frame_index, d.source_path, f.left_path
+from unnest(%(drive_ids)s::text[], %(frames)s::integer[]) as q (drive_id, frame_index)
+join conetl.active_drive d on d.drive_id = q.drive_id
+join conetl.map m using (map_id)
+join conetl.frame_pair f on f.drive_uuid = d.drive_uuid and f.frame_index = q.frame_index
+where m.map_name = %(map_name)s
+order by d.drive_id, f.frame_index;

@@ -1,0 +1,193 @@
+"""Plans of work zones: imported into the database, and compared with the zones of a map."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from conetl.db.connection import Connection
+from conetl.db.map import plan_store as store
+from conetl.db.map.map_store import map_transaction, require_map
+from conetl.db.serve_store import read_origin
+from conetl.geometry.geodesy import to_geodetic, to_map
+from conetl.geometry.packing import horizontal_sigma_m
+from conetl.model.base import Record, ns_from_utc
+from conetl.model.errors import InputError
+from conetl.model.planned_zones import Difference, PlanFile, Sight, UnusedRecord
+from conetl.model.work_zone_params import PlanParams, WorkZoneParams
+from conetl.model.work_zone_records import WorkZone
+from conetl.pipeline.maps.work_zones import read_zones
+from conetl.workzones.looks import FoundZone, ZonePhase
+from conetl.workzones.plan_comparison import compare, shape_of
+
+VERDICTS = ("confirmed", "accepted", "wrong", "open")
+
+
+class PlanRow(Record):
+    """A difference with what a person needs to judge it."""
+
+    difference: Difference
+    lon_deg: float
+    lat_deg: float
+    images: tuple[str, ...] = ()
+    """Left images of the passes `first` and `last`."""
+    link: str
+    """Of the web view, from its address on."""
+    verdict: str = "open"
+    note: str = ""
+    decided_by: str | None = None
+
+    def flat(self) -> dict[str, Any]:
+        """All values of a row of a table, by the name of its column; passes as time and drive."""
+        values = self.difference.model_dump(exclude={"xy_m", "radius_m"})
+        for name in ("absent", "first", "last", "gone"):
+            sight = Sight.model_validate(values[name]) if values[name] is not None else None
+            del values[name]
+            values |= {f"{name}_at": sight and sight.at, f"{name}_drive": sight and sight.drive_id}
+        values |= {"easting_m": round(self.difference.xy_m[0], 2), "northing_m": round(self.difference.xy_m[1], 2)}
+        return values | self.model_dump(exclude={"difference", "images"}) | {"images": list(self.images)}
+
+
+class PlanComparison(NamedTuple):
+    """All rows at an instant."""
+
+    at: datetime
+    srid: int
+    rows: list[PlanRow]
+
+    @property
+    def counts(self) -> Counter[str]:
+        return Counter(str(row.difference.kind) for row in self.rows)
+
+
+def import_plans(
+    conn: Connection, path: Path, file: PlanFile, *, map_name: str, list_name: str
+) -> tuple[store.StoredPlans, list[UnusedRecord]]:
+    """Store the plans of a file in a list of the map, and why other records are not. Raises InputError if none can be used."""
+    info = require_map(conn, map_name)
+    unused, placed = list(file.unused), []
+    for zone in file.zones:
+        try:
+            placed.append((zone, shape_of([_to_map(info.srid, part) for part in zone.parts])))
+        except ValueError as error:
+            unused.append(UnusedRecord(f"plan {zone.plan_id}", f"it is outside of the area of the map: {error}"))
+    if not placed:
+        reasons = "".join(f"; {one.record}: {one.reason}" for one in unused[:1])
+        raise InputError(f"{path}: none of its {len(unused)} records is a plan that can be used{reasons}")
+    with map_transaction(conn, map_name):
+        stored = store.write_plans(conn, require_map(conn, map_name), list_name, path.name, placed)
+    return stored, unused
+
+
+def _to_map(srid: int, part: Sequence[tuple[float, float]]) -> Any:
+    lon, lat = np.array(part).T
+    return to_map(srid, lat, lon, np.zeros(len(lon)))[:, :2]
+
+
+def compare_with_plans(
+    conn: Connection,
+    *,
+    map_name: str,
+    as_of: datetime | None = None,
+    known_at: datetime | None = None,
+    lanes: Path | None = None,
+    params: PlanParams | None = None,
+    zones: WorkZoneParams | None = None,
+    now: datetime | None = None,
+) -> PlanComparison:
+    """Plans against zones at as_of (None: now), with plans and verdicts as they were known at known_at (None: now); read-only."""
+    params, zone_params = params or PlanParams(), zones or WorkZoneParams()
+    at = as_of or now or datetime.now(UTC)
+    info = require_map(conn, map_name)
+    plans = store.read_plans(conn, map_name=map_name, known_at=known_at)
+    found = read_zones(conn, map_name=map_name, as_of=as_of, lanes=lanes, params=zone_params)
+    on_map = [found_zone(zone, zone_params) for zone in found.zones]
+    boxes = [one.shape.bounds for one in plans]
+    boxes += [(*phase.xy_m.min(axis=0), *phase.xy_m.max(axis=0)) for zone in on_map for phase in zone.phases]
+    wider = np.array(boxes).reshape(-1, 4) + params.look_aside_m * np.array([-1, -1, 1, 1])
+    drives = store.read_frames_near(conn, map(tuple, wider.tolist()), map_name=map_name, until=at)
+    rows = compare(plans, on_map, drives, params, at_ns=ns_from_utc(at))
+    first = {zone.history.zone_id: zone.first.feature_id for zone in found.zones}
+    return PlanComparison(at, info.srid, _with_evidence(conn, rows, first, map_name, info.srid, known_at))
+
+
+def found_zone(zone: WorkZone, params: WorkZoneParams) -> FoundZone:
+    """A zone of the map as the comparison takes it."""
+    history = zone.history
+    phases = history.phases or ((history.start_ns, history.cones),)
+    cones = [cone for _, some in phases for cone in some]
+    counts = np.ones(1)  # probabilities of so many devices
+    for cone in history.cones:
+        counts = np.convolve(counts, [1 - cone.existence_probability, cone.existence_probability])
+    return FoundZone(
+        zone_id=history.zone_id,
+        phases=tuple(ZonePhase(at_ns, np.array([cone.xyz_m[:2] for cone in some])) for at_ns, some in phases),
+        first_seen_ns=history.start_ns,
+        last_seen_ns=max(cone.last_seen_ns for cone in (*cones, *history.cones)),
+        gone_ns=history.end_ns if history.merged_into is None else None,
+        sigma_m=max(horizontal_sigma_m(cone.cov_m2) for cone in cones),
+        existence=float(min(counts[params.min_cones :].sum(), 1.0)),
+        closed_side=zone.closed_side,
+        closed_lane_count=zone.closed_lane_count,
+    )
+
+
+def _with_evidence(
+    conn: Connection,
+    rows: Sequence[Difference],
+    first: Mapping[Any, Any],
+    map_name: str,
+    srid: int,
+    known_at: datetime | None,
+) -> list[PlanRow]:
+    sights = {(s.drive_id, s.frame_index) for row in rows for s in (row.first, row.last) if s is not None}
+    known = [(drive, frame) for drive, frame in sights if drive is not None and frame is not None]
+    images = store.read_images(conn, sorted(known), map_name=map_name)
+    verdicts = store.read_verdicts(conn, map_name=map_name, known_at=known_at)
+    east, north, _ = read_origin(conn, map_name) or (0.0, 0.0, 0.0)
+    made = []
+    for row in rows:
+        lat, lon, _ = to_geodetic(srid, (*row.xy_m, 0.0)).tolist()
+        last = next((one for one in reversed(verdicts) if store.is_about(one, row)), {})
+        shown = [images.get((s.drive_id or "", s.frame_index or 0)) for s in (row.first, row.last) if s is not None]
+        at = row.last or row.first
+        link = f"#map={map_name}" + ("" if at is None else f"&valid={at.at:%Y-%m-%dT%H:%M:%S.%fZ}")
+        link += (
+            f"&feature={first[row.zone_id]}"
+            if row.zone_id in first
+            else f"&mark={row.xy_m[0] - east:.2f},{row.xy_m[1] - north:.2f}"
+        )
+        judged = {name: last[name] for name in ("verdict", "note", "decided_by") if name in last}
+        pictures = tuple(dict.fromkeys(one for one in shown if one is not None))
+        made.append(PlanRow(difference=row, lon_deg=lon, lat_deg=lat, images=pictures, link=link, **judged))
+    return made
+
+
+def judge(
+    conn: Connection,
+    beginning: str,
+    verdict: str,
+    *,
+    map_name: str,
+    note: str = "",
+    decided_by: str | None = None,
+    **options: Any,
+) -> Difference:
+    """Write what a person says about the difference whose id begins so; `open` takes it back. Raises InputError."""
+    if verdict not in VERDICTS:
+        raise InputError(f"verdict {verdict}: expected one of {', '.join(VERDICTS)}")
+    rows = [row.difference for row in compare_with_plans(conn, map_name=map_name, **options).rows]
+    named = [one for one in rows if len(beginning) >= 4 and str(one.difference_id).startswith(beginning.lower())]
+    if len(named) != 1:
+        problem = "several differences have" if named else "no difference has"
+        raise InputError(
+            f"{beginning}: {problem} an id that begins so (at least 4 characters): see `conetl zones compare`"
+        )
+    with map_transaction(conn, map_name):
+        store.write_verdict(conn, require_map(conn, map_name), named[0], verdict, note=note, decided_by=decided_by)
+    return named[0]
