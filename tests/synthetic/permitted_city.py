@@ -1,12 +1,13 @@
 """A city of work zones over nights, with permits that differ in known ways, and what drives could find out about each.
 
-Streets, drives, devices and permits are simulated; zones are made of the devices as on a map, and compared by the real code. What is
-expected of each permit follows from the simulated passes alone.
+Streets, drives, devices and permits are simulated; zones are made of the devices as on a map, and compared by the real code. What
+is expected of each permit follows from the simulated passes alone.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 from uuid import UUID, uuid5
@@ -32,47 +33,54 @@ NIGHT_NS = 24 * HOUR_NS
 START_NS = 1_772_402_400_000_000_000
 SLACK_NS = HOUR_NS // 2
 K = DifferenceKind
-CASES = (
-    "as permitted", "no permit", "ended early", "overrun", "early", "shifted along", "shifted across", "wrong lane", "longer",
-    "not set up", "no drive", "half covered", "touching", "touching, one not set up", "beside another's permit",
-)  # fmt: skip
 ZONES, PLANS = WorkZoneParams(), PlanParams()
 _NAMES = UUID(int=67)
+_LENGTH_M = 800.0
 
 
 class Pass(NamedTuple):
-    """A drive along a street, between two stations."""
+    """A drive along a street, between two stations, without images between two others."""
 
     at_ns: int
     from_m: float
     to_m: float
+    gap_m: tuple[float, float]
+    offset_m: float = 0.0
+
+    def at(self, stations_m: np.ndarray) -> np.ndarray:
+        """Which stations it passed with images."""
+        gap = (stations_m > self.gap_m[0]) & (stations_m < self.gap_m[1])
+        return (stations_m >= self.from_m) & (stations_m <= self.to_m) & ~gap
 
 
 @dataclass(frozen=True)
 class Stood:
-    """A zone as it really stood: from and until (ns), stations, offset to the left of the driven path."""
+    """A zone as it really stood, to the left of the driven path by offset_m; without a permit permit is None."""
 
     begin_ns: int
     end_ns: int
     from_m: float
     to_m: float
     offset_m: float = -2.5
+    permit: int | None = 0
 
-    def passed(self, one: Pass) -> float:
-        """Share that a pass went by."""
-        return max(0.0, min(self.to_m, one.to_m) - max(self.from_m, one.from_m)) / (self.to_m - self.from_m)
+    @property
+    def grid_m(self) -> np.ndarray:
+        return np.arange(self.from_m + 1, self.to_m, 4.0)
 
 
 @dataclass(frozen=True)
 class Permit:
+    """Stations, and offset to the left of the driven path."""
+
     begin_ns: int
     end_ns: int
     from_m: float
     to_m: float
     offset_m: float
     nightly: bool = False
-    zone: int | None = 0
-    """Number of the zone that it permits."""
+    form: str = "line"
+    """line, area, pieces or rough: its ends only."""
 
 
 @dataclass
@@ -84,147 +92,187 @@ class Site:
     line_m: np.ndarray
     zones: list[Stood]
     permits: list[Permit]
-    passes: list[Pass]
-    expected: Counter[tuple[str, K]] = field(default_factory=Counter)
+    passes: list[Pass] = field(default_factory=list)
+
+
+def _moved(zone: Stood, **changes: float) -> Stood:
+    return replace(zone, **{name: getattr(zone, name) + change for name, change in changes.items()})
+
+
+def _part(z: Stood, p: Permit, rng: np.random.Generator) -> tuple[list[Stood], list[Permit]]:
+    """As permitted, or on a part of the place only."""
+    return [z if rng.random() < 0.5 else _moved(z, from_m=(z.to_m - z.from_m) / 2)], [p]
+
+
+def _half(z: Stood, p: Permit, rng: np.random.Generator) -> tuple[list[Stood], list[Permit]]:
+    """Drives turn off at the middle of the street: nothing stands there, or on one side."""
+    where = rng.integers(3)
+    return [[], [replace(z, to_m=385.0)], [replace(z, from_m=430.0)]][where], [replace(p, form="line")]
+
+
+def _touching(z: Stood, p: Permit, rng: np.random.Generator) -> tuple[list[Stood], list[Permit]]:
+    p = replace(p, form="line")
+    later = replace(p, from_m=p.to_m, to_m=p.to_m + 120, end_ns=p.end_ns + 2 * NIGHT_NS)
+    other = replace(z, from_m=p.to_m + 2, to_m=p.to_m + 120, end_ns=z.end_ns + 2 * NIGHT_NS, permit=1)
+    return [replace(z, to_m=p.to_m - 2), other], [p, later]
+
+
+def _again(z: Stood, p: Permit, rng: np.random.Generator) -> tuple[list[Stood], list[Permit]]:
+    """Two permits of one place, one after the other, each with its zone."""
+    middle_ns = (p.begin_ns + p.end_ns) // 2
+    first_end_ns, second_ns = middle_ns - 30 * HOUR_NS, middle_ns + 30 * HOUR_NS
+    zones = [replace(z, end_ns=first_end_ns - HOUR_NS // 4), replace(z, begin_ns=second_ns + HOUR_NS // 4, permit=1)]
+    return zones, [replace(p, end_ns=first_end_ns), replace(p, begin_ns=second_ns)]
+
+
+def _nights(rng: np.random.Generator, most: int = 6) -> int:
+    return int(rng.integers(2, most)) * NIGHT_NS
+
+
+#: Name of a case -> what stands and what is permitted, of a zone that stands as permitted.
+MAKERS: dict[str, Callable[[Stood, Permit, np.random.Generator], tuple[list[Stood], list[Permit]]]] = {
+    "as permitted": _part,
+    "no permit": lambda z, p, rng: ([replace(z, permit=None)], []),
+    "ended early": lambda z, p, rng: ([replace(z, end_ns=p.begin_ns + _nights(rng))], [replace(p, nightly=False)]),
+    "overrun": lambda z, p, rng: ([_moved(z, end_ns=_nights(rng))], [p]),
+    "early": lambda z, p, rng: ([_moved(z, begin_ns=-_nights(rng, 4))], [p]),
+    "shifted along": lambda z, p, rng: ([_moved(z, from_m=(s := rng.choice([-30.0, 30.0])), to_m=s)], [p]),
+    "shifted across": lambda z, p, rng: ([z], [replace(p, offset_m=z.offset_m + rng.choice([-30.0, 30.0]), form="line")]),
+    "wrong lane": lambda z, p, rng: ([replace(z, offset_m=2.5)], [p]),
+    "longer": lambda z, p, rng: ([_moved(z, to_m=rng.uniform(40, 90))], [p]),
+    "longer and overrun": lambda z, p, rng: ([_moved(z, to_m=rng.uniform(40, 90), end_ns=_nights(rng))], [p]),
+    "shifted, early, wrong lane": lambda z, p, rng: (
+        [replace(_moved(z, from_m=30, to_m=30, begin_ns=-_nights(rng, 4)), offset_m=2.5)], [p]
+    ),
+    "not set up": lambda z, p, rng: ([], [p]),
+    "no drive": lambda z, p, rng: ([z] if rng.random() < 0.5 else [], [p]),
+    "half covered": _half,
+    "touching": _touching,
+    "touching, one not set up": lambda z, p, rng: (_touching(z, p, rng)[0][1:], _touching(z, p, rng)[1]),
+    "another without permit": lambda z, p, rng: (
+        [one := _touching(z, p, rng)[0][0], _moved(replace(one, permit=None), from_m=320, to_m=320)], [replace(p, form="line")]
+    ),
+    "beside another's permit": lambda z, p, rng: ([z, replace(z, offset_m=-40.0, permit=None)], [replace(p, form="line")]),
+    "two permits in turn": _again,
+    "two records": lambda z, p, rng: ([z], [p, replace(p, nightly=False)]),
+}  # fmt: skip
+CASES = tuple(MAKERS)
 
 
 def make_site(number: int, case: str, nights: int, rng: np.random.Generator) -> Site:
-    heading = rng.uniform(0, 2 * np.pi)
-    middle = ORIGIN_M + 2_000.0 * np.array([number % 20, number // 20])
-    step = np.array([np.cos(heading), np.sin(heading)])
-    line_m = middle + np.array([[-400.0], [400.0]]) * step
+    heading, bend = rng.uniform(0, 2 * np.pi), rng.uniform(-1, 1) / 400.0
+    stations = np.arange(-100.0, _LENGTH_M + 100, 5.0)
+    angles = heading + bend * (stations - _LENGTH_M / 2)
+    steps = 5.0 * np.column_stack([np.cos(angles), np.sin(angles)])
+    line_m = ORIGIN_M + 2_500.0 * np.array([number % 20, number // 20]) + np.cumsum(steps, axis=0)
+    line_m = line_m[stations >= 0]
     length_m, first, last = (
         rng.uniform(60, 200),
         int(rng.integers(3, nights // 3)),
         int(rng.integers(nights // 2, nights - 4)),
     )
-    a, b = 400.0 - length_m / 2, 400.0 + length_m / 2
+    a, b = (_LENGTH_M - length_m) / 2, (_LENGTH_M + length_m) / 2
     begin_ns, end_ns = START_NS + first * NIGHT_NS - 3 * HOUR_NS, START_NS + last * NIGHT_NS + 10 * HOUR_NS
-    drawn_m, ends_m = rng.uniform(-4, 4), rng.uniform(-3, 3, 2)
-    permit = Permit(begin_ns, end_ns, a + ends_m[0], b + ends_m[1], drawn_m, nightly=bool(rng.random() < 0.15))
+    form = str(rng.choice(["line", "area", "pieces", "rough"], p=[0.6, 0.2, 0.1, 0.1]))
+    drawn_m, ends_m = rng.uniform(-5, 5), rng.uniform(-3, 3, 2)
+    permit = Permit(begin_ns, end_ns, a + ends_m[0], b + ends_m[1], drawn_m, bool(rng.random() < 0.15), form)
     stood = Stood(begin_ns + round(rng.uniform(0, 2) * HOUR_NS), end_ns - round(rng.uniform(0, 0.4) * HOUR_NS), a, b)
-    part = (a + b) / 2 if rng.random() < 0.5 else a
-    zones, permits, covered = [stood], [permit], (0.0, 800.0)
-    shift_m = float(rng.choice([-30.0, 30.0]))
-    match case:
-        case "as permitted":  # often a part of the permitted place
-            zones = [replace(stood, from_m=part)]
-        case "no permit":
-            permits = []
-        case "ended early":
-            zones = [replace(stood, end_ns=begin_ns + int(rng.integers(2, 5)) * NIGHT_NS)]
-            permits = [replace(permit, nightly=False)]
-        case "overrun":
-            zones = [replace(stood, end_ns=end_ns + int(rng.integers(2, 6)) * NIGHT_NS)]
-        case "early":
-            zones = [replace(stood, begin_ns=begin_ns - int(rng.integers(1, 4)) * NIGHT_NS)]
-        case "shifted along":
-            zones = [replace(stood, from_m=a + shift_m, to_m=b + shift_m)]
-        case "shifted across":
-            permits = [replace(permit, offset_m=stood.offset_m + shift_m)]
-        case "wrong lane":
-            zones = [replace(stood, offset_m=2.5)]
-        case "longer":
-            zones = [replace(stood, to_m=b + rng.uniform(40, 90))]
-        case "not set up":
-            zones = []
-        case "no drive":
-            zones = zones if rng.random() < 0.5 else []
-        case "half covered":  # drives turn off in the middle
-            covered = (0.0, 400.0)
-            where = rng.integers(3)
-            zones = [] if where == 0 else [replace(stood, **({"to_m": 385.0} if where == 1 else {"from_m": 430.0}))]
-        case "touching" | "touching, one not set up":
-            later = replace(
-                permit, from_m=permit.to_m, to_m=permit.to_m + length_m, zone=1, end_ns=end_ns + 2 * NIGHT_NS
-            )
-            other = replace(
-                stood, from_m=permit.to_m + 2, to_m=permit.to_m + length_m, end_ns=stood.end_ns + 2 * NIGHT_NS
-            )
-            zones = [replace(stood, to_m=permit.to_m - 2), other]
-            permits = [permit, later]
-            if case != "touching":
-                zones, permits = [other], [replace(permit, zone=None), replace(later, zone=0)]
-        case "beside another's permit":  # a zone without permit 40 m from one that stands as permitted
-            zones = [stood, replace(stood, offset_m=-40.0)]
-    passes = []
+    site = Site(number, case, line_m, *MAKERS[case](stood, permit, rng))
     for night in range(nights):
         at_ns = START_NS + night * NIGHT_NS + round(rng.uniform(0, 6) * HOUR_NS)
-        absent = case == "no drive" and begin_ns < at_ns < end_ns
-        if rng.random() < 0.7 and not absent:
-            passes.append(Pass(at_ns, *covered))
-            if case == "beside another's permit":  # the other carriageway
-                passes.append(Pass(at_ns + 300_000_000_000, 0.0, 800.0))
-    site = Site(number, case, line_m, zones, permits, passes)
-    site.expected = expected_of(site)
+        gap_m = (g := rng.uniform(0, _LENGTH_M), g + rng.uniform(30, 80)) if rng.random() < 0.2 else (0.0, 0.0)
+        if rng.random() < 0.7 and not (case == "no drive" and begin_ns < at_ns < end_ns):
+            turns_m = 400.0 if case == "half covered" else _LENGTH_M
+            site.passes.append(Pass(at_ns, 0.0, turns_m, gap_m, float(rng.normal(0, 0.3))))
+            if case == "beside another's permit":
+                site.passes.append(Pass(at_ns + HOUR_NS // 12, 0.0, _LENGTH_M, gap_m, -37.5))
     return site
 
 
 def expected_of(site: Site) -> Counter[tuple[str, K]]:
-    """Rows by plan (of zones without permit by the site)."""
+    """Rows by plan, and of zones without permit by the site."""
     rows: Counter[tuple[str, K]] = Counter()
     for number, permit in enumerate(site.permits):
-        name = f"{site.number}-{number}"
-        zone = None if permit.zone is None or permit.zone >= len(site.zones) else site.zones[permit.zone]
-        kinds = set() if zone is None else kinds_of(site, zone, permit)
+        of = [zone for zone in site.zones if zone.permit == number or (site.case == "two records" and zone.permit == 0)]
+        kinds = [kind for zone in of for kind in kinds_of(site, zone, permit)]
         if not kinds:
+            grid_m = np.arange(permit.from_m, permit.to_m, 4.0)
             in_time = [one for one in site.passes if permit.begin_ns <= one.at_ns <= permit.end_ns]
-            shares = [Stood(0, 0, permit.from_m, permit.to_m).passed(one) for one in in_time]
-            near = abs(permit.offset_m) < PLANS.look_aside_m
-            kinds = {K.NOT_FOUND if near and max(shares, default=0.0) > 0.95 else K.NOT_LOOKED}
-        rows.update((name, kind) for kind in kinds)
-    permitted = {permit.zone for permit in site.permits}
-    for number, zone in enumerate(site.zones):
-        if number not in permitted and any(seen(zone, one) for one in site.passes):
-            rows[f"{site.number}", K.NO_PERMIT] += 1
-    return rows
+            looked = [one.at(grid_m) for one in in_time if abs(one.offset_m - permit.offset_m) < PLANS.look_aside_m]
+            share = np.any(looked, axis=0).mean() if looked else 0.0
+            kinds = [K.NOT_FOUND if share >= PLANS.least_coverage and permit.form != "rough" else K.NOT_LOOKED]
+        rows.update((f"{site.number}-{number}", kind) for kind in kinds)
+    rows[f"{site.number}", K.NO_PERMIT] += sum(
+        zone.permit is None and bool(sightings(site, zone)) for zone in site.zones
+    )
+    return +rows
 
 
-def seen(zone: Stood, one: Pass) -> bool:
-    return zone.begin_ns <= one.at_ns <= zone.end_ns and zone.passed(one) * (zone.to_m - zone.from_m) > 20
+def passes_at(site: Site, zone: Stood) -> list[Pass]:
+    return [one for one in site.passes if abs(one.offset_m - zone.offset_m) < PLANS.look_aside_m]
+
+
+def sightings(site: Site, zone: Stood) -> list[int]:
+    """When enough of it was seen."""
+    there = [one for one in passes_at(site, zone) if zone.begin_ns <= one.at_ns <= zone.end_ns]
+    return [one.at_ns for one in there if 4 * one.at(zone.grid_m).sum() > 20]
 
 
 def kinds_of(site: Site, zone: Stood, permit: Permit) -> set[K]:
-    sightings = [one.at_ns for one in site.passes if seen(zone, one)]
-    if not sightings:
+    seen = sightings(site, zone)
+    if not seen:
         return set()
-    kinds = {"shifted along": {K.ELSEWHERE}, "shifted across": {K.ELSEWHERE}, "longer": {K.LONGER}}.get(
-        site.case, set()
-    )
-    kinds = kinds | ({K.OTHER_LANES} if zone.offset_m > 0 else set())
-    kinds |= {K.EARLY} if min(sightings) < permit.begin_ns - SLACK_NS else set()
-    kinds |= {K.OVERRUN} if max(sightings) > permit.end_ns + SLACK_NS else set()
-    gone = [one.at_ns for one in site.passes if one.at_ns > zone.end_ns and zone.passed(one) > 0.9]
-    if gone and gone[0] < permit.end_ns - SLACK_NS and site.case != "shifted across":
+    kinds = {K.ELSEWHERE} if "shifted" in site.case else {K.LONGER} if "longer" in site.case else set()
+    kinds = set() if permit.form == "rough" else kinds
+    kinds |= {K.OTHER_LANES} if zone.offset_m > 0 else set()
+    kinds |= {K.EARLY} if min(seen) < permit.begin_ns - SLACK_NS else set()
+    kinds |= {K.OVERRUN} if max(seen) > permit.end_ns + SLACK_NS else set()
+    after = [one for one in passes_at(site, zone) if one.at_ns > zone.end_ns]
+    gone = [min((one.at_ns for one in after if one.at(m)), default=None) for m in zone.grid_m]
+    if None not in gone and max(gone) < permit.end_ns - SLACK_NS and site.case != "shifted across":
         kinds |= {K.ENDED_EARLY}
     return kinds or {K.PERMITTED}
 
 
-def zones_of(site: Site, rng: np.random.Generator) -> list[FoundZone]:
-    """Those that a map would hold: devices as drives saw them, as zones over time."""
-    versions = []
+def versions_of(site: Site, rng: np.random.Generator) -> list[FeatureVersion]:
+    """Devices as drives saw them; each misses some, and there are a few that nobody set up."""
+    versions: list[FeatureVersion] = []
+
+    def add(station_m: float, offset_m: float, begin_ns: int, end_ns: int, by: list[Pass]) -> None:
+        passed = [one.at_ns for one in by if one.at(np.array([station_m])).all()]
+        found = [ns for ns in passed if begin_ns <= ns <= end_ns and rng.random() < 0.92]
+        if not found:
+            return
+        gone = next((ns for ns in passed if ns > end_ns), None)
+        at_m = locate(site.line_m, np.array([station_m]), np.array([offset_m]))[0] + rng.normal(0, 0.05, 2)
+        feature = cone(10_000 * site.number + len(versions), at_m, 0.05)
+        feature = feature.model_copy(update={"first_seen_ns": found[0], "last_seen_ns": found[-1]})
+        made = FeatureVersion(
+            feature=feature, changeset_id=uuid5(_NAMES, f"{found[0]}"), present=True, suppressed=False,
+            version_from_ns=found[0], valid_from_ns=found[0], valid_to_ns=gone,
+        )  # fmt: skip
+        versions.append(made)
+        if gone is not None:
+            ended = {
+                "changeset_id": uuid5(_NAMES, f"{gone}"),
+                "present": False,
+                "valid_from_ns": gone,
+                "valid_to_ns": None,
+            }
+            versions.append(made.model_copy(update=ended))
+
     for zone in site.zones:
         for station_m in np.arange(zone.from_m + 1, zone.to_m, rng.uniform(5, 8)):
-            by = [one for one in site.passes if one.from_m <= station_m <= one.to_m]
-            there = [one.at_ns for one in by if zone.begin_ns <= one.at_ns <= zone.end_ns]
-            found = [ns for ns in there if rng.random() < 0.97]
-            if not found:
-                continue
-            gone = next((one.at_ns for one in by if one.at_ns > zone.end_ns), None)
-            at_m = locate(site.line_m, np.array([station_m]), np.array([zone.offset_m]))[0] + rng.normal(0, 0.05, 2)
-            number = 10_000 * site.number + len(versions)
-            times = {"first_seen_ns": found[0], "last_seen_ns": found[-1]}
-            feature = cone(number, at_m, 0.05).model_copy(update=times)
-            shared = {"suppressed": False, "version_from_ns": found[0]}
-            versions.append(
-                FeatureVersion(feature=feature, changeset_id=uuid5(_NAMES, f"{found[0]}"), present=True, valid_from_ns=found[0],
-                    valid_to_ns=gone, **shared)
-            )  # fmt: skip
-            if gone is not None:
-                versions.append(versions[-1].model_copy(update={"changeset_id": uuid5(_NAMES, f"{gone}"), "present": False,
-                    "valid_from_ns": gone, "valid_to_ns": None}))  # fmt: skip
+            add(float(station_m), zone.offset_m, zone.begin_ns, zone.end_ns, passes_at(site, zone))
+    for one in site.passes[:: max(len(site.passes) // 2, 1)]:  # seen once
+        add(rng.uniform(0, _LENGTH_M), rng.uniform(-4, 4), one.at_ns, one.at_ns, site.passes)
+    return versions
+
+
+def zones_of(site: Site, rng: np.random.Generator) -> list[FoundZone]:
+    """Those that a map would hold."""
     paths = [DrivePath(one.drive_id, int(one.at_ns[0]), one.xy_m) for one in drives_of(site)]
-    histories = zones_over_time(versions, paths, ZONES, map_name="city")
+    histories = zones_over_time(versions_of(site, rng), paths, ZONES, map_name="city")
     return [found_zone(describe(one, layout_of(one, paths, (), ZONES), ZONES), ZONES) for one in histories]
 
 
@@ -232,11 +280,11 @@ def drives_of(site: Site) -> list[DriveFrames]:
     drives = []
     for number, one in enumerate(site.passes):
         rng = np.random.default_rng([site.number, number])
-        stations = np.arange(one.from_m, one.to_m, 3.0)
-        other = site.case == "beside another's permit" and number % 2
-        offsets = np.full(len(stations), rng.normal(0, 0.3) - 37.5 * bool(other))
-        xy_m = locate(site.line_m, stations, offsets) + rng.normal(0, 0.05, (len(stations), 2))
-        at_ns = one.at_ns + (np.arange(len(stations)) * 200_000_000).astype(np.int64)
+        stations = np.arange(0.0, _LENGTH_M, 3.0)
+        stations = stations[one.at(stations)]
+        xy_m = locate(site.line_m, stations, np.full(len(stations), one.offset_m))
+        xy_m = xy_m + rng.normal(0, 0.05, (len(stations), 2))
+        at_ns = one.at_ns + (stations / 12 * 1e9).astype(np.int64)
         drives.append(DriveFrames(f"{site.number}-{number}", np.arange(len(stations)), at_ns, xy_m))
     return drives
 
@@ -250,13 +298,24 @@ def plans_of(site: Site) -> list[PlacedPlan]:
         plan = PlannedZone(
             plan_id=f"{site.number}-{number}", kind="permit", starts_at=utc_from_ns(permit.begin_ns),
             ends_at=utc_from_ns(permit.end_ns), periods=periods if permit.nightly else (), parts=(((0.0, 0.0),),),
-            lanes=("right lane",),
+            lanes=("right lane",), approximate=permit.form == "rough",
         )  # fmt: skip
-        stations = np.linspace(permit.from_m, permit.to_m, 4)
-        placed.append(
-            PlacedPlan("permits", plan, shape_of([locate(site.line_m, stations, np.full(4, permit.offset_m))]))
-        )
+        placed.append(PlacedPlan("permits", plan, shape_of(parts_of(site, permit))))
     return placed
+
+
+def parts_of(site: Site, permit: Permit) -> list[np.ndarray]:
+    stations = np.linspace(permit.from_m, permit.to_m, 5)
+
+    def along(aside_m: float, some: np.ndarray = stations) -> np.ndarray:
+        return locate(site.line_m, some, np.full(len(some), permit.offset_m + aside_m))
+
+    if permit.form == "area":
+        ring = np.concatenate([along(5.0), along(-5.0)[::-1]])
+        return [np.concatenate([ring, ring[:1]])]
+    if permit.form == "pieces":
+        return [along(0.0, stations[:3]), along(0.0, stations[2:])]
+    return [along(0.0, stations[[0, -1]] if permit.form == "rough" else stations)]
 
 
 class Score(NamedTuple):
@@ -286,7 +345,7 @@ def score(sites: int, nights: int, seed: int, params: PlanParams = PLANS) -> Sco
     for row in rows:
         site = int(np.argmin(np.hypot(*(middles - row.xy_m).T)))
         found[row.plan_id or str(site), row.kind] += 1
-    expected = sum((site.expected for site in city), Counter())
+    expected = sum(map(expected_of, city), Counter())
     right = (found & expected).total()
     cases = {str(site.number): site.case for site in city}
     wrong = [

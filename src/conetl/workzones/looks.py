@@ -18,6 +18,7 @@ from conetl.model.rig import Side
 from conetl.model.work_zone_params import PlanParams
 
 _STEP_M = 2.0
+_LATEST_NS = np.iinfo(np.int64).max
 #: So many of a zone's devices must have been passed to say that it was not there yet.
 _MOST = 0.5
 Nanoseconds = NDArray[np.int64]
@@ -41,6 +42,8 @@ class ZonePhase:
     """The devices of a zone from an instant on."""
 
     from_ns: int
+    last_seen_ns: int
+    """When one of them was last seen, before the next phase."""
     xy_m: Floats
     """(N, 2) in the map's CRS."""
 
@@ -62,6 +65,8 @@ class FoundZone:
     """Probability that enough of its devices exist to be a work zone."""
     closed_side: Side | None = None
     closed_lane_count: int | None = None
+    merged_into: UUID | None = None
+    """The zone that has had its devices since."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,18 +160,18 @@ def _dense(one: DriveFrames, gap_m: float) -> tuple[Ints, Nanoseconds, Floats]:
 
 
 def sightings_of(zone: FoundZone, looks: Looks, params: PlanParams) -> SeenZone:
-    """The passes at a zone. Those before it count if they went by most of its devices."""
+    """Passes at a zone: those before it, at most of its first devices, and those while it stood, as devices were seen later."""
     slack_ns = round(params.pass_s * 1e9)
     every = looks.at(np.concatenate([phase.xy_m for phase in zone.phases]))
-    at_first = every if len(zone.phases) == 1 else looks.at(zone.phases[0].xy_m)
-    before = [one for one in at_first if one.until_ns < zone.first_seen_ns - slack_ns and one.seen.mean() >= _MOST]
-    while_there = [
-        one
-        for one in every
-        if one.until_ns >= zone.first_seen_ns - slack_ns and one.from_ns <= zone.last_seen_ns + slack_ns
-    ]
-    instants = {zone.first_seen_ns, zone.last_seen_ns, *(one.from_ns for one in while_there)}
-    instants = {min(max(ns, zone.first_seen_ns), zone.last_seen_ns) for ns in instants}
+    first = len(zone.phases[0].xy_m)
+    before = [one for one in every if one.until_ns < zone.first_seen_ns - slack_ns and one.seen[:first].mean() >= _MOST]
+    sightings = []
+    for phase, next_ns in zip(zone.phases, [*(one.from_ns for one in zone.phases[1:]), _LATEST_NS], strict=True):
+        until_ns = max(min(next_ns - slack_ns, phase.last_seen_ns), phase.from_ns)
+        passed = {phase.from_ns, phase.last_seen_ns, *(one.from_ns for one in every)}
+        instants = sorted(ns for ns in passed if phase.from_ns <= ns <= until_ns)
+        if phase.last_seen_ns >= phase.from_ns - slack_ns:
+            sightings += [ZoneSighting(ns, phase.xy_m) for ns in instants]
 
     def sight(ns: int) -> Sight:
         by = next((one for one in every if one.from_ns - slack_ns <= ns <= one.until_ns + slack_ns), None)
@@ -174,14 +179,10 @@ def sightings_of(zone: FoundZone, looks: Looks, params: PlanParams) -> SeenZone:
 
     return SeenZone(
         zone,
-        tuple(ZoneSighting(ns, _phase_at(zone, ns, slack_ns).xy_m) for ns in sorted(instants)),
+        tuple(sightings),
         absent=sight(before[-1].from_ns) if before else None,
         absent_ns=before[-1].from_ns if before else None,
         first=sight(zone.first_seen_ns),
         last=sight(zone.last_seen_ns),
         gone=None if zone.gone_ns is None else sight(zone.gone_ns),
     )
-
-
-def _phase_at(zone: FoundZone, ns: int, slack_ns: int) -> ZonePhase:
-    return next((one for one in reversed(zone.phases) if one.from_ns <= ns + slack_ns), zone.phases[0])

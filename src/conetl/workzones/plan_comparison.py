@@ -60,9 +60,13 @@ class _Match:
     early_h: float = 0.0
     late_h: float = 0.0
     in_time: bool = False
-    outside_m: float = 0.0
-    """How far beyond the tolerance the farthest device stands, of the zone as a whole."""
-    longer_m: float = 0.0
+    outside: list[tuple[bool, float, float]] = field(default_factory=list)
+    """Sightings with devices beyond the tolerance of all plans: several devices, how far, and how much longer the zone is (m)."""
+
+    def departure_m(self) -> tuple[float, float]:
+        """How far beyond the tolerance it stands, and how much longer it is. A device alone, seen once, may be a stray."""
+        surely = [one[1:] for one in self.outside if one[0]] or sorted(one[1:] for one in self.outside)[:-1]
+        return max(surely, default=(0.0, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +104,7 @@ def compare(
     valid = sorted((one for one in plans if not one.plan.is_void), key=lambda one: one.key)
     times = {one.key: _times(one, looks, at_ns) for one in valid}
     seen = [sightings_of(zone, looks, params) for zone in sorted(zones, key=lambda zone: str(zone.zone_id))]
+    seen = [one for one in seen if one.sightings]  # none: what was left of another zone and not passed since
     tree = shapely.STRtree([one.shape for one in valid])
     matches: list[_Match] = []
     unplaced: list[tuple[SeenZone, list[PlacedPlan]]] = []
@@ -113,9 +118,23 @@ def compare(
             unplaced.append((one, near))
     rows_found = list(_elsewhere(unplaced, {match.placed.key for match in matches}, times, params))
     rows_found += [row for match in matches for row in _of_match(match, matches, times[match.placed.key], params)]
+    rows_found = _without_merged(rows_found, zones)
     met = {(row.list_name, row.plan_id) for row in rows_found}
     rows_found += [row for one in valid if one.key not in met for row in _not_met(one, times[one.key], at_ns, params)]
     return sorted(rows_found, key=lambda row: (row.list_name or "", row.plan_id or "", str(row.zone_id), row.kind))
+
+
+def _without_merged(rows: Sequence[Difference], zones: Sequence[FoundZone]) -> list[Difference]:
+    """Rows but those of zones whose devices are of another one since, if that one has the same row, or a difference."""
+    into = {zone.zone_id: zone.merged_into for zone in zones if zone.merged_into is not None}
+    known = {
+        (row.zone_id, row.plan_id, row.list_name, kind) for row in rows for kind in (row.kind, DifferenceKind.PERMITTED)
+    }
+    return [
+        row
+        for row in rows
+        if (into.get(row.zone_id or row.difference_id), row.plan_id, row.list_name, row.kind) not in known
+    ]
 
 
 def _times(placed: PlacedPlan, looks: Looks, at_ns: int) -> _Times:
@@ -174,13 +193,13 @@ def _matches(
             match = found.setdefault(near[k].key, _Match(one, near[k]))
             match.in_time |= bool(in_force[k])
             match.early_h, match.late_h = max(match.early_h, -offs_h[k]), max(match.late_h, offs_h[k])
-        if len(used) and (beyond_m := float(outside_m[used].min(axis=0).max())) > 0:
+        beyond_m = np.sort(outside_m[used].min(axis=0))[-2:] if len(used) else np.zeros(1)
+        if beyond_m[-1] > 0:
             counts, means = own.sum(axis=1).tolist(), outside_m.mean(axis=1).tolist()
             main = max(used.tolist(), key=lambda k: (counts[k], -means[k], near[k].key))
-            match = found[near[main].key]
-            match.outside_m = max(match.outside_m, beyond_m)
             allowed_m = sum(_length_m(near[k].shape) for k in used.tolist()) + params.tolerance_m
-            match.longer_m = max(match.longer_m, _extent_m(sighting.xy_m, near[main].shape) - allowed_m)
+            longer_m = _extent_m(sighting.xy_m, near[main].shape) - allowed_m
+            found[near[main].key].outside.append((bool(beyond_m[0] > 0), float(beyond_m[-1]), longer_m))
     return list(found.values())
 
 
@@ -271,16 +290,17 @@ def _of_match(match: _Match, matches: Sequence[_Match], times: _Times, params: P
         return _row(kind, text, one, placed, times, confidence=zone.existence * surely, **values)
 
     found = []
-    if match.outside_m > 0:
-        surely = _surely(match.outside_m + params.sigmas * zone.sigma_m, zone.sigma_m)
+    outside_m, longer_m = match.departure_m()
+    if outside_m > 0:
+        surely = _surely(outside_m + params.sigmas * zone.sigma_m, zone.sigma_m)
         of_place = {"unit": "m", "sigma": zone.sigma_m, "confidence": surely}
-        if match.longer_m > 0:
-            longer_m = match.longer_m + params.tolerance_m
+        if longer_m > 0:
+            longer_m += params.tolerance_m
             found.append(
                 row(DifferenceKind.LONGER, f"{longer_m:.0f} m longer than permitted", amount=longer_m, **of_place)
             )
         else:
-            away_m = match.outside_m + _tolerance_m(placed, params) + params.sigmas * zone.sigma_m
+            away_m = outside_m + _tolerance_m(placed, params) + params.sigmas * zone.sigma_m
             text = f"it reaches {away_m:.0f} m beyond the permitted place"
             found.append(row(DifferenceKind.ELSEWHERE, text, amount=away_m, **of_place))
     if match.early_h > 0:

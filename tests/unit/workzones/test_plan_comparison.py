@@ -62,7 +62,7 @@ def zone(
     xy_m = np.column_stack([np.arange(*x, 6.0), np.full(len(np.arange(*x, 6.0)), y)])
     return FoundZone(
         UUID(int=number),
-        (ZonePhase(ns(seen[0]), xy_m),),
+        (ZonePhase(ns(seen[0]), ns(seen[1]), xy_m),),
         ns(seen[0]),
         ns(seen[1]),
         None if gone is None else ns(gone),
@@ -185,7 +185,7 @@ def test_a_row_says_between_which_drives_and_by_how_much():
 
 def test_a_zone_that_shrinks_was_there_before():
     whole = zone(x=(5, 195))
-    left = ZonePhase(ns(6), whole.phases[0].xy_m[17:])
+    left = ZonePhase(ns(6), ns(9), whole.phases[0].xy_m[17:])
     shrunk = FoundZone(**(vars(whole) | {"phases": (*whole.phases, left)}))
     plans = [plan(end=5), plan("B", x=(100, 200))]
     assert rows(plans, [shrunk]) == [("A", 1, K.PERMITTED), ("B", 1, K.PERMITTED)]

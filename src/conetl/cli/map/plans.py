@@ -51,6 +51,10 @@ def import_(
     Records that are no plans, or cannot be used, are named and left out. Exit code 1: some are broken.
     """
     named = dict(one.partition("=")[::2] for one in column or ())
+    if without := [field for field, name in named.items() if not name]:
+        raise InputError(
+            f"--column {without[0]}: expected a field and the name of its column, like plan_id={without[0]}"
+        )
     found = read_plans(file, crs=crs, time_zone=time_zone, columns=named)
     with open_map(map_name) as (conn, info):
         stored, unused = import_plans(conn, file, found, map_name=info.map_name, list_name=list_name)

@@ -117,19 +117,26 @@ def compare_with_plans(
 
 
 def found_zone(zone: WorkZone, params: WorkZoneParams) -> FoundZone:
-    """A zone of the map as the comparison takes it."""
+    """A zone of the map as the comparison takes it. Once fewer devices are left than make a zone, it is gone."""
     history = zone.history
-    phases = history.phases or ((history.start_ns, history.cones),)
+    phases = list(history.phases) or [(history.start_ns, history.cones)]
+    gone_ns = history.end_ns if history.merged_into is None else None
+    while len(phases) > 1 and len(phases[-1][1]) < params.min_cones:
+        gone_ns, _ = phases.pop()
     cones = [cone for _, some in phases for cone in some]
     counts = np.ones(1)  # probabilities of so many devices
-    for cone in history.cones:
+    for cone in phases[-1][1]:
         counts = np.convolve(counts, [1 - cone.existence_probability, cone.existence_probability])
     return FoundZone(
         zone_id=history.zone_id,
-        phases=tuple(ZonePhase(at_ns, np.array([cone.xyz_m[:2] for cone in some])) for at_ns, some in phases),
+        phases=tuple(
+            ZonePhase(at_ns, max(cone.last_seen_ns for cone in some), np.array([cone.xyz_m[:2] for cone in some]))
+            for at_ns, some in phases
+        ),
         first_seen_ns=history.start_ns,
-        last_seen_ns=max(cone.last_seen_ns for cone in (*cones, *history.cones)),
-        gone_ns=history.end_ns if history.merged_into is None else None,
+        last_seen_ns=max(cone.last_seen_ns for cone in cones),
+        gone_ns=gone_ns,
+        merged_into=history.merged_into,
         sigma_m=max(horizontal_sigma_m(cone.cov_m2) for cone in cones),
         existence=float(min(counts[params.min_cones :].sum(), 1.0)),
         closed_side=zone.closed_side,
