@@ -167,10 +167,10 @@ def sightings_of(zone: FoundZone, looks: Looks, params: PlanParams) -> SeenZone:
     before = [one for one in every if one.until_ns < zone.first_seen_ns - slack_ns and one.seen[:first].mean() >= _MOST]
     sightings = []
     for phase, next_ns in zip(zone.phases, [*(one.from_ns for one in zone.phases[1:]), _LATEST_NS], strict=True):
-        until_ns = max(min(next_ns - slack_ns, phase.last_seen_ns), phase.from_ns)
-        passed = {phase.from_ns, phase.last_seen_ns, *(one.from_ns for one in every)}
-        instants = sorted(ns for ns in passed if phase.from_ns <= ns <= until_ns)
+        until_ns = min(next_ns - slack_ns, phase.last_seen_ns)
+        later = {phase.last_seen_ns, *(one.from_ns for one in every)}
         if phase.last_seen_ns >= phase.from_ns - slack_ns:
+            instants = [phase.from_ns, *sorted(ns for ns in later if phase.from_ns + slack_ns < ns <= until_ns)]
             sightings += [ZoneSighting(ns, phase.xy_m) for ns in instants]
 
     def sight(ns: int) -> Sight:
