@@ -111,7 +111,7 @@ def test_differences_as_table_and_files_with_images_and_verdicts_that_stay(conn,
     )
     assert json.loads(conetl("zones", "compare", "--as-of", LAST, "--json")) == found
 
-    files = [tmp_path / f"differences.{suffix}" for suffix in ("csv", "html", "geojson", "json")]
+    files = [tmp_path / f"differences.{suffix}" for suffix in ("csv", "html", "geojson")]
     printed = conetl("zones", "compare", "--as-of", LAST, *(word for path in files for word in ("--out", path)))
     assert "permitted but not found: 1, not looked: 3" in printed
     with files[0].open() as file:
@@ -120,8 +120,7 @@ def test_differences_as_table_and_files_with_images_and_verdicts_that_stay(conn,
     page = files[1].read_text()
     assert "Permitted but not found (1)" in page and page.index("but not found") < page.index("Not looked (3)")
     layer = json.loads(files[2].read_text())
-    shown = json.loads(files[3].read_text())["rows"]
-    assert [one["properties"] for one in layer["features"]] == shown and len(shown) == len(found["rows"])
+    assert [one["properties"] for one in layer["features"]] == found["rows"]
     assert "expected a name that ends with .csv" in conetl("zones", "compare", "--out", "x.pdf", code=2)
 
     # A verdict stays when the comparison is repeated, also after later drives, and can be taken back.

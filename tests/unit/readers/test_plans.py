@@ -128,22 +128,22 @@ def test_permits_are_the_same_in_three_formats(tmp_path: Path) -> None:
 def test_a_broken_permit_is_named_and_costs_only_itself(tmp_path: Path) -> None:
     path = tmp_path / "permits.csv"
     path.write_text(
-        "permit,from,until,lon,lat,lon_end,lat_end\n"
-        "A,2026-03-01T00:00Z,2026-03-03T00:00Z,8.43,49,8.431,49\n"
-        "B,soon,2026-03-03T00:00Z,8.43,49,,\n"
-        "C,2026-03-01T00:00,2026-03-03T00:00Z,8.43,49,,\n"
-        "D,2026-03-04T00:00Z,2026-03-03T00:00Z,8.43,49,,\n"
-        "E,2026-03-01T00:00Z,2026-03-03T00:00Z,eight,49,,\n"
-        ",2026-03-01T00:00Z,2026-03-03T00:00Z,8.43,49,,\n"
-        "G,2026-03-01T00:00Z,2026-03-03T00:00Z,49,188.43,,\n"
-        "H,2026-03-01T00:00Z,,8.43,49,,\n"
+        "permit,from,until,lon,lat\n"
+        "A,2026-03-01T00:00Z,2026-03-03T00:00Z,8.43,49\n"
+        "B,soon,2026-03-03T00:00Z,8.43,49\n"
+        "C,2026-03-01T00:00,2026-03-03T00:00Z,8.43,49\n"
+        "D,2026-03-04T00:00Z,2026-03-03T00:00Z,8.43,49\n"
+        "E,2026-03-01T00:00Z,2026-03-03T00:00Z,eight,49\n"
+        ",2026-03-01T00:00Z,2026-03-03T00:00Z,8.43,49\n"
+        "G,2026-03-01T00:00Z,2026-03-03T00:00Z,49,188.43\n"
+        "H,2026-03-01T00:00Z,,8.43,49\n"
     )
     found = read_plans(path)
-    assert [(zone.plan_id, zone.approximate) for zone in found.zones] == [("A", True), ("H", False)]
+    assert [(zone.plan_id, zone.approximate) for zone in found.zones] == [("A", False), ("H", False)]
     wanted = {
         "row 2": "from: expected a time like", "row 3": "states no time zone, expected one, or --time-zone",
         "row 4": "before it starts",
-        "row 5": "expected numbers", "row 6": "it has no plan_id: expected a column",
+        "row 5": "it has no geometry, or a broken one", "row 6": "it has no plan_id: expected a column",
         "row 7": "expected at most 90, found 188.43",
     }  # fmt: skip
     assert [one.record for one in found.unused] == list(wanted)
@@ -154,8 +154,9 @@ def test_columns_of_other_names_and_crs(tmp_path: Path) -> None:
     path = tmp_path / "permits.csv"
     path.write_text("Nr;Beginn;x;y\n7;2026-03-01T00:00Z;458000;5428000\n")
     named = {"plan_id": "Nr", "starts_at": "Beginn"}
-    with pytest.raises(InputError, match=r"--crs EPSG:25832"):
-        read_plans(path, columns=named)
+    with pytest.raises(InputError, match="'EPSG:0' is not a coordinate reference system"):
+        read_plans(path, crs="EPSG:0", columns=named)
+    assert "state their CRS with --crs" in read_plans(path, columns=named).unused[0].reason
     [zone] = read_plans(path, crs="EPSG:25832", columns=named).zones
     assert zone.parts[0][0] == pytest.approx((8.4264, 49.0033), abs=1e-3)
     with pytest.raises(InputError, match=r"--column lane=\.\.\.: expected one of plan_id"):
@@ -170,7 +171,7 @@ def test_columns_of_other_names_and_crs(tmp_path: Path) -> None:
         ("a.txt", "", r"plans are read from \.xml"),
         ("a.geojson", "[]", "expected a GeoJSON FeatureCollection"),
         ("a.csv", "a,b\n1,2\n", "no column wkt, nor lon and lat"),
-        ("a.csv", "", "no column wkt"),
+        ("a.csv", "", "GDAL|no column wkt"),
         ("a.gpkg", "none", "not a file that GDAL can read"),
         ("a.xml", "<a/>", "expected DATEX II"),
     ],

@@ -18,7 +18,7 @@ from conetl.geometry.geodesy import to_geodetic, to_map
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.base import Record, ns_from_utc
 from conetl.model.errors import InputError
-from conetl.model.planned_zones import Difference, PlanFile, Sight, UnusedRecord
+from conetl.model.planned_zones import Difference, PlanFile, UnusedRecord
 from conetl.model.work_zone_params import PlanParams, WorkZoneParams
 from conetl.model.work_zone_records import WorkZone
 from conetl.pipeline.maps.work_zones import read_zones
@@ -26,6 +26,12 @@ from conetl.workzones.looks import FoundZone, ZonePhase
 from conetl.workzones.plan_comparison import compare, shape_of
 
 VERDICTS = ("confirmed", "accepted", "wrong", "open")
+#: Of a row in tables and files.
+COLUMNS = (
+    "difference_id", "kind", "list_name", "plan_id", "zone_id", "text", "amount", "unit", "sigma", "coverage", "confidence",
+    "planned_from", "planned_until", "absent_at", "absent_drive", "first_at", "first_drive", "last_at", "last_drive", "gone_at",
+    "gone_drive", "lon_deg", "lat_deg", "verdict", "note", "decided_by", "link", "images",
+)  # fmt: skip
 
 
 class PlanRow(Record):
@@ -43,14 +49,13 @@ class PlanRow(Record):
     decided_by: str | None = None
 
     def flat(self) -> dict[str, Any]:
-        """All values of a row of a table, by the name of its column; passes as time and drive."""
-        values = self.difference.model_dump(exclude={"xy_m", "radius_m"})
+        """All values of a row of a table as JSON values, by the names of `COLUMNS`; passes as time and drive."""
+        values = self.model_dump(mode="json")
+        values |= values.pop("difference")
         for name in ("absent", "first", "last", "gone"):
-            sight = Sight.model_validate(values[name]) if values[name] is not None else None
-            del values[name]
-            values |= {f"{name}_at": sight and sight.at, f"{name}_drive": sight and sight.drive_id}
-        values |= {"easting_m": round(self.difference.xy_m[0], 2), "northing_m": round(self.difference.xy_m[1], 2)}
-        return values | self.model_dump(exclude={"difference", "images"}) | {"images": list(self.images)}
+            sight = values.pop(name) or {}
+            values |= {f"{name}_at": sight.get("at"), f"{name}_drive": sight.get("drive_id")}
+        return {name: values[name] for name in COLUMNS}
 
 
 class PlanComparison(NamedTuple):
