@@ -16,25 +16,17 @@ update conetl.plan set system_period = tstzrange(lower(system_period), %(at)s::t
 where map_id = %(map_id)s and list_name = %(list_name)s and plan_id = any(%(plan_ids)s::text[]) and upper_inf(system_period);
 
 -- name: verdicts
--- Verdicts on a map's differences, in the order in which they were given. Parameters: map_name; known_at ('infinity': now).
--- Columns: as below; easting_m, northing_m (map CRS); seen_from, seen_until (null: open).
-select
-    v.kind, v.list_name, v.plan_id, ST_X(v.geom) as easting_m, ST_Y(v.geom) as northing_m, v.radius_m,
-    lower(v.seen_period) as seen_from, upper(v.seen_period) as seen_until, v.verdict, v.note, v.decided_by, v.decided_at
+-- Verdicts on a map's differences, the last one first. Parameters: map_name; known_at ('infinity': now).
+select v.difference, v.verdict, v.note, v.decided_by
 from conetl.plan_verdict v
 join conetl.map m using (map_id)
 where m.map_name = %(map_name)s and v.decided_at <= %(known_at)s::timestamptz
-order by v.verdict_no;
+order by v.verdict_no desc;
 
 -- name: insert_verdict
--- What a person says about a difference. Parameters: as the columns; easting_m, northing_m; seen_from, seen_until (null: open).
-insert into conetl.plan_verdict (
-    map_id, srid, kind, list_name, plan_id, geom, radius_m, seen_period, verdict, note, decided_by, decided_at
-) values (
-    %(map_id)s, %(srid)s, %(kind)s, %(list_name)s, %(plan_id)s,
-    ST_SetSRID(ST_MakePoint(%(easting_m)s, %(northing_m)s), %(srid)s), %(radius_m)s,
-    tstzrange(%(seen_from)s, %(seen_until)s, '[]'), %(verdict)s, %(note)s, %(decided_by)s, %(decided_at)s
-);
+-- What a person says about a difference. Parameters: as the columns.
+insert into conetl.plan_verdict (map_id, difference, verdict, note, decided_by, decided_at)
+values (%(map_id)s, %(difference)s::jsonb, %(verdict)s, %(note)s, %(decided_by)s, %(decided_at)s);
 
 -- name: frames_near
 -- The frame pairs in boxes that show absence, of the active drives. Parameters: map_name; west_m, south_m, east_m, north_m (float8[] of

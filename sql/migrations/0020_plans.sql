@@ -22,24 +22,16 @@ comment on column conetl.plan.record is 'What the source states, as PlannedZone 
 comment on column conetl.plan.geom is 'Its place in the map''s CRS.';
 
 create table conetl.plan_verdict (
-    verdict_no  bigint generated always as identity primary key,
-    map_id      integer not null,
-    srid        integer not null,
-    kind        text not null,
-    list_name   text,
-    plan_id     text,
-    geom        geometry(Point) not null,
-    radius_m    float8 not null check (radius_m >= 0),
-    seen_period tstzrange not null,
-    verdict     text not null check (verdict in ('confirmed', 'accepted', 'wrong', 'open')),
-    note        text not null,
-    decided_by  text check (decided_by <> ''),
-    decided_at  timestamptz not null,
-    foreign key (map_id, srid) references conetl.map (map_id, srid),
-    check ((list_name is null) = (plan_id is null)),
-    check (srid = ST_SRID(geom))
+    verdict_no bigint generated always as identity primary key,
+    map_id     integer not null references conetl.map,
+    difference jsonb not null,
+    verdict    text not null check (verdict in ('confirmed', 'accepted', 'wrong', 'open')),
+    note       text not null,
+    decided_by text check (decided_by <> ''),
+    decided_at timestamptz not null
 );
 create index plan_verdict_by_map on conetl.plan_verdict (map_id, verdict_no);
 comment on table conetl.plan_verdict is
     'What people say about differences between plans and the map; the last one of a difference counts. It is known again by its kind, '
     'plan, place and time, not by the id of a zone, which a late drive may change.';
+comment on column conetl.plan_verdict.difference is 'As it was then, as Difference (model/planned_zones.py).';

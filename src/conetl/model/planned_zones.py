@@ -3,13 +3,14 @@ it."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 from typing import Annotated
 from uuid import UUID
 
-from pydantic import AwareDatetime, Field, model_validator
+from pydantic import AwareDatetime, ConfigDict, Field, model_validator
 
 from conetl.model.base import Latitude, Longitude, NonNegative, Probability, Record, Vec2
 
@@ -125,6 +126,7 @@ class Sight(Record):
 class Difference(Record):
     """One row of the comparison: a plan, a zone that was found, or both."""
 
+    model_config = ConfigDict(extra="ignore")  # verdicts keep rows of earlier versions of conetl
     difference_id: UUID
     kind: DifferenceKind
     list_name: str | None = None
@@ -152,3 +154,24 @@ class Difference(Record):
     """Middle of the zone, else of the plan, in the map's CRS."""
     radius_m: NonNegative
     """Of a circle around all of it."""
+
+    @property
+    def key(self) -> tuple[str | None, str | None]:
+        return self.list_name, self.plan_id
+
+    @property
+    def span(self) -> tuple[datetime | None, datetime | None]:
+        """When the zone stood, as far as drives know, else when it was planned; None: open."""
+        if self.zone_id is None or self.first is None:
+            return self.planned_from, self.planned_until
+        return self.first.at, None if self.gone is None else self.gone.at
+
+    def is_same(self, other: Difference) -> bool:
+        """Whether it is about the same as another one: of its kind and plan, at its place and time."""
+        (begin, end), (other_begin, other_end) = self.span, other.span
+        return (
+            (self.kind, self.key) == (other.kind, other.key)
+            and math.dist(self.xy_m, other.xy_m) <= max(self.radius_m, other.radius_m)
+            and (end is None or other_begin is None or other_begin <= end)
+            and (other_end is None or begin is None or begin <= other_end)
+        )

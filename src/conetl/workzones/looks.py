@@ -70,19 +70,14 @@ class FoundZone:
 
 
 @dataclass(frozen=True, eq=False)
-class ZoneSighting:
-    at_ns: int
-    xy_m: Floats
-
-
-@dataclass(frozen=True, eq=False)
 class SeenZone:
     """A zone and the passes at it."""
 
     zone: FoundZone
-    sightings: tuple[ZoneSighting, ...]
-    absent: Sight | None
+    sightings: tuple[tuple[int, Floats], ...]
+    """Instants (ns), and the devices (N, 2) that stood then."""
     absent_ns: int | None
+    absent: Sight | None
     first: Sight
     last: Sight
     gone: Sight | None
@@ -103,6 +98,10 @@ class Look:
     until_ns: int
     seen: Bools
     """(M,)"""
+
+    @property
+    def sight(self) -> Sight:
+        return Sight(at=utc_from_ns(self.from_ns), drive_id=self.drive_id, frame_index=self.frame_index)
 
 
 class Looks:
@@ -134,15 +133,8 @@ class Looks:
             seen[point[group]] = True
             middle = np.flatnonzero(seen)[seen.sum() // 2]
             first = row[group[point[group] == middle][0]]
-            looks.append(
-                Look(
-                    self._names[drive[group[0]]],
-                    int(self._frames[first]),
-                    int(at_ns[group[0]]),
-                    int(at_ns[group[-1]]),
-                    seen,
-                )
-            )
+            name, from_ns, until_ns = self._names[drive[group[0]]], int(at_ns[group[0]]), int(at_ns[group[-1]])
+            looks.append(Look(name, int(self._frames[first]), from_ns, until_ns, seen))
         return sorted(looks, key=lambda look: (look.from_ns, look.drive_id))
 
 
@@ -171,18 +163,17 @@ def sightings_of(zone: FoundZone, looks: Looks, params: PlanParams) -> SeenZone:
         later = {phase.last_seen_ns, *(one.from_ns for one in every)}
         if phase.last_seen_ns >= phase.from_ns - slack_ns:
             instants = [phase.from_ns, *sorted(ns for ns in later if phase.from_ns + slack_ns < ns <= until_ns)]
-            sightings += [ZoneSighting(ns, phase.xy_m) for ns in instants]
+            sightings += [(ns, phase.xy_m) for ns in instants]
 
     def sight(ns: int) -> Sight:
-        by = next((one for one in every if one.from_ns - slack_ns <= ns <= one.until_ns + slack_ns), None)
-        return Sight(at=utc_from_ns(ns), drive_id=by and by.drive_id, frame_index=by and by.frame_index)
+        by = next(
+            (one.sight for one in every if one.from_ns - slack_ns <= ns <= one.until_ns + slack_ns),
+            Sight(at=utc_from_ns(ns)),
+        )
+        return by.model_copy(update={"at": utc_from_ns(ns)})
 
+    absent_ns = before[-1].from_ns if before else None
+    ends = (None if ns is None else sight(ns) for ns in (absent_ns, zone.gone_ns))
     return SeenZone(
-        zone,
-        tuple(sightings),
-        absent=sight(before[-1].from_ns) if before else None,
-        absent_ns=before[-1].from_ns if before else None,
-        first=sight(zone.first_seen_ns),
-        last=sight(zone.last_seen_ns),
-        gone=None if zone.gone_ns is None else sight(zone.gone_ns),
+        zone, tuple(sightings), absent_ns, next(ends), sight(zone.first_seen_ns), sight(zone.last_seen_ns), next(ends)
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -21,8 +20,8 @@ from scipy.spatial.distance import pdist
 
 from conetl.geometry.linear_reference import project
 from conetl.model.arrays import Bools, Floats
-from conetl.model.base import ns_from_utc, utc_from_ns
-from conetl.model.planned_zones import Difference, DifferenceKind, PlannedZone, Sight
+from conetl.model.base import ns_from_utc
+from conetl.model.planned_zones import Difference, DifferenceKind, PlannedZone
 from conetl.model.rig import Side
 from conetl.model.work_zone_params import PlanParams
 from conetl.workzones.looks import DriveFrames, FoundZone, Look, Looks, SeenZone, sightings_of
@@ -57,9 +56,8 @@ class _Match:
 
     seen: SeenZone
     placed: PlacedPlan
-    early_h: float = 0.0
-    late_h: float = 0.0
-    in_time: bool = False
+    offs_h: list[float] = field(default_factory=lambda: [0.0])
+    """As `_off_h`, of its sightings."""
     outside: list[tuple[bool, float, float]] = field(default_factory=list)
     """Sightings with devices beyond the tolerance of all plans: several devices, how far, and how much longer the zone is (m)."""
 
@@ -74,8 +72,8 @@ class _Times:
     """Intervals of a plan (UTC ns), and which looks were in them."""
 
     spans: tuple[tuple[int, int], ...]
-    looks: tuple[Look, ...] = field(default=())
-    coverage: float = 0.0
+    looks: tuple[Look, ...]
+    coverage: float
 
 
 def shape_of(parts_m: Sequence[Floats]) -> Any:
@@ -104,11 +102,12 @@ def compare(
     valid = sorted((one for one in plans if not one.plan.is_void), key=lambda one: one.key)
     times = {one.key: _times(one, looks, at_ns) for one in valid}
     seen = [sightings_of(zone, looks, params) for zone in sorted(zones, key=lambda zone: str(zone.zone_id))]
-    seen = [one for one in seen if one.sightings]  # none: what was left of another zone and not passed since
     tree = shapely.STRtree([one.shape for one in valid])
     matches: list[_Match] = []
     unplaced: list[tuple[SeenZone, list[PlacedPlan]]] = []
     for one in seen:
+        if not one.sightings:  # what was left of another zone, and not passed since
+            continue
         place = shapely.MultiPoint(one.xy_m)
         rows = sorted(tree.query(place, "dwithin", distance=max(params.near_m, params.approximate_m)).tolist())
         near = [valid[k] for k in rows if _may_be(one, valid[k], times[valid[k].key], place, params)]
@@ -119,7 +118,7 @@ def compare(
     rows_found = list(_elsewhere(unplaced, {match.placed.key for match in matches}, times, params))
     rows_found += [row for match in matches for row in _of_match(match, matches, times[match.placed.key], params)]
     rows_found = _without_merged(rows_found, zones)
-    met = {(row.list_name, row.plan_id) for row in rows_found}
+    met = {row.key for row in rows_found}
     rows_found += [row for one in valid if one.key not in met for row in _not_met(one, times[one.key], at_ns, params)]
     return sorted(rows_found, key=lambda row: (row.list_name or "", row.plan_id or "", str(row.zone_id), row.kind))
 
@@ -127,35 +126,21 @@ def compare(
 def _without_merged(rows: Sequence[Difference], zones: Sequence[FoundZone]) -> list[Difference]:
     """Rows but those of zones whose devices are of another one since, if that one has the same row, or a difference."""
     into = {zone.zone_id: zone.merged_into for zone in zones if zone.merged_into is not None}
-    known = {
-        (row.zone_id, row.plan_id, row.list_name, kind) for row in rows for kind in (row.kind, DifferenceKind.PERMITTED)
-    }
-    return [
-        row
-        for row in rows
-        if (into.get(row.zone_id or row.difference_id), row.plan_id, row.list_name, row.kind) not in known
-    ]
+    known = {(one.zone_id, one.key, kind) for one in rows for kind in (one.kind, DifferenceKind.PERMITTED)}
+    return [one for one in rows if one.zone_id is None or (into.get(one.zone_id), one.key, one.kind) not in known]
 
 
 def _times(placed: PlacedPlan, looks: Looks, at_ns: int) -> _Times:
     plan = placed.plan
     start, end = ns_from_utc(plan.starts_at), _OPEN_NS if plan.ends_at is None else ns_from_utc(plan.ends_at)
-    parts = [
-        (
-            start if one.starts_at is None else max(start, ns_from_utc(one.starts_at)),
-            end if one.ends_at is None else min(end, ns_from_utc(one.ends_at)),
-        )
-        for one in plan.periods
-    ]
-    spans = tuple(sorted(part for part in parts if part[0] < part[1])) or ((start, end),)
+    parts = [(ns_from_utc(one.starts_at or plan.starts_at), one.ends_at or plan.ends_at) for one in plan.periods]
+    cut = [(max(start, a), end if b is None else min(end, ns_from_utc(b))) for a, b in parts]
+    spans = tuple(sorted((a, b) for a, b in cut if a < b)) or ((start, end),)
     samples = shapely.get_coordinates(shapely.segmentize(placed.shape, _SAMPLE_M))
     some = tuple(
-        look
-        for look in looks.at(samples)
-        if look.until_ns <= at_ns and any(a <= look.from_ns and look.until_ns <= b for a, b in spans)
+        one for one in looks.at(samples) if any(a <= one.from_ns and one.until_ns <= min(b, at_ns) for a, b in spans)
     )
-    seen = np.any([look.seen for look in some], axis=0) if some else np.zeros(1, bool)
-    return _Times(spans, some, float(np.mean(seen)))
+    return _Times(spans, some, float(np.any([look.seen for look in some], axis=0).mean()) if some else 0.0)
 
 
 def _may_be(one: SeenZone, placed: PlacedPlan, times: _Times, place: Any, params: PlanParams) -> bool:
@@ -181,24 +166,21 @@ def _matches(
 ) -> list[_Match]:
     """The plans in whose places a zone stands, over all sightings."""
     found: dict[tuple[str, str], _Match] = {}
-    for sighting in one.sightings if near else ():
-        outside_m = _outside_m(near, sighting.xy_m, one.zone.sigma_m, params)
-        offs_h = [_off_h(times[placed.key], one, sighting.at_ns, params) for placed in near]
-        in_force = np.array([off_h == 0.0 for off_h in offs_h])
-        own = _own(outside_m, near, sighting.xy_m, in_force, params)
+    for at_ns, xy_m in one.sightings if near else ():
+        outside_m = _outside_m(near, xy_m, one.zone.sigma_m, params)
+        offs_h = [_off_h(times[placed.key], one, at_ns, params) for placed in near]
+        own = _own(outside_m, near, xy_m, np.array(offs_h) == 0.0, params)
         if not own.any() or outside_m[own.any(axis=1)].min(axis=0).max() > 0:
-            own = _own(outside_m, near, sighting.xy_m, np.ones(len(near), bool), params)
+            own = _own(outside_m, near, xy_m, np.ones(len(near), bool), params)
         used = np.flatnonzero(own.any(axis=1))
         for k in used.tolist():
-            match = found.setdefault(near[k].key, _Match(one, near[k]))
-            match.in_time |= bool(in_force[k])
-            match.early_h, match.late_h = max(match.early_h, -offs_h[k]), max(match.late_h, offs_h[k])
+            found.setdefault(near[k].key, _Match(one, near[k])).offs_h.append(offs_h[k])
         beyond_m = np.sort(outside_m[used].min(axis=0))[-2:] if len(used) else np.zeros(1)
         if beyond_m[-1] > 0:
             counts, means = own.sum(axis=1).tolist(), outside_m.mean(axis=1).tolist()
             main = max(used.tolist(), key=lambda k: (counts[k], -means[k], near[k].key))
             allowed_m = sum(_length_m(near[k].shape) for k in used.tolist()) + params.tolerance_m
-            longer_m = _extent_m(sighting.xy_m, near[main].shape) - allowed_m
+            longer_m = _extent_m(xy_m, near[main].shape) - allowed_m
             found[near[main].key].outside.append((bool(beyond_m[0] > 0), float(beyond_m[-1]), longer_m))
     return list(found.values())
 
@@ -261,7 +243,7 @@ def _elsewhere(
     pairs = []
     for number, (one, near) in enumerate(unplaced):
         for placed in near:
-            in_force = any(_off_h(times[placed.key], one, each.at_ns, params) == 0.0 for each in one.sightings)
+            in_force = any(_off_h(times[placed.key], one, at_ns, params) == 0.0 for at_ns, _ in one.sightings)
             if in_force and placed.key not in met:
                 away_m = float(shapely.distance(placed.shape, shapely.points(one.xy_m)).max())
                 pairs.append((away_m, placed.key, str(one.zone.zone_id), number, placed))
@@ -296,28 +278,26 @@ def _of_match(match: _Match, matches: Sequence[_Match], times: _Times, params: P
         of_place = {"unit": "m", "sigma": zone.sigma_m, "confidence": surely}
         if longer_m > 0:
             longer_m += params.tolerance_m
-            found.append(
-                row(DifferenceKind.LONGER, f"{longer_m:.0f} m longer than permitted", amount=longer_m, **of_place)
-            )
+            text = f"{longer_m:.0f} m longer than permitted"
+            found.append(row(DifferenceKind.LONGER, text, amount=longer_m, **of_place))
         else:
             away_m = outside_m + _tolerance_m(placed, params) + params.sigmas * zone.sigma_m
             text = f"it reaches {away_m:.0f} m beyond the permitted place"
             found.append(row(DifferenceKind.ELSEWHERE, text, amount=away_m, **of_place))
-    if match.early_h > 0:
-        text = f"seen {match.early_h:.1f} h before it may stand"
-        found.append(row(DifferenceKind.EARLY, text, amount=match.early_h, unit="h"))
-    if match.late_h > 0:
-        text = f"seen {match.late_h:.1f} h after the end"
-        found.append(row(DifferenceKind.OVERRUN, text, amount=match.late_h, unit="h"))
+    if (early_h := -min(match.offs_h)) > 0:
+        found.append(row(DifferenceKind.EARLY, f"seen {early_h:.1f} h before it may stand", amount=early_h, unit="h"))
+    if (late_h := max(match.offs_h)) > 0:
+        found.append(row(DifferenceKind.OVERRUN, f"seen {late_h:.1f} h after the end", amount=late_h, unit="h"))
     if lanes := _other_lanes(zone, placed.plan):
         found.append(row(DifferenceKind.OTHER_LANES, lanes, unit="lanes"))
     end = next((b for a, b in reversed(times.spans) if a <= zone.last_seen_ns and b < _OPEN_NS), None)
     if zone.gone_ns is not None and end is not None and zone.gone_ns < end - params.tolerance_min * _MINUTE_NS:
         others = [m.seen.zone for m in matches if m.placed is placed and m.seen is not one]
         if all(other.last_seen_ns <= zone.gone_ns for other in others):
-            early_h = (end - zone.gone_ns) / _HOUR_NS
-            text = f"gone {early_h:.1f} h before the end"
-            found.append(row(DifferenceKind.ENDED_EARLY, text, amount=early_h, unit="h"))
+            left_h = (end - zone.gone_ns) / _HOUR_NS
+            found.append(
+                row(DifferenceKind.ENDED_EARLY, f"gone {left_h:.1f} h before the end", amount=left_h, unit="h")
+            )
     yield from found or [row(DifferenceKind.PERMITTED, "in its place, time and lanes")]
 
 
@@ -359,28 +339,20 @@ def _row(
     times: _Times | None,
     **values: Any,
 ) -> Difference:
-    names: dict[str, Any] = defaultdict(lambda: None)
     shape: Any = shapely.MultiPoint(one.zone.phases[-1].xy_m) if one is not None else getattr(placed, "shape", None)
     if placed is not None and times is not None:
-        plan = placed.plan
-        names |= {"list_name": placed.list_name, "plan_id": plan.plan_id, "planned_from": plan.starts_at}
-        names |= {"planned_until": plan.ends_at, "coverage": times.coverage}
+        values |= {"list_name": placed.list_name, "plan_id": placed.plan.plan_id, "coverage": times.coverage}
+        values |= {"planned_from": placed.plan.starts_at, "planned_until": placed.plan.ends_at}
     if one is not None:
-        names |= {
-            "zone_id": one.zone.zone_id,
-            "absent": one.absent,
-            "first": one.first,
-            "last": one.last,
-            "gone": one.gone,
+        values |= {"zone_id": one.zone.zone_id} | {
+            name: getattr(one, name) for name in ("absent", "first", "last", "gone")
         }
     elif times is not None and times.looks:
-        ends = (times.looks[0], times.looks[-1])
-        sights = [Sight(at=utc_from_ns(e.from_ns), drive_id=e.drive_id, frame_index=e.frame_index) for e in ends]
-        names |= {"first": sights[0], "last": sights[1]}
+        values |= {"first": times.looks[0].sight, "last": times.looks[-1].sight}
     centre = shapely.minimum_bounding_circle(shape).centroid
     centre = shape.centroid if centre.is_empty else centre
-    made = f"{kind}/{names['list_name']}/{names['plan_id']}/{names['zone_id']}"
+    made = "/".join(str(values.get(name)) for name in ("list_name", "plan_id", "zone_id"))
     return Difference(
-        difference_id=uuid5(_NAMESPACE, made), kind=kind, text=text, xy_m=(centre.x, centre.y),
-        radius_m=float(shapely.minimum_bounding_radius(shape)), **dict(names), **values,
+        difference_id=uuid5(_NAMESPACE, f"{kind}/{made}"), kind=kind, text=text, xy_m=(centre.x, centre.y),
+        radius_m=float(shapely.minimum_bounding_radius(shape)), **values,
     )  # fmt: skip

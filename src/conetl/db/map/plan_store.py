@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -15,14 +15,12 @@ from conetl.db.copy_rows import clean_text
 from conetl.db.map.map_store import system_time
 from conetl.db.map.results import MapInfo
 from conetl.db.map.rows import Row
+from conetl.model.arrays import Floats
 from conetl.model.base import ns_from_utc
 from conetl.model.drive import MIN_DETAIL
-from conetl.model.planned_zones import Difference, PlannedZone
+from conetl.model.planned_zones import Difference, PlannedZone, Sight
 from conetl.workzones.looks import DriveFrames
 from conetl.workzones.plan_comparison import PlacedPlan
-
-#: West, south, east, north in metres of the map's CRS.
-Box = tuple[float, float, float, float]
 
 
 class StoredPlans(NamedTuple):
@@ -72,10 +70,9 @@ def write_plans(
     return StoredPlans(tuple(added), tuple(changed), tuple(older), len(plans) - len(new) - len(older))
 
 
-def read_frames_near(conn: Connection, boxes: Iterable[Box], *, map_name: str, until: datetime) -> list[DriveFrames]:
-    """The frame pairs of the active drives in boxes that show absence, by drive."""
-    edges = np.array(list(boxes), np.float64).reshape(-1, 4).T.tolist()
-    sides = dict(zip(("west_m", "south_m", "east_m", "north_m"), edges, strict=True))
+def read_frames_near(conn: Connection, boxes_m: Floats, *, map_name: str, until: datetime) -> list[DriveFrames]:
+    """The frame pairs of the active drives in boxes (N, 4; west, south, east, north) that show absence, by drive."""
+    sides = dict(zip(("west_m", "south_m", "east_m", "north_m"), boxes_m.T.tolist(), strict=True))
     rows = stream_values(
         conn, f"The drives of map {map_name} cannot be read", "plans.frames_near", map_name=map_name,
         until_ns=ns_from_utc(until), least_detail=MIN_DETAIL, **sides,
@@ -87,16 +84,17 @@ def read_frames_near(conn: Connection, boxes: Iterable[Box], *, map_name: str, u
     return found
 
 
-def read_images(conn: Connection, sights: Sequence[tuple[str, int]], *, map_name: str) -> dict[tuple[str, int], str]:
-    """The left images of frame pairs (drive id, index): path of the drive, and of the image in it."""
-    drive_ids, frames = ([one[k] for one in sights] for k in range(2))
+def read_images(conn: Connection, sights: Sequence[Sight], *, map_name: str) -> dict[Sight, str]:
+    """The left images of passes, of those that have one: path of the drive, and of the image in it."""
+    drive_ids, frames = [one.drive_id for one in sights], [one.frame_index for one in sights]
     what = f"The drives of map {map_name} cannot be read"
     rows = read(conn, what, "plans.images", map_name=map_name, drive_ids=drive_ids, frames=frames)
-    return {(row["drive_id"], row["frame_index"]): f"{row['source_path']}/{row['left_path']}" for row in rows}
+    paths = {(row["drive_id"], row["frame_index"]): f"{row['source_path']}/{row['left_path']}" for row in rows}
+    return {one: paths[one.drive_id, one.frame_index] for one in sights if (one.drive_id, one.frame_index) in paths}
 
 
 def read_verdicts(conn: Connection, *, map_name: str, known_at: datetime | None = None) -> Sequence[Row]:
-    """Columns of `plans.verdicts`, in the order in which they were given."""
+    """Columns of `plans.verdicts`, the last one first."""
     what = f"The verdicts on differences of map {map_name} cannot be read"
     return read(conn, what, "plans.verdicts", map_name=map_name, known_at=or_infinity(known_at))
 
@@ -105,29 +103,8 @@ def write_verdict(
     conn: Connection, info: MapInfo, one: Difference, verdict: str, *, note: str, decided_by: str | None
 ) -> None:
     """Write what a person says about a difference in the caller's `map_transaction`."""
-    seen_from, seen_until = span_of(one)
+    said = {"verdict": verdict, "note": clean_text(note), "decided_by": decided_by and clean_text(decided_by)}
     query(
-        conn, "plans.insert_verdict", map_id=info.map_id, srid=info.srid, kind=one.kind.value, list_name=one.list_name,
-        plan_id=one.plan_id, easting_m=one.xy_m[0], northing_m=one.xy_m[1], radius_m=one.radius_m, seen_from=seen_from,
-        seen_until=seen_until, verdict=verdict, note=clean_text(note), decided_by=decided_by and clean_text(decided_by),
-        decided_at=system_time(conn, info),
+        conn, "plans.insert_verdict", map_id=info.map_id, difference=one.model_dump_json(), decided_at=system_time(conn, info),
+        **said,
     )  # fmt: skip
-
-
-def span_of(one: Difference) -> tuple[datetime | None, datetime | None]:
-    """When the zone of a difference stood, as far as drives know, else when it was planned; None: open."""
-    if one.zone_id is None or one.first is None:
-        return one.planned_from, one.planned_until
-    return one.first.at, None if one.gone is None else one.gone.at
-
-
-def is_about(verdict: Mapping[str, Any], one: Difference) -> bool:
-    """Whether a row of `read_verdicts` is about a difference: of its kind and plan, at its place and time."""
-    begin, end = span_of(one)
-    east, north = one.xy_m[0] - verdict["easting_m"], one.xy_m[1] - verdict["northing_m"]
-    return (
-        (verdict["kind"], verdict["list_name"], verdict["plan_id"]) == (one.kind, one.list_name, one.plan_id)
-        and (east * east + north * north) ** 0.5 <= max(verdict["radius_m"], one.radius_m)
-        and (verdict["seen_until"] is None or begin is None or begin <= verdict["seen_until"])
-        and (end is None or verdict["seen_from"] is None or verdict["seen_from"] <= end)
-    )

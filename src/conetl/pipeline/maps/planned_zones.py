@@ -7,12 +7,15 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
+from uuid import UUID
 
 import numpy as np
+from shapely import MultiPoint
 
 from conetl.db.connection import Connection
 from conetl.db.map import plan_store as store
 from conetl.db.map.map_store import map_transaction, require_map
+from conetl.db.map.results import MapInfo
 from conetl.db.serve_store import read_origin
 from conetl.geometry.geodesy import to_geodetic, to_map
 from conetl.geometry.packing import horizontal_sigma_m
@@ -62,7 +65,6 @@ class PlanComparison(NamedTuple):
     """All rows at an instant."""
 
     at: datetime
-    srid: int
     rows: list[PlanRow]
 
     @property
@@ -95,30 +97,21 @@ def _to_map(srid: int, part: Sequence[tuple[float, float]]) -> Any:
 
 
 def compare_with_plans(
-    conn: Connection,
-    *,
-    map_name: str,
-    as_of: datetime | None = None,
-    known_at: datetime | None = None,
-    lanes: Path | None = None,
-    params: PlanParams | None = None,
-    zones: WorkZoneParams | None = None,
-    now: datetime | None = None,
-) -> PlanComparison:
+    conn: Connection, *, map_name: str, as_of: datetime | None = None, known_at: datetime | None = None,
+    lanes: Path | None = None, params: PlanParams | None = None,
+) -> PlanComparison:  # fmt: skip
     """Plans against zones at as_of (None: now), with plans and verdicts as they were known at known_at (None: now); read-only."""
-    params, zone_params = params or PlanParams(), zones or WorkZoneParams()
-    at = as_of or now or datetime.now(UTC)
+    params, zone_params, at = params or PlanParams(), WorkZoneParams(), as_of or datetime.now(UTC)
     info = require_map(conn, map_name)
     plans = store.read_plans(conn, map_name=map_name, known_at=known_at)
     found = read_zones(conn, map_name=map_name, as_of=as_of, lanes=lanes, params=zone_params)
     on_map = [found_zone(zone, zone_params) for zone in found.zones]
-    boxes = [one.shape.bounds for one in plans]
-    boxes += [(*phase.xy_m.min(axis=0), *phase.xy_m.max(axis=0)) for zone in on_map for phase in zone.phases]
-    wider = np.array(boxes).reshape(-1, 4) + params.look_aside_m * np.array([-1, -1, 1, 1])
-    drives = store.read_frames_near(conn, map(tuple, wider.tolist()), map_name=map_name, until=at)
+    places = [one.shape for one in plans] + [MultiPoint(phase.xy_m) for zone in on_map for phase in zone.phases]
+    boxes_m = np.array([one.bounds for one in places]).reshape(-1, 4) + params.look_aside_m * np.array([-1, -1, 1, 1])
+    drives = store.read_frames_near(conn, boxes_m, map_name=map_name, until=at)
     rows = compare(plans, on_map, drives, params, at_ns=ns_from_utc(at))
     first = {zone.history.zone_id: zone.first.feature_id for zone in found.zones}
-    return PlanComparison(at, info.srid, _with_evidence(conn, rows, first, map_name, info.srid, known_at))
+    return PlanComparison(at, _with_evidence(conn, rows, first, info, known_at))
 
 
 def found_zone(zone: WorkZone, params: WorkZoneParams) -> FoundZone:
@@ -150,33 +143,26 @@ def found_zone(zone: WorkZone, params: WorkZoneParams) -> FoundZone:
 
 
 def _with_evidence(
-    conn: Connection,
-    rows: Sequence[Difference],
-    first: Mapping[Any, Any],
-    map_name: str,
-    srid: int,
-    known_at: datetime | None,
+    conn: Connection, rows: Sequence[Difference], first: Mapping[UUID, UUID], info: MapInfo, known_at: datetime | None
 ) -> list[PlanRow]:
-    sights = {(s.drive_id, s.frame_index) for row in rows for s in (row.first, row.last) if s is not None}
-    known = [(drive, frame) for drive, frame in sights if drive is not None and frame is not None]
-    images = store.read_images(conn, sorted(known), map_name=map_name)
+    """Rows with images, links, and verdicts. first: device of each zone."""
+    map_name = info.map_name
+    shown = {row.difference_id: [one for one in (row.first, row.last) if one is not None] for row in rows}
+    images = store.read_images(conn, [one for some in shown.values() for one in some], map_name=map_name)
     verdicts = store.read_verdicts(conn, map_name=map_name, known_at=known_at)
+    judged = [(Difference.model_validate(one["difference"]), one) for one in verdicts]
     east, north, _ = read_origin(conn, map_name) or (0.0, 0.0, 0.0)
     made = []
     for row in rows:
-        lat, lon, _ = to_geodetic(srid, (*row.xy_m, 0.0)).tolist()
-        last = next((one for one in reversed(verdicts) if store.is_about(one, row)), {})
-        shown = [images.get((s.drive_id or "", s.frame_index or 0)) for s in (row.first, row.last) if s is not None]
-        at = row.last or row.first
-        link = f"#map={map_name}" + ("" if at is None else f"&valid={at.at:%Y-%m-%dT%H:%M:%S.%fZ}")
-        link += (
-            f"&feature={first[row.zone_id]}"
-            if row.zone_id in first
-            else f"&mark={row.xy_m[0] - east:.2f},{row.xy_m[1] - north:.2f}"
-        )
-        judged = {name: last[name] for name in ("verdict", "note", "decided_by") if name in last}
-        pictures = tuple(dict.fromkeys(one for one in shown if one is not None))
-        made.append(PlanRow(difference=row, lon_deg=lon, lat_deg=lat, images=pictures, link=link, **judged))
+        lat, lon, _ = to_geodetic(info.srid, (*row.xy_m, 0.0)).tolist()
+        said = next((one for known, one in judged if known.is_same(row)), {})
+        passes = shown[row.difference_id]
+        link = f"#map={map_name}" + "".join(f"&valid={one.at:%Y-%m-%dT%H:%M:%S.%fZ}" for one in passes[-1:])
+        mark = f"&mark={row.xy_m[0] - east:.2f},{row.xy_m[1] - north:.2f}"
+        link += mark if row.zone_id is None else f"&feature={first[row.zone_id]}"
+        paths = dict.fromkeys(images[one] for one in passes if one in images)
+        verdict = {name: said[name] for name in ("verdict", "note", "decided_by") if name in said}
+        made.append(PlanRow(difference=row, lon_deg=lon, lat_deg=lat, images=tuple(paths), link=link, **verdict))
     return made
 
 
@@ -186,14 +172,14 @@ def judge(
     verdict: str,
     *,
     map_name: str,
-    note: str = "",
-    decided_by: str | None = None,
-    **options: Any,
+    note: str,
+    decided_by: str | None,
+    as_of: datetime | None,
 ) -> Difference:
     """Write what a person says about the difference whose id begins so; `open` takes it back. Raises InputError."""
     if verdict not in VERDICTS:
         raise InputError(f"verdict {verdict}: expected one of {', '.join(VERDICTS)}")
-    rows = [row.difference for row in compare_with_plans(conn, map_name=map_name, **options).rows]
+    rows = [row.difference for row in compare_with_plans(conn, map_name=map_name, as_of=as_of).rows]
     named = [one for one in rows if len(beginning) >= 4 and str(one.difference_id).startswith(beginning.lower())]
     if len(named) != 1:
         problem = "several differences have" if named else "no difference has"

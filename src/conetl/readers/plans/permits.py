@@ -120,7 +120,7 @@ def _parts_in_degrees(geometry: bytes | None, to_degrees: Transformer) -> list[l
         axes = [to_degrees.transform(part[:, 0], part[:, 1], errcheck=True) for part in parts]
     except ProjError as error:
         raise ValueError("its coordinates are outside of the area of their CRS") from error
-    if to_degrees.source_crs.is_geographic and max(np.abs(part).max() for part in parts) > 360:
+    if max(np.abs(axis).max() for part in axes for axis in part) > 360:  # a CSV file of metres, taken for degrees
         raise ValueError("its coordinates are no degrees: state their CRS with --crs, like --crs EPSG:25832")
     return [list(zip(*(axis.tolist() for axis in part), strict=True)) for part in axes]
 
