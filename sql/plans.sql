@@ -29,35 +29,22 @@ insert into conetl.plan_verdict (map_id, difference, verdict, note, decided_by, 
 values (%(map_id)s, %(difference)s::jsonb, %(verdict)s, %(note)s, %(decided_by)s, %(decided_at)s);
 
 -- name: frames_near
--- The frame pairs in boxes that show absence, of the active drives. Parameters: map_name; west_m, south_m, east_m, north_m (float8[] of
--- equal lengths, map CRS); until_ns; least_detail (grey levels). Columns: drive_id, frame_index, captured_at_ns, easting_m, northing_m.
-with box as materialized (
-    select ST_MakeEnvelope(b.west_m, b.south_m, b.east_m, b.north_m, m.srid) as area
-    from unnest(%(west_m)s::float8[], %(south_m)s::float8[], %(east_m)s::float8[], %(north_m)s::float8[])
-        as b (west_m, south_m, east_m, north_m)
-    cross join conetl.map m
-    where m.map_name = %(map_name)s
-),
-near as materialized (
-    select distinct f.drive_uuid, f.frame_index, f.captured_at_ns, ST_X(f.geom) as easting_m, ST_Y(f.geom) as northing_m
-    from box b
-    join conetl.frame_pair f on f.geom && b.area
-    where f.captured_at_ns <= %(until_ns)s and coalesce(f.detail, 'infinity') >= %(least_detail)s
-)
-select d.drive_id, n.frame_index, n.captured_at_ns, n.easting_m, n.northing_m
-from near n
-join conetl.active_drive d using (drive_uuid)
-join conetl.map m using (map_id)
-where m.map_name = %(map_name)s
-order by d.drive_id, d.drive_uuid, n.frame_index;
+-- The frame pairs in an area that show absence, of the active drives. Parameters: map_name; area (well-known binary, map CRS); until_ns;
+-- least_detail (grey levels). Columns: drive_uuid, drive_id, frame_index, captured_at_ns, easting_m, northing_m.
+select d.drive_uuid, d.drive_id, f.frame_index, f.captured_at_ns, ST_X(f.geom) as easting_m, ST_Y(f.geom) as northing_m
+from conetl.map m
+cross join lateral (select ST_GeomFromWKB(%(area)s, m.srid) as geom) a
+join conetl.active_drive d on d.map_id = m.map_id
+join conetl.frame_pair f on f.drive_uuid = d.drive_uuid
+where m.map_name = %(map_name)s and ST_SRID(d.area) = m.srid and d.area && a.geom
+and f.captured_at_ns <= %(until_ns)s and coalesce(f.detail, 'infinity') >= %(least_detail)s
+and ST_Intersects(a.geom, f.geom)
+order by d.drive_uuid, f.frame_index;
 
 -- name: images
--- The left images of frame pairs of the active drives. Parameters: map_name; drive_ids (text[]), frames (integer[]).
--- Columns: drive_id, frame_index, source_path (of the drive), left_path (in it).
-select d.drive_id, f.frame_index, d.source_path, f.left_path
-from unnest(%(drive_ids)s::text[], %(frames)s::integer[]) as q (drive_id, frame_index)
-join conetl.active_drive d on d.drive_id = q.drive_id
-join conetl.map m using (map_id)
-join conetl.frame_pair f on f.drive_uuid = d.drive_uuid and f.frame_index = q.frame_index
-where m.map_name = %(map_name)s
-order by d.drive_id, f.frame_index;
+-- The left images of frame pairs. Parameters: drive_uuids (uuid[]), frames (integer[]).
+-- Columns: drive_uuid, frame_index, source_path (of the drive), left_path (in it).
+select f.drive_uuid, f.frame_index, d.source_path, f.left_path
+from unnest(%(drive_uuids)s::uuid[], %(frames)s::integer[]) as q (drive_uuid, frame_index)
+join conetl.frame_pair f on f.drive_uuid = q.drive_uuid and f.frame_index = q.frame_index
+join conetl.drive d on d.drive_uuid = f.drive_uuid;

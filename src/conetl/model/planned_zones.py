@@ -119,6 +119,7 @@ class Sight(Record):
     at: datetime
     drive_id: str | None = None
     """None: of an imported map."""
+    drive_uuid: UUID | None = None
     frame_index: int | None = None
     """Of a frame pair just before the place."""
 

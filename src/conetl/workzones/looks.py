@@ -35,6 +35,8 @@ class DriveFrames:
     """(N,)"""
     xy_m: Floats
     """(N, 2) in the map's CRS."""
+    drive_uuid: UUID | None = None
+    """Several drives may have one drive_id."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ class SeenZone:
 class Look:
     """One pass of a drive at some of M points."""
 
-    drive_id: str
+    drive: DriveFrames
     frame_index: int
     """Of a frame pair just before their middle."""
     from_ns: int
@@ -101,17 +103,18 @@ class Look:
 
     @property
     def sight(self) -> Sight:
-        return Sight(at=utc_from_ns(self.from_ns), drive_id=self.drive_id, frame_index=self.frame_index)
+        names = {"drive_id": self.drive.drive_id, "drive_uuid": self.drive.drive_uuid, "frame_index": self.frame_index}
+        return Sight(at=utc_from_ns(self.from_ns), **names)
 
 
 class Looks:
     """Passes of all drives, to be asked for any points."""
 
     def __init__(self, drives: Sequence[DriveFrames], params: PlanParams) -> None:
-        ordered = sorted((one for one in drives if len(one.frames)), key=lambda one: (int(one.at_ns[0]), one.drive_id))
+        ordered = sorted((one for one in drives if len(one.frames)), key=_order)
         dense = [_dense(one, params.look_gap_m) for one in ordered]
         self._params = params
-        self._names = [one.drive_id for one in ordered]
+        self._drives = ordered
         self._drive = np.repeat(np.arange(len(dense)), [len(at_ns) for _, at_ns, _ in dense])
         frames, at_ns, xy_m = ([part[k] for part in dense] for k in range(3))
         self._frames = np.concatenate([np.empty(0, np.intp), *frames])
@@ -133,9 +136,13 @@ class Looks:
             seen[point[group]] = True
             middle = np.flatnonzero(seen)[seen.sum() // 2]
             first = row[group[point[group] == middle][0]]
-            name, from_ns, until_ns = self._names[drive[group[0]]], int(at_ns[group[0]]), int(at_ns[group[-1]])
-            looks.append(Look(name, int(self._frames[first]), from_ns, until_ns, seen))
-        return sorted(looks, key=lambda look: (look.from_ns, look.drive_id))
+            by, from_ns, until_ns = self._drives[drive[group[0]]], int(at_ns[group[0]]), int(at_ns[group[-1]])
+            looks.append(Look(by, int(self._frames[first]), from_ns, until_ns, seen))
+        return sorted(looks, key=lambda look: (look.from_ns, _order(look.drive)))
+
+
+def _order(drive: DriveFrames) -> tuple[int, str, str]:
+    return int(drive.at_ns[0]), drive.drive_id, str(drive.drive_uuid)
 
 
 def _dense(one: DriveFrames, gap_m: float) -> tuple[Ints, Nanoseconds, Floats]:

@@ -15,7 +15,6 @@ from conetl.db.copy_rows import clean_text
 from conetl.db.map.map_store import system_time
 from conetl.db.map.results import MapInfo
 from conetl.db.map.rows import Row
-from conetl.model.arrays import Floats
 from conetl.model.base import ns_from_utc
 from conetl.model.drive import MIN_DETAIL
 from conetl.model.planned_zones import Difference, PlannedZone, Sight
@@ -70,27 +69,28 @@ def write_plans(
     return StoredPlans(tuple(added), tuple(changed), tuple(older), len(plans) - len(new) - len(older))
 
 
-def read_frames_near(conn: Connection, boxes_m: Floats, *, map_name: str, until: datetime) -> list[DriveFrames]:
-    """The frame pairs of the active drives in boxes (N, 4; west, south, east, north) that show absence, by drive."""
-    sides = dict(zip(("west_m", "south_m", "east_m", "north_m"), boxes_m.T.tolist(), strict=True))
+def read_frames_near(conn: Connection, boxes: Sequence[Any], *, map_name: str, until: datetime) -> list[DriveFrames]:
+    """The frame pairs of the active drives in boxes (polygons, map CRS) that show absence, by drive."""
     rows = stream_values(
         conn, f"The drives of map {map_name} cannot be read", "plans.frames_near", map_name=map_name,
-        until_ns=ns_from_utc(until), least_detail=MIN_DETAIL, **sides,
+        area=shapely.to_wkb(shapely.union_all(boxes)), until_ns=ns_from_utc(until), least_detail=MIN_DETAIL,
     )  # fmt: skip
     found = []
-    for drive_id, some in groupby(rows, key=lambda row: row[0]):
-        _, frames, at_ns, east, north = zip(*some, strict=True)
-        found.append(DriveFrames(drive_id, np.array(frames), np.array(at_ns, np.int64), np.column_stack([east, north])))
+    for (drive_uuid, drive_id), some in groupby(rows, key=lambda row: row[:2]):
+        *_, frames, at_ns, east, north = zip(*some, strict=True)
+        xy_m = np.column_stack([east, north])
+        found.append(DriveFrames(drive_id, np.array(frames), np.array(at_ns, np.int64), xy_m, drive_uuid))
     return found
 
 
 def read_images(conn: Connection, sights: Sequence[Sight], *, map_name: str) -> dict[Sight, str]:
     """The left images of passes, of those that have one: path of the drive, and of the image in it."""
-    drive_ids, frames = [one.drive_id for one in sights], [one.frame_index for one in sights]
+    known = {(one.drive_uuid, one.frame_index) for one in sights if one.drive_uuid is not None}
+    drives, frames = [key[0] for key in known], [key[1] for key in known]
     what = f"The drives of map {map_name} cannot be read"
-    rows = read(conn, what, "plans.images", map_name=map_name, drive_ids=drive_ids, frames=frames)
-    paths = {(row["drive_id"], row["frame_index"]): f"{row['source_path']}/{row['left_path']}" for row in rows}
-    return {one: paths[one.drive_id, one.frame_index] for one in sights if (one.drive_id, one.frame_index) in paths}
+    rows = read(conn, what, "plans.images", drive_uuids=drives, frames=frames)
+    paths = {(row["drive_uuid"], row["frame_index"]): f"{row['source_path']}/{row['left_path']}" for row in rows}
+    return {one: paths[key] for one in sights if (key := (one.drive_uuid, one.frame_index)) in paths}
 
 
 def read_verdicts(conn: Connection, *, map_name: str, known_at: datetime | None = None) -> Sequence[Row]:

@@ -107,8 +107,8 @@ def compare_with_plans(
     found = read_zones(conn, map_name=map_name, as_of=as_of, lanes=lanes, params=zone_params)
     on_map = [found_zone(zone, zone_params) for zone in found.zones]
     places = [one.shape for one in plans] + [MultiPoint(phase.xy_m) for zone in on_map for phase in zone.phases]
-    boxes_m = np.array([one.bounds for one in places]).reshape(-1, 4) + params.look_aside_m * np.array([-1, -1, 1, 1])
-    drives = store.read_frames_near(conn, boxes_m, map_name=map_name, until=at)
+    boxes = [one.envelope.buffer(params.look_aside_m, join_style="mitre") for one in places]
+    drives = store.read_frames_near(conn, boxes, map_name=map_name, until=at)
     rows = compare(plans, on_map, drives, params, at_ns=ns_from_utc(at))
     first = {zone.history.zone_id: zone.first.feature_id for zone in found.zones}
     return PlanComparison(at, _with_evidence(conn, rows, first, info, known_at))
