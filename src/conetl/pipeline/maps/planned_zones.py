@@ -115,12 +115,12 @@ def compare_with_plans(
 
 
 def found_zone(zone: WorkZone, params: WorkZoneParams) -> FoundZone:
-    """A zone of the map as the comparison takes it. Once fewer devices are left than make a zone, it is gone."""
+    """A zone of the map as the comparison takes it. While fewer devices are left than make a zone, it is gone."""
     history = zone.history
-    phases = list(history.phases) or [(history.start_ns, history.cones)]
+    every = history.phases or ((history.start_ns, history.cones),)
+    phases = [phase for phase in every if len(phase[1]) >= params.min_cones] or [every[0]]
     gone_ns = history.end_ns if history.merged_into is None else None
-    while len(phases) > 1 and len(phases[-1][1]) < params.min_cones:
-        gone_ns, _ = phases.pop()
+    gone_ns = next((at_ns for at_ns, _ in every if at_ns > phases[-1][0]), gone_ns)
     cones = [cone for _, some in phases for cone in some]
     counts = np.ones(1)  # probabilities of so many devices
     for cone in phases[-1][1]:
