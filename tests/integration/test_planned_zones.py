@@ -15,6 +15,8 @@ from conetl.geometry.geodesy import to_geodetic
 from conetl.pipeline.maps.planned_zones import compare_with_plans
 from tests.integration.drives_of_days import merge, survey
 from tests.synthetic.world import ORIGIN_M, START_NS
+from tests.unit.exports import test_datex2 as datex2
+from tests.unit.readers import test_plans as plans
 
 DAY = datetime.fromtimestamp(START_NS / 1e9, UTC)
 LAST = "2030-01-01"
@@ -83,6 +85,16 @@ def test_an_import_keeps_the_history_and_repeats_nothing(conn, two_days, conetl,
     assert "no map named east" in conetl("zones", "plan", "import", file, "--map", "east", code=2)
     nothing = conetl("zones", "plan", "import", write(file, permit("A", {"type": "Sphere"})), code=2)
     assert "none of its 1 records is a plan that can be used; feature 1: its geometry is 'Sphere'" in nothing
+
+
+def test_feeds_are_imported_too_and_what_is_no_work_zone_is_no_fault(two_days, conetl, tmp_path):
+    feed = tmp_path / "feed.geojson"
+    feed.write_text(json.dumps(plans.feed(plans.event(1), plans.event(2, event_type="detour"))))
+    done = json.loads(conetl("zones", "plan", "import", feed, "--list", "state", "--json"))
+    assert (done["added"], [one["is_broken"] for one in done["unused"]]) == (["e1"], [False])
+    publication = datex2.publication(tmp_path / "situations.xml", {}, {"version": "2"})
+    assert "2 new" in conetl("zones", "plan", "import", publication, "--list", "state")
+    assert "leave out --crs" in conetl("zones", "plan", "import", feed, "--crs", "EPSG:25832", code=2)
 
 
 def test_differences_as_table_and_files_with_images_and_verdicts_that_stay(conn, two_days, conetl, tmp_path):
