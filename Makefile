@@ -101,6 +101,9 @@ bench-mutants: setup  ## ingest faulty recordings: effect on the map, and whethe
 bench-honest: setup  ## check logs with errors of many shapes, as large as stated: held ones, NEES (ARGS='--drives 40 --only white' ...)
 	@OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 nice -n 5 $(BIN)/python benchmarks/bench_honest.py $(ARGS)
 
+bench-plans: setup  ## compare permits with the zones of a simulated city: precision and recall (ARGS='--zones 40 --seeds 1' ...)
+	@$(BIN)/python benchmarks/bench_plans.py $(ARGS)
+
 bench-recordings: setup  ## ingest the sample drives and KITTI as videos and bags with nine logs, and compare the cones (ARGS='DRIVE --parts clocks' ...)
 	@$(BIN)/python benchmarks/bench_recordings.py $(ARGS)
 

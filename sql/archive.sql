@@ -78,7 +78,9 @@ from (
         23, 'receipt',
         '(changeset_id is null and map_name = %%(map_name)s)
         or changeset_id in (select c.changeset_id from conetl.changeset c where c.map_id = %%(map_id)s)'
-    )
+    ),
+    (24, 'plan', 'map_id = %%(map_id)s'),
+    (25, 'plan_verdict', 'map_id = %%(map_id)s')
 ) t (no, table_name, condition)
 join pg_attribute a on a.attrelid = ('conetl.' || t.table_name)::regclass and a.attnum > 0 and not a.attisdropped
 group by t.no, t.table_name, t.condition

@@ -99,7 +99,7 @@ revoke all on all tables in schema conetl from conetl_reader, conetl_writer;
 grant usage on schema conetl to conetl_reader, conetl_writer;
 grant select on all tables in schema conetl to conetl_reader, conetl_writer;
 grant insert on all tables in schema conetl to conetl_writer;
-grant update (system_period) on conetl.feature_version, conetl.delta, conetl.hold to conetl_writer;
+grant update (system_period) on conetl.feature_version, conetl.delta, conetl.hold, conetl.plan to conetl_writer;
 grant update (licence, map_name, id_name) on conetl.map to conetl_writer;  -- not a state of the road
 grant update (pruned_at, archive_path) on conetl.drive to conetl_writer;  -- archived records are restored when they are needed
 grant update (map_name) on conetl.receipt to conetl_writer;  -- a map may be renamed, but only its owner deletes it

@@ -44,6 +44,7 @@ from conetl.readers.drives.pairs import PairError
 from conetl.readers.drives.proposals import propose
 from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
 from conetl.readers.maps.imported_rows import read_map_file
+from conetl.readers.plans import read_plans
 from conetl.readers.plans.datex2 import read_datex2
 from conetl.readers.recording import open_arriving
 from conetl.readers.rigs import read_kitti_rig, read_rig, read_rig_for_images, write_rig_yaml
@@ -59,6 +60,7 @@ from tests.unit.exports import test_datex2 as datex2
 from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers
 from tests.unit.readers import test_device_rigs as device_rigs
+from tests.unit.readers import test_plans as plans
 from tests.unit.readers import test_rig_formats as rig_files
 from tests.unit.readers import test_rig_kinds as rig_kinds
 from tests.unit.readers import trajectory_files
@@ -360,6 +362,14 @@ RULES = {"layout": {"sigmas": 2.5}, "zones": {"min_cones": 4, "kerb_side": "left
 FEED = {"publisher": "City", "road_names": ["A 8", "B 10"], "contact_email": "a@b.de", "update_frequency_s": 60}
 
 
+def write_permits(folder: Path) -> Path:
+    fields = [np.array(values, object) for values in (["A", "B"], ["2026-03-01T00:00Z"] * 2)]
+    shapes = shapely.to_wkb([shapely.Point(8.4, 49.0), shapely.Point(8.5, 49.0)])
+    path = folder / "p.gpkg"
+    pyogrio.raw.write(path, shapes, fields, ["id", "start"], geometry_type="Point", crs="EPSG:4326")
+    return path
+
+
 def write_card(folder: Path) -> Path:
     card = shipped_model_path()
     return written("m.onnx.json", card.with_name(card.name + ".json").read_bytes())(folder)
@@ -466,5 +476,17 @@ READERS: dict[str, Reader] = {
     "datex2": Reader(
         lambda folder: datex2.publication(folder / "d.xml", {}, {"version": "2"}), lambda path, _: read_datex2(path)
     ),
+    "wzdx": Reader(
+        written("w.geojson", json.dumps(plans.feed(plans.event(1), plans.event(2)))), lambda path, _: read_plans(path)
+    ),
+    "permits": Reader(
+        written("p.geojson", json.dumps({"features": [plans.permit(), plans.permit(permit_id="B")]})),
+        lambda path, _: read_plans(path),
+    ),
+    "permits_csv": Reader(
+        written("p.csv", "id,from,until,lon,lat,lon_end,lat_end\nA,2026-03-01T00:00Z,2026-03-03,8.43,49,8.431,49\n"),
+        lambda path, _: read_plans(path, time_zone="Europe/Berlin"),
+    ),
+    "permits_gpkg": Reader(write_permits, lambda path, _: read_plans(path)),
     "model_card": Reader(write_card, lambda path, _: read_model_card(path.with_suffix(""))),
 }

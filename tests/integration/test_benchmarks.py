@@ -90,6 +90,14 @@ TINY = {
         "--features 1000 --users 2 --seconds 0.5 --pause-s 0.1", lambda f: all(row["requests"] > 0 for row in f)
     ),
     "overhead": Tiny("--pairs 4 --rounds 1", lambda f: set(f["cold_s"]) == {"plain", "prefect"}),
+    "plans": Tiny(
+        "--zones 20 --nights 20 --seeds 1",
+        lambda f: (
+            f[0]["rows"] > 20
+            and min(f[0]["precision"], f[0]["recall"]) > 0.9
+            and not f[0]["not_looked_called_not_found"]
+        ),
+    ),
     "recordings": Tiny(
         "{drive} --parts logs --containers 'ROS 2 bag'",
         lambda f: len(f["logs"]) == 2 and all(row["held"] == "no" for row in f["logs"]),

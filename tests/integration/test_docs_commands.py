@@ -12,9 +12,11 @@ import sys
 from contextlib import closing
 
 import cv2
+import geopandas
 import pytest
 import yaml
 from pyproj import Transformer
+from shapely import Point
 from typer.main import get_command
 
 from conetl.cli import main
@@ -130,6 +132,11 @@ def folder(tmp_path_factory, module_database_url):
     to_degrees = Transformer.from_crs(32632, 4326, always_xy=True)
     line = [to_degrees.transform(ORIGIN_M[0] + along_m, ORIGIN_M[1] + 2.0) for along_m in (-100.0, 200.0)]
     (root / "lanes.geojson").write_text(json.dumps({"type": "LineString", "coordinates": line}))
+    (root / "permits.csv").write_text("Aktenzeichen,from,lon,lat\n7,2026-03-01,9.0,49.0\n")
+    permits = geopandas.GeoDataFrame(
+        {"id": ["8"], "from": ["2026-03-01T00:00Z"]}, geometry=[Point(9.0, 49.0)], crs=4326
+    )
+    permits.to_file(root / "permits.gpkg")
     return root, module_database_url, str(features[0].feature_id)
 
 
@@ -178,6 +185,9 @@ def filled_in(words, root, feature):
             words[3] = "2"
         case ["map", "check-layout", "--lanes", *_]:  # those of the sample drives are elsewhere
             words[4] = str(root / "lanes.geojson")
+        case ["zones", "judge", "DIFFERENCE", *_]:
+            with (root / "differences.csv").open() as file:
+                words[3] = next(row["difference_id"] for row in csv.DictReader(file) if row["kind"] == "not looked")
         case ["base", "drop", _]:
             words[3] = "street"
     return words

@@ -24,6 +24,9 @@ from conetl.db.retention import archive_drive, prunable_drives, restore_drives
 from conetl.db.schema import run_audits
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportRequest
+from conetl.geometry.geodesy import to_geodetic
+from conetl.model.planned_zones import PlanFile, PlannedZone
+from conetl.pipeline.maps.planned_zones import compare_with_plans, import_plans
 from conetl.reports.drive_page import write_drive_page
 from conetl.reports.night_page import write_night_page
 from conetl.web import frames, maps, tiles
@@ -147,6 +150,16 @@ def serve(map_: Planted) -> None:
     store.read_rows(conn, "judging.frame", map_name="default", drive_uuid=drive_uuid, frame_index=100)
 
 
+def compare_with_permits(map_: Planted) -> None:
+    lat, lon, _ = to_geodetic(32632, map_.drive.drive.frame_pairs[20].pose.map_t_body_m).tolist()
+    zones = [
+        PlannedZone(plan_id=str(k), kind="permit", starts_at=datetime(2020, 1, 1, tzinfo=UTC), parts=(((lon, lat),),))
+        for k in range(50)
+    ]
+    import_plans(map_.conn, Path("permits"), PlanFile(tuple(zones), ()), map_name="default", list_name="permits")
+    assert len(compare_with_plans(map_.conn, map_name="default").rows) >= len(zones)
+
+
 def export(map_: Planted) -> None:
     export_map(map_.conn, map_.folder / "map.geojson", "geojson", ExportRequest("default"))
     feature_log(map_.conn, map_.feature_id)
@@ -171,7 +184,7 @@ def ingest_an_earlier_drive(map_: Planted) -> None:
 
 
 ACTIONS = (
-    write_pages, compare_with_stored_drives, serve, export, audit, archive_and_restore,
+    write_pages, compare_with_stored_drives, compare_with_permits, serve, export, audit, archive_and_restore,
     ingest_a_later_drive, ingest_an_earlier_drive,
 )  # fmt: skip
 

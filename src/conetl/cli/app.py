@@ -38,6 +38,7 @@ _COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
     },
     "Map": {
         "map": (),
+        "zones": (),
         "view": ("view:view", "", "--map night_survey --port 8800", "--decisions"),
         "report": (),
         "base": (),
@@ -63,7 +64,7 @@ _COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
         "simulate": ("tools.simulate:simulate", "simulated --pass 1", "mixed --world mixed --seed 3"),
     },
 }
-#: Group of commands -> its help, and its commands likewise.
+#: Group of commands, with the group that it is in -> its help, and its commands likewise.
 _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
     "drive": (
         "List and accept drives on hold (recordings with a failed health check).",
@@ -109,6 +110,30 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "classify": ("map.decisions:classify", '1c223030 drum --note "seen on site"'),
             "revert": ("map.decisions:revert", "2", '2 --note "wrong calibration" --by Ann'),
             "decisions": ("map.decisions:decisions", ""),
+        },
+    ),
+    "zones": (
+        "Import plans of work zones (permits, feeds) and compare them with the zones that were found.",
+        {
+            "plan": (),
+            "compare": (
+                "map.plans:compare",
+                "",
+                "--as-of 2026-03-03T06:00 --out differences.csv --out differences.html",
+            ),
+            "judge": ("map.plans:judge", '1c223030 accepted --note "emergency works" --by Ann'),
+        },
+    ),
+    "zones plan": (
+        "Import and list plans of work zones.",
+        {
+            "import": (
+                "map.plans:import_",
+                "permits.gpkg",
+                "permits.csv --time-zone Europe/Berlin --column plan_id=Aktenzeichen",
+                "feed.geojson --list state",
+            ),
+            "list": ("map.plans:list_", "", "--known-at 2026-03-01"),
         },
     ),
     "report": (
@@ -174,15 +199,16 @@ class LazyGroup(TyperGroup):
         if target is None:
             return super().get_command(ctx, cmd_name)
         if self.listing:
-            text = _summary(target[0]) if target else _GROUPS[cmd_name][0]
+            text = _summary(target[0]) if target else _GROUPS[f"{self.prefix}{cmd_name}"][0]
             panel = next((panel for panel, names in _COMMANDS.items() if cmd_name in names), None)
             return TyperCommand(
                 cmd_name, help=text, rich_help_panel=panel if self.targets is LazyGroup.targets else None
             )
         if target:
             return _load(cmd_name, self.prefix, *target)
-        group = LazyGroup(name=cmd_name, help=_GROUPS[cmd_name][0], no_args_is_help=True)
-        group.targets, group.prefix = _GROUPS[cmd_name][1], f"{cmd_name} "
+        path = f"{self.prefix}{cmd_name}"
+        group = LazyGroup(name=cmd_name, help=_GROUPS[path][0], no_args_is_help=True)
+        group.targets, group.prefix = _GROUPS[path][1], f"{path} "
         return group
 
     def format_help(self, ctx: Any, formatter: Any) -> None:

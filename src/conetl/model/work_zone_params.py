@@ -86,3 +86,33 @@ class LayoutParams(Params):
     """A limit counts as exceeded if it is exceeded by this many sigmas."""
     sources: dict[str, str] = Field(default_factory=dict)
     """By the names above: standard with section or table. Only rules with a source can be violated."""
+
+
+class PlanParams(Params):
+    """How zones that were found are compared with plans (`workzones/plan_comparison.py`)."""
+
+    tolerance_m: Positive = 15.0
+    """A device this far from the line or area of a plan still stands in its place: plans are drawn along the middle of a road,
+    and tapers begin before them; zones shifted by 30 m must be found.
+    `make bench-plans ARGS='--tolerance-m 10'` shows the effect."""
+    approximate_m: Positive = 200.0
+    """The same of a plan whose source gives points of a reference only."""
+    near_m: Positive = 60.0
+    """A zone this near to a plan that no zone meets is that plan's, elsewhere; farther away it has no permit."""
+    same_lines_m: Positive = 1.0
+    """A device belongs to the nearest plan, and to those that are farther by no more than this: records of one permit."""
+    tolerance_min: Positive = 30.0
+    """A zone seen less than this before the start or after the end is in time."""
+    same_works_days: Positive = 14.0
+    """A zone seen further than this from the time of a plan is not of that plan."""
+    pass_s: Positive = 60.0
+    """Frame pairs at one place within this time are one pass."""
+    look_aside_m: Positive = 12.0
+    """A drive looks at what is this near to its path: farther devices do not stand on the road that it followed
+    (`max_path_offset_m`)."""
+    look_gap_m: Positive = 25.0
+    """Between frame pairs that are farther apart, as where images are missing, nothing was looked at."""
+    least_coverage: Fraction = 0.9
+    """Share of a plan that must have been passed in its time to say that nothing is there: a zone may stand on the rest."""
+    sigmas: Positive = 2.0
+    """Positions of devices are taken to be this many sigmas nearer to the plan."""

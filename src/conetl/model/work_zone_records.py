@@ -46,6 +46,8 @@ class ZoneHistory:
     """The older zone that its cones belong to since `end_ns`."""
     cones: tuple[MapFeature, ...]
     """The present ones; of an ended zone, the last ones."""
+    phases: tuple[tuple[int, tuple[MapFeature, ...]], ...] = ()
+    """The cones from each instant on (ns) at which others stood than before."""
 
 
 class Knot(NamedTuple):

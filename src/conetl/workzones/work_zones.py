@@ -154,7 +154,11 @@ def _zones_of_neighbourhood(
                 live.append(_Live(zone, set(cluster)))
         for one in live:
             cones = tuple(standing[key] for key in sorted(one.members, key=lambda key: (since[key], str(key))))
-            one.zone = replace(one.zone, cones=cones)
+            same = {cone.feature_id for cone in one.zone.cones} == one.members
+            earlier, since_ns = one.zone.phases, instant_ns
+            if earlier and same:
+                since_ns, earlier = earlier[-1][0], earlier[:-1]
+            one.zone = replace(one.zone, cones=cones, phases=(*earlier, (since_ns, cones)))
     return [*ended, *(one.zone for one in live)]
 
 

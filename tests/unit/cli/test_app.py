@@ -18,7 +18,7 @@ from conetl.cli.map.exchange import _format_by_name
 from conetl.model.errors import InputError
 
 COMMANDS = {(name,): found for panel in _COMMANDS.values() for name, found in panel.items()}
-COMMANDS |= {(group, name): found for group, (_, some) in _GROUPS.items() for name, found in some.items()}
+COMMANDS |= {(*group.split(), name): found for group, (_, some) in _GROUPS.items() for name, found in some.items()}
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from pyproj.exceptions import ProjError
 from conetl.files.documents import XmlFile, first_message, input_errors, library_errors, shown
 from conetl.files.names import printable
 from conetl.model.errors import InputError
-from conetl.model.planned_zones import PlanFile, PlannedZone, UnusedRecord
+from conetl.model.planned_zones import NotAPlanError, PlanFile, PlannedZone, UnusedRecord
 
 _WORKS = frozenset({"MaintenanceWorks", "ConstructionWorks"})
 _LANES = "RoadOrCarriagewayOrLaneManagement"
@@ -58,12 +59,15 @@ def read_datex2(path: Path) -> PlanFile:
             try:
                 zone = _zone(situation, record, has_works)
             except ValueError as error:
-                unused.append(UnusedRecord(name, printable(first_message(error))))
+                broken = not isinstance(error, NotAPlanError)
+                unused.append(UnusedRecord(name, printable(first_message(error)), broken))
                 continue
             earlier = zones.pop(zone.plan_id, None)
             if earlier is not None:
-                zone, earlier = sorted((earlier, zone), key=_order)[::-1]
-                unused.append(UnusedRecord(name, f"version {earlier.version} is replaced by version {zone.version}"))
+                zone, earlier = sorted((earlier, zone), key=attrgetter("order"))[::-1]
+                unused.append(
+                    UnusedRecord(name, f"version {earlier.version} is replaced by version {zone.version}", False)
+                )
             zones[zone.plan_id] = zone
     return PlanFile(tuple(zones.values()), tuple(unused))
 
@@ -89,12 +93,6 @@ def _situations(path: Path) -> Iterator[Element]:
 
 def _kind(element: Element) -> str:
     return str(element.get(_XSI_TYPE, "no type")).rpartition(":")[2]
-
-
-def _order(zone: PlannedZone) -> tuple[int, str]:
-    """Versions are numbers in most publications, and texts in the schema."""
-    version = zone.version or ""
-    return (int(version), "") if version.isdecimal() and len(version) < 20 else (-1, version)
 
 
 def _zone(situation: Element, record: Element, has_works: bool) -> PlannedZone:
@@ -133,14 +131,14 @@ def _zone(situation: Element, record: Element, has_works: bool) -> PlannedZone:
 def _require_works(situation: Element, record: Element, has_works: bool) -> None:
     kind, cause = _kind(record), _one(record, "cause/causeType")
     if kind not in _WORKS | {_LANES}:
-        raise ValueError(f"{kind} is neither road works nor a closure of lanes")
+        raise NotAPlanError(f"{kind} is neither road works nor a closure of lanes")
     if kind == _LANES and cause not in _CAUSES and not (cause is None and has_works):
-        raise ValueError(f"its cause is {cause or 'not stated'}, not road works")
+        raise NotAPlanError(f"its cause is {cause or 'not stated'}, not road works")
     use = _one(situation, "headerInformation/informationStatus")
     if use not in (None, "real"):
-        raise ValueError(f"its status is {use}, not real")
+        raise NotAPlanError(f"its status is {use}, not real")
     if _one(record, "operatorActionStatus") == "rejected":
-        raise ValueError("the plan was rejected")
+        raise NotAPlanError("the plan was rejected")
 
 
 def _parts(reference: Element) -> tuple[list[Positions], bool]:

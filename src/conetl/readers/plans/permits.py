@@ -1,0 +1,146 @@
+"""Permits of work zones in GeoJSON, GeoPackage and CSV, whose columns have common names or are named by the user."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any, NamedTuple
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pyogrio.raw
+import shapely
+from pyproj import Transformer
+from pyproj.exceptions import ProjError
+
+from conetl.files.documents import input_errors, library_errors, shown
+from conetl.files.names import printable
+from conetl.model.errors import InputError
+from conetl.model.planned_zones import PlanFile, PlannedZone
+from conetl.readers.base_layers.georeferencing import parse_crs
+from conetl.readers.plans.wzdx import features_of, parts_of, used_and_unused
+
+#: Field of `PlannedZone` -> common names of its column, small letters.
+_COLUMNS = {
+    "plan_id": ("plan_id", "permit_id", "permit", "id", "number", "reference"),
+    "version": ("version", "revision", "updated_at", "update_date"),
+    "kind": ("kind", "type", "work_type"),
+    "starts_at": ("starts_at", "start", "start_date", "start_time", "from", "valid_from", "begin"),
+    "ends_at": ("ends_at", "end", "end_date", "end_time", "to", "until", "valid_to", "valid_until"),
+    "status": ("status",),
+    "lanes": ("lanes", "lane", "closed_lanes"),
+    "closed_lane_count": ("closed_lane_count", "lane_count"),
+    "road_names": ("road_names", "road_name", "road", "street"),
+    "description": ("description", "comment", "remarks"),
+    "source": ("source", "authority", "applicant"),
+}
+_LISTS = frozenset({"lanes", "road_names"})
+#: Of GDAL: names of the columns of positions in CSV files.
+_CSV = {
+    "X_POSSIBLE_NAMES": "lon,lon_deg,longitude,x,easting,easting_m", "KEEP_GEOM_COLUMNS": "NO",
+    "Y_POSSIBLE_NAMES": "lat,lat_deg,latitude,y,northing,northing_m", "GEOM_POSSIBLE_NAMES": "wkt,geometry,geom",
+}  # fmt: skip
+
+
+class Permits(NamedTuple):
+    """What a user states about a file of permits."""
+
+    crs: str | None
+    time_zone: str | None
+    columns: Mapping[str, str]
+
+
+def read_permits(path: Path, document: Any, stated: Permits) -> PlanFile:
+    """Permits of a file, in its order, and why each other row is not used. document: of a JSON file. Raises InputError."""
+    if unknown := stated.columns.keys() - _COLUMNS:
+        raise InputError(f"--column {min(unknown)}=...: expected one of {', '.join(_COLUMNS)}")
+    try:
+        zone = ZoneInfo(stated.time_zone) if stated.time_zone else None
+    except (ValueError, OSError, LookupError) as error:
+        raise InputError(f"--time-zone {shown(stated.time_zone)}: expected a name like Europe/Berlin") from error
+    if document is not None and stated.crs:
+        raise InputError(f"{path}: GeoJSON has longitudes and latitudes (RFC 7946): leave out --crs")
+    if document is not None:
+        features = features_of(path, document)
+        return used_and_unused(
+            features, lambda one: _permit(one["properties"], parts_of(one["geometry"]), stated, zone)
+        )
+    rows, crs = _read_by_gdal(path)
+    with input_errors(path):
+        to_degrees = Transformer.from_crs(parse_crs(stated.crs or crs), "OGC:CRS84", always_xy=True)
+    return used_and_unused(
+        rows, lambda row: _permit(row[0], _parts_in_degrees(row[1], to_degrees), stated, zone), "row"
+    )
+
+
+def _permit(properties: Mapping[str, Any], parts: Any, stated: Permits, zone: ZoneInfo | None) -> PlannedZone:
+    known = {str(name).strip().lower(): one for name, one in properties.items() if str(one) not in ("None", "", "nan")}
+    values: dict[str, Any] = {"kind": "permit", "parts": parts}
+    for field, names in _COLUMNS.items():
+        own = (stated.columns[field].lower(),) if field in stated.columns else names
+        name = next((one for one in own if one in known), None)
+        if name is None:
+            continue
+        value, text = known[name], printable(str(known[name])).strip()
+        if field in ("starts_at", "ends_at"):
+            values[field] = _instant(name, text, zone, is_end=field == "ends_at")
+        elif field in _LISTS:
+            values[field] = value if isinstance(value, list) else [one for one in re.split(r"\s*[,;|]\s*", text) if one]
+        else:
+            values[field] = text.removesuffix(".0") if isinstance(value, float) else text
+    if missing := [field for field in ("plan_id", "starts_at") if field not in values]:
+        raise ValueError(
+            f"it has no {missing[0]}: expected a column {' or '.join(_COLUMNS[missing[0]][:3])}, or --column"
+        )
+    return PlannedZone.model_validate(values)
+
+
+def _instant(name: str, text: str, zone: ZoneInfo | None, *, is_end: bool) -> datetime:
+    """A time with its zone, or of the stated one; a date is all of its day. Raises ValueError."""
+    is_date = re.fullmatch(r"\d{4}[-/]\d\d[-/]\d\d", text) is not None
+    try:
+        found = datetime.fromisoformat(text.replace("/", "-"))
+    except ValueError:
+        raise ValueError(f"{name}: expected a time like 2026-03-02T10:00:00Z, found {shown(text)}") from None
+    if found.tzinfo is None and zone is None:
+        raise ValueError(f"{name}: {shown(text)} states no time zone, expected one, or --time-zone")
+    found = found if found.tzinfo is not None else found.replace(tzinfo=zone)
+    return found + timedelta(days=1) if is_end and is_date else found
+
+
+def _parts_in_degrees(geometry: bytes | None, to_degrees: Transformer) -> list[list[tuple[float, float]]]:
+    """Raises ValueError for a geometry that is missing, broken or outside of the area of its CRS."""
+    made = None if geometry is None else shapely.from_wkb(geometry, on_invalid="ignore")
+    if made is None or made.is_empty:
+        raise ValueError("it has no geometry, or a broken one: expected points, lines or areas")
+    parts = [np.array(part) for part in parts_of(shapely.geometry.mapping(shapely.force_2d(made)))]
+    try:
+        axes = [to_degrees.transform(part[:, 0], part[:, 1], errcheck=True) for part in parts]
+    except ProjError as error:
+        raise ValueError("its coordinates are outside of the area of their CRS") from error
+    if max(np.abs(axis).max() for part in axes for axis in part) > 360:  # a CSV file of metres, taken for degrees
+        raise ValueError("its coordinates are no degrees: state their CRS with --crs, like --crs EPSG:25832")
+    return [list(zip(*(axis.tolist() for axis in part), strict=True)) for part in axes]
+
+
+def _read_by_gdal(path: Path) -> tuple[list[tuple[dict[str, Any], bytes | None]], str]:
+    """Properties and well-known binary of the features of all layers, and their CRS; degrees if a table states none."""
+    is_table = path.suffix.lower() == ".csv"
+    rows: list[tuple[dict[str, Any], bytes | None]] = []
+    systems = set()
+    with library_errors(f"{path}: not a file that GDAL can read"):
+        layers = [None] if is_table else [name for name, kind in pyogrio.list_layers(path) if kind is not None]
+        for layer in layers:
+            meta, _, geometries, fields = pyogrio.raw.read(
+                path, layer=layer, datetime_as_string=True, force_2d=True, **(_CSV if is_table else {})
+            )
+            if geometries is None:
+                raise InputError(f"{path}: no column wkt, nor lon and lat; found: {shown(meta['fields'].tolist())}")
+            systems.add(meta["crs"])
+            columns = {name: column.tolist() for name, column in zip(meta["fields"], fields, strict=True)}
+            rows += [({name: some[k] for name, some in columns.items()}, one) for k, one in enumerate(geometries)]
+    if len(systems) > 1:
+        raise InputError(f"{path}: its layers have different CRSs: write one file for each")
+    return rows, next(iter(systems), None) or "OGC:CRS84"
