@@ -11,14 +11,14 @@ from conetl.db.map.results import MapInfo
 from conetl.model.errors import ConetlError
 from conetl.model.notices import Notice
 from conetl.pipeline.database import MapDatabase
-from conetl.pipeline.maps.notices import Told, message_of, receivers_of, tell_about_zones
+from conetl.pipeline.maps.notices import Round, message_of, notify_receivers, receivers_of
 from conetl.pipeline.settings import Settings
 
 _log = logging.getLogger(__name__)
 
 
-def tell_receivers(settings: Settings, database: MapDatabase) -> Told | None:
-    """Tell the receivers of CONETL_WEBHOOKS what changed on the map; None without them, or without a map.
+def notify_map_receivers(settings: Settings, database: MapDatabase) -> Round | None:
+    """Notify the receivers of CONETL_WEBHOOKS of what changed on the map; None without them, or without a map.
 
     A failure is logged and left to the next run.
     """
@@ -26,9 +26,9 @@ def tell_receivers(settings: Settings, database: MapDatabase) -> Told | None:
         receivers = receivers_of(settings, send_event)
         with database.connection() as conn:
             if receivers and find_map(conn, settings.map_name) is not None:
-                return tell_about_zones(conn, receivers, map_name=settings.map_name)
+                return notify_receivers(conn, receivers, map_name=settings.map_name)
     except ConetlError as error:
-        _log.warning("Receivers of notices were not told: %s", error)
+        _log.warning("Receivers of notices were not notified: %s", error)
     return None
 
 

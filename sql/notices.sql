@@ -1,4 +1,4 @@
--- Notices of work zones and differences from plans, and who has been told.
+-- Notices of work zones and differences from plans, and who has been notified.
 
 -- name: last_notices
 -- The last notice of every subject of a map. Parameters: map_id. Columns: topic, subject_id, event, state.
@@ -95,7 +95,7 @@ where n.notice_no = d.notice_no and n.map_id = %(map_id)s and d.given_up_at is n
 returning d.notice_no;
 
 -- name: undelivered
--- Notices that a receiver was not told, oldest first: those that failed, and how many wait behind them. Parameters: map_name (null: all
+-- Notices that could not be delivered, oldest first. Parameters: map_name (null: all
 -- maps). Columns: map_name, receiver, notice_no, topic, subject_id, event, recorded_at, attempts, problem, next_at, given_up_at.
 select
     m.map_name, d.receiver, n.notice_no, n.topic, n.subject_id::text as subject_id, n.event, n.recorded_at, d.attempts, d.problem,

@@ -1,4 +1,4 @@
--- What other systems are told: how work zones begin, change and end, and differences between plans and the map.
+-- What other systems are notified of: how work zones begin, change and end, and differences between plans and the map.
 
 create table conetl.notice (
     notice_no   bigint generated always as identity primary key,
@@ -29,7 +29,7 @@ create table conetl.notice_receiver (
     primary key (receiver, map_id)
 );
 comment on table conetl.notice_receiver is
-    'Who is told about a map: a host and the beginning of the hash of its address, which may hold a secret; or Prefect.';
+    'Who is notified of a map: a host and the beginning of the hash of its address, which may hold a secret; or Prefect.';
 comment on column conetl.notice_receiver.after_no is 'The last notice before it was added: of older ones it gets what still holds.';
 
 create table conetl.notice_delivery (
@@ -45,4 +45,4 @@ create table conetl.notice_delivery (
     check ((next_at is null) = (delivered_at is not null or given_up_at is not null))
 );
 create index notice_delivery_open on conetl.notice_delivery (notice_no) where delivered_at is null;
-comment on table conetl.notice_delivery is 'Attempts to tell a receiver, the last one of each; it is no history and may be changed.';
+comment on table conetl.notice_delivery is 'Attempts to notify a receiver, the last one of each; it is no history and may be changed.';

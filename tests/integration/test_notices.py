@@ -25,7 +25,7 @@ from conetl.db.map.map_store import map_transaction, require_map
 from conetl.model.errors import InputError
 from conetl.model.notices import Subject
 from conetl.pipeline.maps import notices
-from conetl.pipeline.maps.notices import Receiver, deliver, receivers_of, record_notices, tell_about_zones
+from conetl.pipeline.maps.notices import Receiver, deliver, notify_receivers, receivers_of, record_notices
 from conetl.pipeline.settings import Settings
 from conetl.services import webhooks
 from tests import command
@@ -97,11 +97,11 @@ def no_waiting(monkeypatch):
     monkeypatch.setattr(webhooks, "_TIMEOUT_S", 0.5)
 
 
-def write(conn, *told):
+def write(conn, *events):
     """Notices of subjects by number: (1, "began"), ..."""
     with map_transaction(conn):
         info = require_map(conn, "default")
-        made = [(Subject("work_zone", UUID(int=n)), event, {"end": None, "of": n}) for n, event in told]
+        made = [(Subject("work_zone", UUID(int=n)), event, {"end": None, "of": n}) for n, event in events]
         store.write_notices(conn, info.map_id, made, datetime.now(UTC))
     return info
 
@@ -118,8 +118,8 @@ def test_a_zone_that_begins_changes_and_is_reverted_is_told_once_each(conn, cone
     conn.commit()
     with inbox() as server:
         receivers = receivers_at(server.url)
-        assert tell_about_zones(conn, receivers, map_name="default") == (1, 1, 0)
-        assert tell_about_zones(conn, receivers, map_name="default") == (0, 0, 0)
+        assert notify_receivers(conn, receivers, map_name="default") == (1, 1, 0)
+        assert notify_receivers(conn, receivers, map_name="default") == (0, 0, 0)
         merge(conn, survey(1))
         conn.commit()
         monkeypatch.setenv("CONETL_WEBHOOKS", server.url)
@@ -148,7 +148,7 @@ def test_a_zone_that_begins_changes_and_is_reverted_is_told_once_each(conn, cone
 
 @pytest.mark.parametrize("trouble", [500, 404, 302, "hang", "drop"])
 def test_nothing_is_lost_or_out_of_order_while_a_receiver_is_in_trouble(conn, info, trouble):
-    """One zone fails, others are told meanwhile; its later notices wait for it."""
+    """One zone fails, others arrive meanwhile; its later notices wait for it."""
     with inbox(200, trouble, trouble) as server:
         [receiver] = receivers_at(server.url)
         store.add_receiver(conn, info.map_id, receiver.name)
@@ -210,7 +210,7 @@ def test_what_fails_for_days_is_given_up_listed_and_told_on_request(conn, info, 
         execute(conn, "update conetl.notice_delivery set first_at = first_at - interval '4 days'")
         conn.commit()
         monkeypatch.setattr(notices, "_FIRST_WAIT_S", 3600.0)
-        deliver(conn, info, receiver)  # given up: the next one of the zone is told, and fails
+        deliver(conn, info, receiver)  # given up: the next one of the zone is sent, and fails
         rows = store.undelivered(conn)
         assert [(row["event"], row["given_up_at"] is not None) for row in rows] == [("began", True), ("ended", False)]
         listed = conetl("zones", "undelivered")
@@ -233,7 +233,7 @@ def test_a_new_receiver_is_told_what_still_holds(conn, info):
     write(conn, (2, "ended"))
     assert deliver(conn, info, receiver) == (1, 0)
     assert told == [(2, "ended")], "what changed since replaces it"
-    other = Receiver("newer", receiver.tell)
+    other = Receiver("newer", receiver.send)
     write(conn, (4, "began"))
     store.add_receiver(conn, info.map_id, other.name)
     deliver(conn, info, other)
@@ -286,17 +286,17 @@ def test_an_address_that_is_none_is_refused(url):
 
 def test_prefect_gets_an_event_once_and_a_failure_stops_no_flow(conn, database_url, prefect_here, prefect, caplog):
     from conetl.pipeline.database import MapDatabase
-    from flows.notices import tell_receivers
+    from flows.notices import notify_map_receivers
 
     merge(conn, survey(0))
     conn.commit()
     logging.getLogger("flows.notices").addHandler(caplog.handler)  # Prefect keeps its messages from the root
     settings = Settings(home=prefect_here, database_url=database_url, webhooks="prefect")
     with MapDatabase(settings) as database:
-        assert tell_receivers(settings, database) == (1, 1, 0)
-        assert tell_receivers(settings, database) == (0, 0, 0)
+        assert notify_map_receivers(settings, database) == (1, 1, 0)
+        assert notify_map_receivers(settings, database) == (0, 0, 0)
         wrong = settings.model_copy(update={"webhooks": SecretStr("https://example.org")})
-        assert tell_receivers(wrong, database) is None
+        assert notify_map_receivers(wrong, database) is None
         assert "CONETL_WEBHOOK_SECRET is not set" in caplog.text
     user, _, password = prefect["PREFECT_API_AUTH_STRING"].partition(":")
 

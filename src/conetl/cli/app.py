@@ -113,7 +113,7 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         },
     ),
     "zones": (
-        "Compare work zones with plans (permits, feeds), and tell other systems about them.",
+        "Compare work zones with plans (permits, feeds), and notify other systems of them.",
         {
             "plan": (),
             "compare": (

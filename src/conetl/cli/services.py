@@ -209,8 +209,8 @@ def status(as_json: JsonOption = False) -> None:
             say(f"Map:     {login_address(view, view_token(settings.home))}")
         if found["notices"]:
             given_up = sum(row["given_up_at"] is not None for row in found["notices"])
-            untold = counted(len(found["notices"]), "undelivered notice")
-            say(f"Notices: {untold}, {given_up} given up: see `conetl zones undelivered`")
+            failed = counted(len(found["notices"]), "undelivered notice")
+            say(f"Notices: {failed}, {given_up} given up: see `conetl zones undelivered`")
         if all(service["since"] is None for service in found["services"]):
             say("No services are running: start them with `conetl up`, or set CONETL_HOME to another home folder.")
     if not found["up"]:
@@ -244,13 +244,13 @@ def _status(settings: Settings) -> dict[str, Any]:
 
 
 def _undelivered(settings: Settings) -> list[dict[str, Any]]:
-    """Notices that receivers could not be told, of all maps; none where no database is running or ready."""
+    """Notices that could not be delivered, of all maps; none where no database is running or ready."""
     given = settings.database_url
     url = given.get_secret_value() if given else cluster_status(settings.home.resolve()).url
     with suppress(ServiceError, DatabaseError):
         if url is not None:
             with closing(connect(url)) as conn:
-                return list(undelivered(conn))
+                return [dict(row) for row in undelivered(conn)]
     return []
 
 

@@ -1,4 +1,4 @@
-"""What other systems are told about the work zones of a map."""
+"""What other systems are notified of: work zones of a map, and differences from plans."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _NAMESPACE = uuid5(NAMESPACE_URL, "https://conetl.example/notice")
 
 
 class Subject(NamedTuple):
-    """A work zone, or a difference between a plan and the map; its notices are told in their order."""
+    """A work zone, or a difference between a plan and the map; its notices are sent in their order."""
 
     topic: Literal["work_zone", "plan_difference"]
     subject_id: UUID
@@ -26,7 +26,7 @@ class Notice(NamedTuple):
     recorded_at: datetime
     state: Mapping[str, Any]
     attempts: int = 0
-    """To tell one receiver."""
+    """To notify one receiver."""
 
     @property
     def kind(self) -> str:

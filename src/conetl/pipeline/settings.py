@@ -61,7 +61,7 @@ class Settings(BaseSettings):
     notification_block: str = ""
     """Prefect's block that sends the notifications of the automations, as type/name, such as slack-webhook/operations."""
     webhooks: SecretStr | None = None
-    """Addresses that are told of work zones and differences from plans, separated by commas; `prefect`: as events of Prefect."""
+    """Addresses that get notices of work zones and differences from plans, separated by commas; `prefect`: events of Prefect."""
     webhook_secret: SecretStr | None = None
     """Secret with which these messages are signed."""
     prefect_hosts: str = ""

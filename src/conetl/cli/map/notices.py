@@ -1,4 +1,4 @@
-"""`conetl zones notify|undelivered`: tell other systems about work zones, and list what they could not be told."""
+"""`conetl zones notify|undelivered`: notify other systems of work zones, and list what could not be delivered."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.map import notice_store as store
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
-from conetl.pipeline.maps.notices import receivers_of, tell_about_zones
+from conetl.pipeline.maps.notices import notify_receivers, receivers_of
 from conetl.pipeline.settings import read_settings
 
 
@@ -19,27 +19,27 @@ def notify(
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Tell the receivers of CONETL_WEBHOOKS which work zones began, changed or ended, and how they differ from plans.
+    """Notify the receivers of CONETL_WEBHOOKS which work zones began, changed or ended, and how they differ from plans.
 
-    Schedules do the same every 5 minutes. Exit code 1: a receiver could not be told; it is tried again later.
+    Schedules do the same every 5 minutes. Exit code 1: a notice could not be delivered; it is tried again later.
     """
     from flows.notices import send_event  # Prefect takes a second to load
 
     with open_map(map_name) as (conn, info):
         receivers = receivers_of(read_settings(info.map_name), send_event)
         if not receivers:
-            raise InputError("CONETL_WEBHOOKS is not set: it names the addresses to be told, separated by commas")
+            raise InputError("CONETL_WEBHOOKS is not set: it names the addresses to be notified, separated by commas")
         if again:
             store.try_again(conn, info.map_id)
-        told = tell_about_zones(conn, receivers, map_name=info.map_name)
-    text = f"{ui.counted(told.recorded, 'new notice')} of map {info.map_name}; {told.delivered} delivered, {told.failed} failed"
-    ui.answer(as_json, told._asdict(), text)
-    if told.failed:
+        done = notify_receivers(conn, receivers, map_name=info.map_name)
+    text = f"{ui.counted(done.recorded, 'new notice')} of map {info.map_name}; {done.delivered} delivered, {done.failed} failed"
+    ui.answer(as_json, done._asdict(), text)
+    if done.failed:
         raise typer.Exit(EXIT_NEEDS_ATTENTION)
 
 
 def undelivered(map_name: ui.MapOption = None, as_json: ui.JsonOption = False) -> None:
-    """List the notices that receivers could not be told, with the reason and the next attempt."""
+    """List the notices that could not be delivered, with the reason and the next attempt."""
     with open_map(map_name) as (conn, info):
         rows = store.undelivered(conn, info.map_name)
     if as_json:

@@ -1,4 +1,4 @@
-"""Notices of work zones and of differences from plans, and who has been told, in PostGIS."""
+"""Notices of work zones and of differences from plans, and who has been notified, in PostGIS."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def write_notices(
 
 
 def add_receiver(conn: Connection, map_id: int, receiver: str) -> None:
-    """Tell a receiver about a map from now on; nothing if it is told already."""
+    """Notify a receiver of a map from now on; nothing if it is known."""
     with transaction(conn, f"The receiver {receiver} cannot be added"):
         query(conn, "notices.add_receiver", map_id=map_id, receiver=receiver)
 

@@ -1,7 +1,7 @@
-"""Notices of a map: what changed of its work zones and of their differences from plans is recorded, then told to receivers.
+"""Notices of a map: what changed of its work zones and of their differences from plans is recorded, then sent to receivers.
 
-Both are rounds that may be repeated at any time: recording compares the map with the last notices; each receiver is told the
-notices of one subject in their order, at least once. A process that dies between an answer and its record tells it again.
+Both are rounds that may be repeated at any time: recording compares the map with the last notices; each receiver gets the
+notices of one subject in their order, at least once. A process that dies between an answer and its record sends it again.
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ _FIRST_WAIT_S, _MOST_WAIT_S, _PATIENCE_S = 30.0, 6 * 3600.0, 3 * 86400.0
 _MOST_NOTICES, _MOST_ROUND_S, _MOST_FAILURES = 500, 60.0, 3
 
 #: Tells a receiver; returns why it does not have the notice, else None.
-Tell = Callable[[MapInfo, Notice], str | None]
+Send = Callable[[MapInfo, Notice], str | None]
 
 
 class Receiver(NamedTuple):
-    """Who is told."""
+    """Who is notified."""
 
     name: str
-    tell: Tell
+    send: Send
 
 
-class Told(NamedTuple):
+class Round(NamedTuple):
     """What a round did."""
 
     recorded: int
@@ -63,10 +63,10 @@ class Told(NamedTuple):
     failed: int
 
 
-def receivers_of(settings: Settings, prefect: Tell) -> list[Receiver]:
+def receivers_of(settings: Settings, prefect: Send) -> list[Receiver]:
     """Those of CONETL_WEBHOOKS: addresses, and `prefect` for events of Prefect, which that function sends.
 
-    Raises InputError for an address that is none, or without CONETL_WEBHOOK_SECRET.
+    Raises InputError for what is no address, or without CONETL_WEBHOOK_SECRET.
     """
     given = settings.webhooks.get_secret_value() if settings.webhooks else ""
     names = dict.fromkeys(name for one in given.split(",") if (name := one.strip()))
@@ -74,11 +74,11 @@ def receivers_of(settings: Settings, prefect: Tell) -> list[Receiver]:
     if names.keys() - {_PREFECT} and not secret:
         raise InputError("CONETL_WEBHOOK_SECRET is not set: receivers check with it that messages are conetl's")
 
-    def tell(url: str, info: MapInfo, notice: Notice) -> str | None:
+    def send(url: str, info: MapInfo, notice: Notice) -> str | None:
         return webhooks.post(url, secret, str(notice.message_id(info.id_name)), message_of(info, notice))
 
     return [
-        Receiver(_PREFECT, prefect) if name == _PREFECT else Receiver(webhooks.receiver_name(name), partial(tell, name))
+        Receiver(_PREFECT, prefect) if name == _PREFECT else Receiver(webhooks.receiver_name(name), partial(send, name))
         for name in names
     ]
 
@@ -91,14 +91,14 @@ def message_of(info: MapInfo, notice: Notice) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def tell_about_zones(conn: Connection, receivers: Sequence[Receiver], *, map_name: str) -> Told:
-    """Record what changed on a map, and tell all receivers what they do not know. Raises InputError if there is no map."""
+def notify_receivers(conn: Connection, receivers: Sequence[Receiver], *, map_name: str) -> Round:
+    """Record what changed on a map, and notify all receivers. Raises InputError if there is no map."""
     info = require_map(conn, map_name)
     for receiver in receivers:
         store.add_receiver(conn, info.map_id, receiver.name)
     recorded = record_notices(conn, map_name=map_name)
     counts = [deliver(conn, info, receiver) for receiver in receivers]
-    return Told(recorded, sum(done for done, _ in counts), sum(failed for _, failed in counts))
+    return Round(recorded, sum(done for done, _ in counts), sum(failed for _, failed in counts))
 
 
 def record_notices(conn: Connection, *, map_name: str) -> int:
@@ -122,14 +122,14 @@ def record_notices(conn: Connection, *, map_name: str) -> int:
 
 
 def deliver(conn: Connection, info: MapInfo, receiver: Receiver) -> tuple[int, int]:
-    """Tell a receiver what is due; the number of notices it has now and of failures. One process at a time does that."""
+    """Send a receiver what is due; the number of notices it has now and of failures. One process at a time does that."""
     done = failed = in_a_row = 0
     until = time.monotonic() + _MOST_ROUND_S
     with try_lock(conn, f"conetl.notices/{receiver.name}/{info.map_id}") as free:
         due = store.due_notices(conn, info.map_id, receiver.name, most=_MOST_NOTICES) if free else []
         while due:
             for notice in due:
-                problem = receiver.tell(info, notice)
+                problem = receiver.send(info, notice)
                 wait_s = min(_FIRST_WAIT_S * 2.0 ** min(notice.attempts, 20), _MOST_WAIT_S)
                 store.write_delivery(conn, receiver.name, notice, problem, wait_s=wait_s, patience_s=_PATIENCE_S)
                 if problem is None:
@@ -137,7 +137,11 @@ def deliver(conn: Connection, info: MapInfo, receiver: Receiver) -> tuple[int, i
                 else:
                     failed, in_a_row = failed + 1, in_a_row + 1
                     _log.warning(
-                        "%s was not told of %s %s: %s", receiver.name, notice.kind, notice.subject.subject_id, problem
+                        "%s was not notified of %s %s: %s",
+                        receiver.name,
+                        notice.kind,
+                        notice.subject.subject_id,
+                        problem,
                     )
                 if in_a_row == _MOST_FAILURES or done >= _MOST_NOTICES or time.monotonic() > until:
                     return done, failed
