@@ -27,6 +27,7 @@ from conetl.pipeline.settings import read_settings
 from flows import dispatch
 from flows.artifacts import send_events, show_entries
 from flows.backfill import refuse
+from flows.notices import notify_map_receivers
 from flows.runs import MapName, MapSrid, alive, needs_attention, recover_runs, rename_run
 
 
@@ -131,6 +132,7 @@ def ingest_drop_folder(
     quiet_s = 60.0 * (settings.drop_quiet_minutes if quiet_minutes is None else quiet_minutes)
     with alive(settings) as database:
         catch_up_all(settings, database, send_events)
+        notify_map_receivers(settings, database)
         entries = find_entries(inbox, may_be_drive=False, quiet_s=quiet_s, settings=settings)
         with database.connection() as conn:
             plan = plan_drives(conn, inbox, settings=settings, params=params, once=True, entries=entries)

@@ -80,7 +80,8 @@ from (
         or changeset_id in (select c.changeset_id from conetl.changeset c where c.map_id = %%(map_id)s)'
     ),
     (24, 'plan', 'map_id = %%(map_id)s'),
-    (25, 'plan_verdict', 'map_id = %%(map_id)s')
+    (25, 'plan_verdict', 'map_id = %%(map_id)s'),
+    (26, 'notice', 'map_id = %%(map_id)s')
 ) t (no, table_name, condition)
 join pg_attribute a on a.attrelid = ('conetl.' || t.table_name)::regclass and a.attnum > 0 and not a.attisdropped
 group by t.no, t.table_name, t.condition

@@ -107,6 +107,7 @@ grant delete on conetl.base_source, conetl.base_tile, conetl.base_line to conetl
 grant update, delete on conetl.feature_cell to conetl_writer;  -- follows from feature_version, see conetl.count_cells
 -- What a drive shows while it is recorded is not history either, see conetl.watched_drive.
 grant update, delete on conetl.watched_drive, conetl.provisional_feature to conetl_writer;
+grant update on conetl.notice_round, conetl.notice_delivery to conetl_writer;  -- no history either
 revoke insert on conetl.schema_migration, conetl.schema_functions from conetl_writer;
 do $$
 begin

@@ -113,7 +113,7 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         },
     ),
     "zones": (
-        "Import plans of work zones (permits, feeds) and compare them with the zones that were found.",
+        "Compare work zones with plans (permits, feeds), and notify other systems of them.",
         {
             "plan": (),
             "compare": (
@@ -121,6 +121,8 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
                 "",
                 "--as-of 2026-03-03T06:00 --out differences.csv --out differences.html",
             ),
+            "notify": ("map.notices:notify", "", "--again"),
+            "undelivered": ("map.notices:undelivered", "", "--json"),
             "judge": ("map.plans:judge", '1c223030 accepted --note "emergency works" --by Ann'),
         },
     ),

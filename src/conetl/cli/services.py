@@ -7,6 +7,7 @@ import os
 import socket
 import sys
 from collections.abc import Callable
+from contextlib import closing, suppress
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -26,10 +27,11 @@ from conetl.cli.console import (
     spinner,
 )
 from conetl.db.cluster.cluster import cluster_down, cluster_status
-from conetl.db.connection import sqlalchemy_url
+from conetl.db.connection import connect, sqlalchemy_url
+from conetl.db.map.notice_store import undelivered
 from conetl.db.schema import prefect_database
 from conetl.files.home import PREFECT_LOGIN, home_access, login_address, share_home, view_token
-from conetl.model.errors import EXIT_SERVICE_MISSING, ServiceError
+from conetl.model.errors import EXIT_SERVICE_MISSING, DatabaseError, ServiceError
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import (
     SERVER_AUTH,
@@ -205,6 +207,10 @@ def status(as_json: JsonOption = False) -> None:
         if view := next((service["address"] for service in found["services"] if service["name"] == "view"), None):
             say(f"Prefect: log in with {login_source(settings.home.resolve())}")
             say(f"Map:     {login_address(view, view_token(settings.home))}")
+        if found["notices"]:
+            given_up = sum(row["given_up_at"] is not None for row in found["notices"])
+            failed = counted(len(found["notices"]), "undelivered notice")
+            say(f"Notices: {failed}, {given_up} given up: see `conetl zones undelivered`")
         if all(service["since"] is None for service in found["services"]):
             say("No services are running: start them with `conetl up`, or set CONETL_HOME to another home folder.")
     if not found["up"]:
@@ -234,7 +240,18 @@ def _status(settings: Settings) -> dict[str, Any]:
         facts |= {"log": service.log, "log_tail": tail}
         rows.append({"name": service.name, "state": state, "address": service.address, **facts})
     running = bool(services) and all(row["state"] == "running" for row in rows)
-    return {"up": running, "services": rows, "home_readable_by": home_access(home)}
+    return {"up": running, "services": rows, "home_readable_by": home_access(home), "notices": _undelivered(settings)}
+
+
+def _undelivered(settings: Settings) -> list[dict[str, Any]]:
+    """Notices that could not be delivered, of all maps; none where no database is running or ready."""
+    given = settings.database_url
+    url = given.get_secret_value() if given else cluster_status(settings.home.resolve()).url
+    with suppress(ServiceError, DatabaseError):
+        if url is not None:
+            with closing(connect(url)) as conn:
+                return [dict(row) for row in undelivered(conn)]
+    return []
 
 
 def _address(host: str, port: int) -> str:

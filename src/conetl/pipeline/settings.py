@@ -60,6 +60,10 @@ class Settings(BaseSettings):
     """Prefect's work pool of the deployment `ingest-drive`; by default drives run as processes."""
     notification_block: str = ""
     """Prefect's block that sends the notifications of the automations, as type/name, such as slack-webhook/operations."""
+    webhooks: SecretStr | None = None
+    """Addresses that get notices of work zones and differences from plans, separated by commas; `prefect`: events of Prefect."""
+    webhook_secret: SecretStr | None = None
+    """Secret with which these messages are signed."""
     prefect_hosts: str = ""
     """Other host names of the Prefect server, such as that of a proxy, separated by commas."""
     writer_token: SecretStr | None = None
