@@ -18,7 +18,7 @@ from conetl.db.serve_store import last_changes, read_feature_history, read_rows,
 from conetl.model.base import Record, Vec3
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.health import HeldDrive
-from conetl.pipeline.maps.decisions import accept_drive, decide_location, revert
+from conetl.pipeline.maps.decisions import accept_drive, approve_change, decide_location, revert
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
@@ -61,14 +61,30 @@ class _Request(Record):
     reason: Reason
 
 
-class PlaceRequest(_Request):
-    """Whatever drives observe: no cone stands at the position of this feature (suppress), or the cone stands (pin)."""
-
-    kind: Literal["suppress", "pin"]
+class _About(_Request):
     feature_id: UUID
     expected_version: int = Field(ge=1, le=2**31 - 1)
     """Version of the feature that the person saw; 409 if it is another one now."""
+
+
+class PlaceRequest(_About):
+    """Whatever drives observe: no cone stands at the position of this feature (suppress), or the cone stands (pin)."""
+
+    kind: Literal["suppress", "pin"]
     radius_m: float = Field(default=1.0, gt=0, le=20, allow_inf_nan=False)
+
+
+class ClassRequest(_About):
+    """The object that drives detect at the position of this feature is of another class."""
+
+    kind: Literal["classify"]
+    category: Annotated[str, StringConstraints(pattern=r"^[a-z_]{1,40}$")]
+
+
+class ApproveRequest(_About):
+    """What the last drive did to this feature is right; nothing changes on the map."""
+
+    kind: Literal["approve"]
 
 
 class DriveRequest(_Request):
@@ -85,7 +101,9 @@ class WithdrawRequest(_Request):
     decision_id: UUID
 
 
-DecisionRequest = Annotated[PlaceRequest | DriveRequest | WithdrawRequest, Field(discriminator="kind")]
+DecisionRequest = Annotated[
+    PlaceRequest | ClassRequest | ApproveRequest | DriveRequest | WithdrawRequest, Field(discriminator="kind")
+]
 
 
 @dataclass(frozen=True)
@@ -98,19 +116,21 @@ class Writer:
     """Folders of the QA reports that decisions change."""
 
     def decide(self, map_name: str, wish: DecisionRequest) -> m.Decided:
-        """Write a decision as `conetl map suppress|pin|revert` and `conetl drive accept` do. Raises InputError, ConflictError,
-        DatabaseError."""
+        """Write a decision as `conetl map suppress|pin|classify|revert` and `conetl drive accept` do.
+
+        Raises InputError, ConflictError, DatabaseError.
+        """
         from conetl.pipeline.publish import publish_decision  # matplotlib takes half a second to load
 
         common: dict[str, Any] = {
             "map_name": map_name, "note": wish.reason, "decided_by": wish.decided_by, "lock_timeout_s": _LOCK_TIMEOUT_S,
         }  # fmt: skip
         with closing(connect(self.database_url)) as conn:
-            if isinstance(wish, PlaceRequest):
-                done = decide_location(
-                    conn, wish.kind, str(wish.feature_id), radius_m=wish.radius_m,
-                    expected_version=wish.expected_version, **common,
-                )  # fmt: skip
+            if isinstance(wish, ApproveRequest):
+                done = approve_change(conn, wish.feature_id, expected_version=wish.expected_version, **common)
+            elif isinstance(wish, _About):
+                own = wish.model_dump(include={"kind", "radius_m", "category", "expected_version"})
+                done = decide_location(conn, feature=str(wish.feature_id), **own, **common)
             elif wish.kind == "accept":
                 done = accept_drive(conn, str(wish.changeset_id), **common)
             else:
@@ -144,7 +164,8 @@ def decisions(map_name: MapName, conn: Reader, origin: Origin, request: Request)
 def decide(
     map_name: MapName, decision: Annotated[DecisionRequest, Body()], request: Request
 ) -> m.Decided | JSONResponse:
-    """Suppress or pin the position of a feature, revert a changeset, or withdraw a decision; the map is updated at once."""
+    """Suppress or pin the position of a feature, correct its class, approve its last change; revert or accept a drive; withdraw a
+    decision. The map is updated at once."""
     writer: Writer = request.app.state.writer
     try:
         return writer.decide(map_name, decision)
@@ -157,7 +178,7 @@ def decide(
 
 def _current_state(pool: ReaderPool, map_name: str, decision: DecisionRequest) -> Any:
     """The newest state of the feature of a decision; None for decisions about something else."""
-    if not isinstance(decision, PlaceRequest):
+    if not isinstance(decision, _About):
         return None
     with pool.reading() as conn:
         origin = origin_of(conn, map_name)

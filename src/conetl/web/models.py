@@ -280,7 +280,7 @@ class Decided(Record):
     """A decision that was written, and its effects."""
 
     decision_id: UUID
-    kind: Literal["suppress", "pin", "classify", "revert", "accept", "withdraw"]
+    kind: Literal["suppress", "pin", "classify", "approve", "revert", "accept", "withdraw"]
     decided_at: datetime
     versions_written: int
     replayed: int
