@@ -82,9 +82,10 @@ def test_what_is_not_counted_yet_is_unknown(tab, address):
     assert tab.inner_text(".review-button .badge") == "…"
     assert "unknown" in tab.get_attribute(".review-button", "aria-label")
     tab.click(".review-button")
-    assert tab.inner_text(".review-detail").strip().startswith("Loading")
+    assert tab.inner_text(".review-head h2").startswith("Loading")
     for route in held:
         route.continue_()
+    tab.keyboard.press("Escape")
     tab.wait_for_selector(".review-button .badge[data-count]:not([data-count=''])")
     assert tab.inner_text(".review-button .badge").isdigit()
 

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pydantic import SecretStr
 
-from conetl.db.connection import connect
 from conetl.db.map.decision_store import list_decisions
-from conetl.db.map.map_store import list_changesets
 from conetl.pipeline.settings import Settings
-from conetl.reports.drive_page import write_drive_page
 from conetl.web.decisions import Writer
 from tests.integration.drives_of_days import merge, survey
 from tests.view_map import serving, with_images
@@ -191,58 +187,3 @@ def test_a_decision_keeps_the_panel_its_images_and_renews_the_chip(page, address
     page.keyboard.press("Escape")
     conn.rollback()
     assert [d.kind for d in list_decisions(conn) if d.kind != "hold"] == ["pin"]
-
-
-def test_the_queue_is_worked_off_by_keys(page, address, conn, settings, module_database_url):
-    """Last in this file. Skipped items stay away after a reload; a held drive takes four interactions."""
-    held = next(c for c in list_changesets(conn) if c.hold)
-    conn.rollback()
-    report = settings.drive_report_path(held.drive_id, held.changeset_no)
-    with closing(connect(module_database_url)) as other:
-        write_drive_page(other, held, report, map_name="default")
-    page.route("**/review?*", lambda route: None)
-    page.goto(address)
-    page.click(".review-button")  # before the queue is there
-    page.unroute("**/review?*")
-    page.wait_for_selector(".review-detail .why")
-    count = int(page.inner_text(".badge"))
-    page.keyboard.press("i")  # the drive's images
-    page.wait_for_selector(f".viewer[data-frame='{held.drive_id} 0']")
-    page.keyboard.press("Escape")
-    page.wait_for_selector(".viewer", state="hidden")
-    page.click(".review-items li:has-text('existence') button >> nth=0")
-    page.wait_for_selector(".panel .why")
-    page.keyboard.press("s")
-    page.wait_for_selector(f".badge:text-is('{count - 1}')")
-    page.reload()
-    page.wait_for_selector(f".badge:text-is('{count - 1}')")
-    page.click("text=Show 1 skipped item")
-    page.wait_for_selector(f".badge:text-is('{count}')")
-    page.evaluate(
-        "([t, n]) => { sessionStorage.setItem('conetl writer token', t); sessionStorage.setItem('conetl name', n); }",
-        [TOKEN, "Ada"],
-    )
-
-    page.click(".review-button")  # 1: the held drive comes first
-    assert (
-        HOLD in page.locator(".review-detail").inner_text()
-        and "5.00 +- 0.10 m (limit 0.1)" in page.locator(".review-detail").inner_text()
-    )
-    page.keyboard.press("a")  # 2
-    page.keyboard.type("seen in the images")  # 3
-    page.keyboard.press("Enter")  # 4
-    page.wait_for_selector(f".toast:has-text('Released: drive {held.drive_id}')")
-    page.wait_for_selector(".column .held", state="detached")
-    conn.rollback()
-    assert [c.counts for c in list_changesets(conn) if c.drive_id == held.drive_id] == [True]
-    assert "is on hold" not in report.read_text() and "accepted by Ada" in report.read_text()
-    page.wait_for_selector(".review-items:not(:has-text('Drives on hold'))")
-    if page.locator(".review-items li:has-text('Removed cones')").count():
-        removed = page.locator(".review-items li button >> nth=0").inner_text().split()[0]
-        page.click(".review-items li button >> nth=0")
-        page.wait_for_selector(f".panel h2:text-is('{removed}')")
-        page.keyboard.press("r")
-        page.keyboard.type("it stands behind the van")
-        page.keyboard.press("Enter")
-        page.wait_for_selector(".toast:has-text('Pinned.')")
-        page.wait_for_selector(f".review-items:not(:has-text('{removed}'))")

@@ -27,7 +27,7 @@ export type FoundPosition = Schemas["FoundPosition"];
 export type Found = Schemas["SearchResult"];
 export type Decision = Schemas["Decision"];
 export type Decisions = Schemas["ActiveDecisions"];
-export type DecisionRequest = Schemas["PlaceRequest"] | Schemas["DriveRequest"] | Schemas["WithdrawRequest"];
+export type DecisionRequest = Schemas["PlaceRequest"] | Schemas["ClassRequest"] | Schemas["ApproveRequest"] | Schemas["DriveRequest"] | Schemas["WithdrawRequest"];
 
 /** As lists of drives and imported maps name it. */
 export const changesetName = (t: Pick<TimelineItem, "drive_id" | "kind">): string => (t.kind === "drive" ? t.drive_id : `${t.drive_id} (imported map)`);

@@ -25,7 +25,7 @@ const SHORTCUTS: [string, string][] = [
   ["1, 2", "show or hide LiDAR points, lane boundaries"],
   ["P, N", "previous, next image pair"],
   ["I", "full images of the selected cone"],
-  ["A, R, S", "accept, reject, skip (in the review list)"],
+  ["R", "review changes in images"],
   ["/", "search"],
   ["L", "open or close the list"],
   ["[  ] or K, J", "previous, next row of the list"],
@@ -89,7 +89,7 @@ export function createLayout(app: HTMLElement) {
   }
 
   return {
-    view, sidebar, panel, timeline, brand, listPane, tools,
+    app, view, sidebar, panel, timeline, brand, listPane, tools,
     busy: (on: boolean) => void (progress.hidden = !on),
     empty: (on: boolean) => void app.classList.toggle("is-empty", on),
     panelOpen: (on: boolean) => void app.classList.toggle("panel-open", on),

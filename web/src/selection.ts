@@ -1,5 +1,5 @@
 // The selected feature: its details in the panel, its ellipse and camera in the scene, its images.
-import { api, type Decisions, type Sighting, type Timeline } from "./api";
+import { api, type Decisions, type HistoryItem, type Sighting, type Timeline } from "./api";
 import { aboutFeature } from "./decisions";
 import { shortId } from "./dom";
 import { isGone, type Cone, type Kind } from "./kinds";
@@ -8,7 +8,20 @@ import { createPanel, stateOf, type Chosen } from "./panel";
 import { shownState } from "./query";
 import type { Stage } from "./scene";
 import type { State } from "./state";
-import type { Start, Viewer } from "./viewer";
+import type { Start, Subject, Viewer } from "./viewer";
+
+/** A cone as a drive left it, and where to begin: its best images. */
+export async function subjectAfter(map: string, id: string, changesetNo: number): Promise<[Subject, Start | null]> {
+  const [{ history }, { sightings }] = await Promise.all([api.history(map, id, null), api.sightings(map, id)]);
+  const now = history.filter((h) => h.changeset_no === changesetNo).at(-1) ?? history.at(-1);
+  if (!now) throw new Error(`The history of ${shortId(id)} is empty.`);
+  return [subjectOf(map, id, history, now, sightings), null];
+}
+
+function subjectOf(map: string, id: string, history: HistoryItem[], now: HistoryItem, sightings: Sighting[]): Subject {
+  const before = now.kind === "moved" ? history[history.indexOf(now) - 1] ?? null : null;
+  return { map, id, title: shortId(id), why: now.why, now, isLast: now === history.at(-1), before, sightings };
+}
 
 export interface SelectionContext {
   state(): State;
@@ -147,10 +160,9 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
     if (!chosen) return;
     const now = stateOf(chosen) ?? chosen.history[0];
     if (!now || now.marking) return;
-    const before = now.kind === "moved" ? chosen.history[chosen.history.indexOf(now) - 1] ?? null : null;
     const absent = now.kind === "removed" || now.kind === "missed";
     const sighting = absent ? undefined : sightingsShown(chosen)[chosen.sightingIndex];
-    void viewer.open({ map: chosen.map, id: chosen.id, title: shortId(chosen.id), why: now.why, now, before, sightings: chosen.sightings ?? [] }, start ?? sighting ?? null);
+    void viewer.open(subjectOf(chosen.map, chosen.id, chosen.history, now, chosen.sightings ?? []), start ?? sighting ?? null);
   }
 
   function centre(): void {

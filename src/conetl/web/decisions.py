@@ -220,6 +220,7 @@ def _held(drive: HeldDrive) -> ReviewItem:
     return ReviewItem(
         kind="held", changeset_no=drive.changeset_no, changeset_id=drive.changeset_id, drive_id=drive.drive_id, at=drive.since,
         why=drive.reason, checks=checks, feature_id=None, version=None, xyz_m=None, existence_probability=None,
+        category=None,
     )  # fmt: skip
 
 
