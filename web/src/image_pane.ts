@@ -111,6 +111,7 @@ export function createPane(actions: PaneActions | null): Pane {
     label.setAttribute("x", left.toFixed(1));
     label.setAttribute("y", (top > 16 ? top - 5 : top + 14).toFixed(1));
     label.setAttribute("class", style);
+    if (left > 0.8 * node.clientWidth) label.setAttribute("text-anchor", "end");
     label.textContent = text;
     return [...lines, label];
   }

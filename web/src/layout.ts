@@ -23,7 +23,7 @@ const SHORTCUTS: [string, string][] = [
   [",  .", "previous, next drive"],
   ["B, C", "before or after the drive, changes"],
   ["1, 2", "show or hide LiDAR points, lane boundaries"],
-  ["P, N", "previous, next image pair"],
+  ["P, N", "previous, next image along the drive"],
   ["I", "full images of the selected cone"],
   ["R", "review changes in images"],
   ["/", "search"],

@@ -132,7 +132,7 @@ const showTimeline = createTimeline(layout.timeline, {
   decided: () => void newDecision(),
   decisions: () => decisions?.decisions ?? [],
 });
-const viewer = createViewer(document.body);
+const viewer = createViewer(document.body, { walked: (start) => selection.walked(start), camera: (view) => selection.camera(view) });
 const selection = createSelection(layout.panel, stage, overlays, viewer, {
   state: () => state,
   timeline: () => timeline,
@@ -149,12 +149,15 @@ const selection = createSelection(layout.panel, stage, overlays, viewer, {
   showChangeset: (changeset) => change({ mode: "drive", changeset }),
 });
 const { select } = selection;
+viewer.dockIn(selection.images);
 const review = createReview(layout.app, viewer, {
   map: () => state.map,
   writable: () => decisions?.writable ?? false,
   opened: (on) => {
     state.list = on ? REVIEW : null;
     address.write();
+    if (!on) viewer.dockIn(selection.images);
+    if (!on) selection.draw();
   },
   show: (item) => {
     change({ mode: "drive", side: "changes", changeset: item.changeset_no === timeline?.changesets.at(-1)?.changeset_no ? null : item.changeset_no });
@@ -578,9 +581,9 @@ function handleKey(event: KeyboardEvent): boolean {
     case ".": step(1); return true;
     case "b": case "B": change({ mode: "drive", side: state.side === "before" ? "after" : "before" }); return true;
     case "c": case "C": change({ mode: "drive", side: "changes" }); return true;
-    case "n": case "N": selection.showNext(1); return true;
-    case "p": case "P": selection.showNext(-1); return true;
-    case "i": case "I": selection.openImages(null); return true;
+    case "n": case "N": viewer.step(1); return true;
+    case "p": case "P": viewer.step(-1); return true;
+    case "i": case "I": viewer.cover(); return true;
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
     case "r": case "R": review.set(true); return true;

@@ -164,7 +164,7 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
     page.hidden = !on;
     app.classList.toggle("reviewing", on);
     asking = null;
-    if (on) viewer.dock(images);
+    if (on) viewer.dockIn(images);
     actions.opened(on);
     if (on) {
       question.focus();

@@ -4,7 +4,7 @@ import { api, type HistoryItem, type Sighting, type Trajectory } from "./api";
 import { el, fill, messageOf, plural, utc } from "./dom";
 import { createFrameCache, type LoadedImage } from "./frame_cache";
 import { createPane, type Pane, type Picture, type Shape, type View } from "./image_pane";
-import { bestFrame, judging, type DrivePass, type Frame, type PassFrame, type Side } from "./judging";
+import { bestFrame, judging, type DrivePass, type Frame, type FrameView, type PassFrame, type Side } from "./judging";
 import { isGone, STYLES } from "./kinds";
 import { ellipseOutline, epipolarLine, outlineOf, project, type Point } from "./projection";
 import "./viewer.css";
@@ -47,12 +47,19 @@ interface Shown {
   title: string;
 }
 
-export function createViewer(host: HTMLElement) {
+export interface ViewerEvents {
+  /** A person went to another frame pair. */
+  walked(start: Start): void;
+  /** Another image is shown; null: none. */
+  camera(view: FrameView | null): void;
+}
+
+export function createViewer(host: HTMLElement, events: ViewerEvents) {
   const cache = createFrameCache();
   /** Requests of items that are shown next, each used once; paths never change. */
   const early = new Map<string, Promise<DrivePass[]>>();
   const trajectories = new Map<string, Promise<Trajectory>>();
-  const title = el("h2", {});
+  const title = el("b", { class: "viewer-title" });
   const why = el("p", { class: "viewer-why" });
   const drives = el("select", { aria: { label: "Drive" } });
   const others = el("select", { aria: { label: "Drive to Compare with" } });
@@ -93,6 +100,8 @@ export function createViewer(host: HTMLElement) {
   let at = 0;
   let sides: Sides = "both";
   let compare = false;
+  /** Docked: beside the drive before. */
+  let compared = false;
   let view: View = WHOLE;
   /** Where it is docked; null: it covers the page, or is closed. */
   let dock: HTMLElement | null = null;
@@ -112,7 +121,9 @@ export function createViewer(host: HTMLElement) {
   compareBox.addEventListener("change", () => setCompare(compareBox.checked));
   dialog.addEventListener("close", () => {
     setPlaying(false);
+    if (dock) [sides, compare, fresh] = ["best", compared, true];
     layOut();
+    void show();
   });
   dialog.addEventListener("keydown", (event) => {
     if (!isCovering()) return;
@@ -178,11 +189,14 @@ export function createViewer(host: HTMLElement) {
   }
 
   function cover(): void {
-    if (isCovering()) return;
+    if (isCovering() || !subject) return;
     dialog.removeAttribute("open");
     dialog.classList.remove("docked");
     dialog.showModal();
-    draw();
+    if (dock) [sides, compare] = ["both", false];
+    compareBox.checked = compare;
+    setView(WHOLE);
+    void show();
     play.focus();
   }
 
@@ -233,6 +247,8 @@ export function createViewer(host: HTMLElement) {
   function go(index: number): void {
     const count = path?.frame_index.length ?? 0;
     at = Math.min(Math.max(index, 0), Math.max(count - 1, 0));
+    const frameIndex = path?.frame_index[at];
+    if (frameIndex !== undefined) events.walked({ drive_uuid: drive, frame_index: frameIndex });
     void show();
   }
 
@@ -326,12 +342,14 @@ export function createViewer(host: HTMLElement) {
     }
     panes = panes.slice(0, shown.length);
     fill(panesHost, ...panes.map((p) => p.node));
+    panesHost.dataset["count"] = String(panes.length);
     panesHost.dataset["columns"] = String(columns());
     shown.forEach((one, i) => panes[i]?.show(pictureOf(one), view));
     if (fresh && isDocked()) subject.now ? zoomToCone(FIRST_SHARE) : setView(WHOLE);
     fresh = false;
     for (const b of sideButtons) b.setAttribute("aria-pressed", String(b.dataset["value"] === sides));
-    const own = shown.at(-1)?.frame;
+    const [own, ownSide] = [shown.at(-1)?.frame, shown.at(-1)?.side ?? "left"];
+    events.camera(own?.[ownSide] ?? null);
     if (!own) return;
     const seen = passFrame(own.drive_uuid, own.frame_index);
     dialog.dataset["item"] = subject.title;
@@ -458,15 +476,18 @@ export function createViewer(host: HTMLElement) {
     },
     key,
     step,
-    /** Where to show images from now on; null: nowhere but over the whole page. `compared`: beside the drive before. */
-    dock(next: HTMLElement | null): void {
+    get dock() {
+      return dock;
+    },
+    dockIn(next: HTMLElement): void {
       if (isCovering()) dialog.close();
       dock = next;
       layOut();
     },
-    /** Show a cone or a drive in the dock, with its best images. */
-    async show(next: Subject, start: Start | null, compared: boolean): Promise<void> {
-      [sides, compare] = ["best", compared];
+    /** Show a cone or a drive in the dock, with its best images; beside the drive before. */
+    async show(next: Subject, start: Start | null, beside: boolean): Promise<void> {
+      compared = beside;
+      if (!isCovering()) [sides, compare] = ["best", beside];
       const loaded = load(next, start);
       layOut();
       compareBox.checked = compare;
@@ -474,10 +495,11 @@ export function createViewer(host: HTMLElement) {
     },
     clear(): void {
       [subject, path, shown] = [null, null, []];
+      events.camera(null);
       if (!isCovering()) layOut();
     },
     /** Read the images that `show` starts with. */
-    async preload(next: Subject, start: Start | null, compared: boolean): Promise<void> {
+    async preload(next: Subject, start: Start | null, beside: boolean): Promise<void> {
       const found = passesOf(next);
       early.set(keyOf(next), found);
       found.catch(() => early.delete(keyOf(next)));
@@ -486,22 +508,15 @@ export function createViewer(host: HTMLElement) {
       if (!first) return;
       const pass = all.find((p) => p.drive_uuid === first.drive_uuid);
       const own = pass && (pass.frames.find((f) => f.frame_index === first.frame_index) ?? bestFrame(pass));
-      const other = compared && pass ? othersOf(all, pass)[0] : undefined;
+      const other = beside && pass ? othersOf(all, pass)[0] : undefined;
       const wanted = [[first.drive_uuid, own?.frame_index ?? first.frame_index ?? 0], ...(own && other ? [[other.drive_uuid, counterpart(own, other).frame_index]] : [])] as const;
       await Promise.all([pathOf(next.map, first.drive_uuid), ...wanted.map(async ([uuid, index]) => {
         const frame = await cache.frame(next.map, String(uuid), Number(index));
         await cache.image(next.map, frame, bestSide(frame, next.now), next.id);
       })]); // prettier-ignore
     },
-    /** Over the whole page. */
-    async open(next: Subject, start: Start | null): Promise<void> {
-      sides = "both";
-      setView(WHOLE);
-      cover();
-      await load(next, start);
-      play.focus();
-    },
-    close: () => dialog.close(),
+    /** Show it over the whole page, with all tools, until it is closed. */
+    cover,
   };
 }
 
