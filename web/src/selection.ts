@@ -128,7 +128,7 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
     return page.state().mode !== "drive" && !isGone(now.kind) ? "standing" : now.kind;
   }
 
-  /** The best images of the state that is shown, or those of the address; beside the drive before, unless it is as it was. */
+  /** The best images of the state that is shown, or those of the address; beside the drive before, if anything changed. */
   function showImages(shown: Chosen): void {
     const { map, id, history, sightings } = shown;
     const now = stateOf(shown) ?? history[0];
