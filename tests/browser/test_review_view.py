@@ -13,6 +13,7 @@ from pydantic import SecretStr
 
 from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import list_changesets
+from conetl.files.people import add_person, people_of
 from conetl.pipeline.settings import Settings
 from conetl.reports.drive_page import write_drive_page
 from conetl.web.decisions import Writer
@@ -121,7 +122,7 @@ def test_what_is_skipped_stays_away_and_nothing_is_written_without_a_name(browse
 
 
 def test_twenty_items_are_judged_by_at_most_sixty_keys(page, address, conn, settings, capsys):
-    """Last in this file: it decides."""
+    """It decides."""
     held = next(c for c in list_changesets(conn) if c.hold)
     report = settings.drive_report_path(held.drive_id, held.changeset_no)
     write_drive_page(conn, held, report, map_name="default")
@@ -169,3 +170,31 @@ def test_twenty_items_are_judged_by_at_most_sixty_keys(page, address, conn, sett
     page.wait_for_selector(".decisions .decision-row >> nth=19")
     page.reload()
     page.wait_for_selector(".badge[data-count='1']")
+
+
+def test_a_person_who_is_logged_in_needs_no_token_and_sees_whole_images(
+    browser, module_database_url, address, tmp_path
+):
+    token = add_person(tmp_path, "Ada Mayer", "review").get_secret_value()
+    shared = SecretStr("the-token-of-the-view-itself")
+    writer = Writer(SecretStr(TOKEN), module_database_url, Settings(home=tmp_path))
+    with serving(
+        module_database_url, "default", writer=writer, reader_token=shared, find_person=people_of(tmp_path)
+    ) as port:
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.goto(f"http://127.0.0.1:{port}/?token={token}#list=review")
+        wait_for_images(page)
+        assert page.inner_text(".review-progress") and token not in page.url
+        page.keyboard.press("i")
+        page.wait_for_selector(".viewer:modal figcaption:text-is('right')")
+        assert "pixelated" not in page.inner_text(".viewer-text")
+        page.keyboard.press("Escape")
+        page.keyboard.press("n")
+        page.keyboard.type("a shadow")
+        page.keyboard.press("Enter")
+        page.keyboard.press("a")
+        page.wait_for_selector(".review-items .saved")
+        page.keyboard.press("Escape")
+        assert page.inner_text(".who") == "Ada Mayer"
+        page.wait_for_selector(".decisions .decision >> text=by Ada Mayer: a shadow")
+        page.close()

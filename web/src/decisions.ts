@@ -7,10 +7,15 @@ import { STYLES } from "./kinds";
 const TOKEN = "conetl writer token";
 const NAME = "conetl name";
 
-/** Who decides in this tab: as typed once, and accepted by the server. */
+let person: string | null = null;
+
+/** Who decides in this tab: who is logged in by name, else as typed once, and accepted by the server. */
 export const writer = {
-  name: () => sessionStorage.getItem(NAME) ?? "",
-  token: () => sessionStorage.getItem(TOKEN),
+  /** null: nobody by name; a person needs no token. */
+  logIn: (name: string | null): void => void (person = name),
+  person: () => person,
+  name: () => person ?? sessionStorage.getItem(NAME) ?? "",
+  token: () => (person === null ? sessionStorage.getItem(TOKEN) : ""),
   keep(name: string, token: string): void {
     sessionStorage.setItem(NAME, name);
     sessionStorage.setItem(TOKEN, token);
@@ -150,6 +155,7 @@ export function createDecider(host: HTMLElement) {
   function makeForm(choice: Choice, context: DecideContext, cancel: () => void): HTMLFormElement {
     const text = (props: Record<string, unknown>) => el("input", { type: "text", required: true, autocomplete: "off", placeholder: " ", ...props });
     const name = text({ name: "name", value: writer.name(), minLength: 2, maxLength: 80, autocomplete: "name" });
+    name.readOnly = writer.person() !== null;
     const reason = text({ name: "reason", minLength: 3, maxLength: 500 });
     const radius = el("input", { type: "number", name: "radius", value: "1", min: "0.1", max: "20", step: "0.1", required: true });
     const token = text({ name: "token", type: "password", autocomplete: "off" });

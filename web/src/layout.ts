@@ -44,6 +44,7 @@ export function createLayout(app: HTMLElement) {
   const tools = { search: el("div", { class: "tool-search" }), download: el("div", {}) };
   const timeline = el("footer", { class: "timeline" });
   const brand = el("h1", { class: "brand" });
+  const whoHost = el("span", { class: "who", hidden: true, title: "Logged in" });
   const dot = el("span", { class: "status", role: "status" }, el("i"), el("span", { textContent: "connecting" }));
   dot.dataset["status"] = "waiting";
   const progress = el("div", { class: "progress", hidden: true });
@@ -77,7 +78,7 @@ export function createLayout(app: HTMLElement) {
   });
   const helpButton = el("button", { type: "button", class: "link help-button", onclick: () => help.showModal() }, "Shortcuts ", el("kbd", { textContent: "?" }));
   app.append(
-    el("header", { class: "top" }, menu, brand, tools.search, el("span", { class: "space" }), dot, tools.download, listButton, helpButton),
+    el("header", { class: "top" }, menu, brand, tools.search, el("span", { class: "space" }), whoHost, dot, tools.download, listButton, helpButton),
     progress, sidebar, view, panel, list, timeline, toasts, help, loginDialog,
   ); // prettier-ignore
   view.append(cardHost, noticeHost, tip);
@@ -146,6 +147,11 @@ export function createLayout(app: HTMLElement) {
       if (cone !== tipped) tell((tipped = cone));
       const left = x + 14 + tip.offsetWidth > view.clientWidth ? x - 14 - tip.offsetWidth : x + 14;
       tip.style.transform = `translate(${left}px, ${Math.max(4, y - tip.offsetHeight / 2)}px)`;
+    },
+    /** Who is logged in by name. */
+    person(name: string | null): void {
+      whoHost.hidden = name === null;
+      whoHost.textContent = name;
     },
     openHelp: () => void (help.open || help.showModal()),
     closeHelp: (): boolean => {

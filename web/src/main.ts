@@ -6,7 +6,7 @@ import { footprint } from "./basemap";
 import { countClasses, countOf } from "./classes";
 import { createClusters } from "./clusters";
 import { createCones } from "./cones";
-import { aboutFeature, createDecisionList } from "./decisions";
+import { aboutFeature, createDecisionList, writer } from "./decisions";
 import { el, fill, messageOf } from "./dom";
 import { isGone, type Cone, type Kind } from "./kinds";
 import { createDownloads, pictureOf } from "./downloads";
@@ -128,7 +128,7 @@ createDownloads(layout.tools.download, {
 const showTimeline = createTimeline(layout.timeline, {
   change,
   showChanges: (changeset, kind) => change({ mode: "drive", changeset, side: "changes", hidden: onlyKind({ ...state, hidden: state.list === "changes" ? state.hidden : new Set() }, kind), list: "changes" }),
-  writableMap: () => (decisions?.writable ? state.map : null),
+  writableMap: () => (decisions?.decides_drives ? state.map : null),
   decided: () => void newDecision(),
   decisions: () => decisions?.decisions ?? [],
 });
@@ -153,6 +153,7 @@ viewer.dockIn(selection.images);
 const review = createReview(layout.app, viewer, {
   map: () => state.map,
   writable: () => decisions?.writable ?? false,
+  decidesDrives: () => decisions?.decides_drives ?? false,
   opened: (on) => {
     state.list = on ? REVIEW : null;
     address.write();
@@ -326,6 +327,8 @@ async function readDecisions(): Promise<void> {
     const answer = await api.decisions(map);
     if (map !== state.map) return;
     decisions = answer;
+    writer.logIn(answer.person);
+    layout.person(answer.person);
     showDecisionList(answer);
   } catch (error) {
     layout.toast(`The decisions cannot be read: ${messageOf(error)}`, { text: "Try again", run: () => void newDecision() });

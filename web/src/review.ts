@@ -10,6 +10,7 @@ import type { Start, Subject, Viewer } from "./viewer";
 export interface ReviewActions {
   map(): string;
   writable(): boolean;
+  decidesDrives(): boolean;
   /** The review covers the page, or no longer does. */
   opened(on: boolean): void;
   /** Show a cone after the drive that changed it, or a drive on hold, on the map. */
@@ -249,7 +250,7 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
     why.textContent = [item.why, ...item.checks.map((c) => c.figures && `${c.name}: ${c.figures}`)].filter(Boolean).join(" ");
     note.hidden = !actions.writable() || asking !== null;
     const focused = buttons.contains(document.activeElement);
-    fill(buttons, ...(asking ? [form(asking)] : !actions.writable() ? [el("p", { class: "hint", textContent: "Read-only: decisions require `conetl view --decisions`." }), ...moves()] : choosingClass ? classButtons(item) : verdict && verdict.state !== "failed" ? judged(verdict, item) : answers(item, verdict)));
+    fill(buttons, ...(asking ? [form(asking)] : !actions.writable() ? [el("p", { class: "hint", textContent: writer.person() === null ? "Read-only: decisions require `conetl view --decisions`." : "Read-only: decisions require the role review, and `conetl view --decisions`." }), ...moves()] : item.kind === "held" && !actions.decidesDrives() ? [el("p", { class: "hint", textContent: "Decisions about whole drives require the role admin." }), ...moves()] : choosingClass ? classButtons(item) : verdict && verdict.state !== "failed" ? judged(verdict, item) : answers(item, verdict)));
     if (focused) buttons.querySelector<HTMLElement>("button, input")?.focus();
   }
 
@@ -314,7 +315,7 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
 
   function judge(item: ReviewItem, answer: Answer): void {
     const token = writer.token();
-    if (!token) return ask({ problem: "", then: () => judge(item, answer) });
+    if (token === null) return ask({ problem: "", then: () => judge(item, answer) });
     const request = answer.request(item, signed(REASON));
     const verdict: Verdict = { text: answer.done, state: "saving", problem: "", decisionId: null };
     verdicts.set(keyOf(item), verdict);

@@ -356,7 +356,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
     dialog.dataset["frame"] = `${own.drive_id} ${own.frame_index}`;
     fill(text, el("b", { textContent: own.drive_id }), ` · frame pair ${own.frame_index} (${at + 1} of ${path.frame_index.length}) · ${utc(own.captured_at)} UTC`,
       subject.now && " · ", subject.now && (seen ? `${seen.range_m.toFixed(1)} m away, ${STATES[seen.state]}` : "position not in view"),
-      own.pixelated && el("small", { textContent: " · pixelated outside detections (CONETL_IMAGES=full shows all)" })); // prettier-ignore
+      own.pixelated && el("small", { textContent: " · pixelated outside detections (logins with the role review see all)" })); // prettier-ignore
   }
 
   /** One or two, whichever shows the images larger; four images as two rows of pairs. */

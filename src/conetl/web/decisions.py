@@ -25,7 +25,7 @@ from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.judging_models import Measured, Review, ReviewItem
 from conetl.web.parameters import MapName, Origin, Reader, cut, origin_of
-from conetl.web.security import WritersRoute
+from conetl.web.security import WritersRoute, person_of
 
 router = APIRouter(prefix="/maps/{map_name}", route_class=WritersRoute)
 _MAX_DECISIONS = 1_000
@@ -34,7 +34,10 @@ _LOCK_TIMEOUT_S = 15.0
 _ERRORS: dict[int | str, dict[str, Any]] = {
     409: {"model": m.Conflict, "description": "The feature has changed, or this was already decided."},
     401: {"model": m.Problem, "description": "The writer token is missing or wrong."},
-    403: {"model": m.Problem, "description": "The server is read-only, or the request comes from another page."},
+    403: {
+        "model": m.Problem,
+        "description": "The server is read-only, the request comes from another page, or the person may not decide this.",
+    },
     411: {"model": m.Problem, "description": "Content-Length is missing."},
     413: {"model": m.Problem, "description": "Too long."},
     415: {"model": m.Problem, "description": "Not JSON."},
@@ -152,9 +155,13 @@ def decisions(map_name: MapName, conn: Reader, origin: Origin, request: Request)
     """The decisions in effect, newest first."""
     rows = read_rows(conn, "decisions.active_decisions", map_name=map_name)
     found, truncated = cut(rows[::-1], _MAX_DECISIONS)
+    person = person_of(request)
+    writable = request.app.state.writer is not None and (person is None or person.may_decide)
     return m.ActiveDecisions(
         origin_m=origin,
-        writable=request.app.state.writer is not None,
+        writable=writable,
+        person=person.name if person else None,
+        decides_drives=writable and (person is None or person.may_decide_drives),
         decisions=[to.decision(row, origin) for row in found],
         truncated=truncated,
     )
@@ -167,6 +174,10 @@ def decide(
     """Suppress or pin the position of a feature, correct its class, approve its last change; revert or accept a drive; withdraw a
     decision. The map is updated at once."""
     writer: Writer = request.app.state.writer
+    if (person := person_of(request)) is not None:
+        decision = decision.model_copy(update={"decided_by": person.name})
+        if not person.may_decide_drives and _is_about_drive(request.app.state.pool, map_name, decision):
+            raise HTTPException(403, "Decisions about whole drives require the role admin.")
     try:
         return writer.decide(map_name, decision)
     except ConflictError as error:
@@ -174,6 +185,14 @@ def decide(
         return JSONResponse(conflict.model_dump(mode="json"), status_code=409)
     except InputError as error:
         raise HTTPException(404, _sentence(error)) from error
+
+
+def _is_about_drive(pool: ReaderPool, map_name: str, decision: DecisionRequest) -> bool:
+    if not isinstance(decision, WithdrawRequest):
+        return isinstance(decision, DriveRequest)
+    with pool.reading() as conn:
+        rows = read_rows(conn, "decisions.active_decisions", map_name=map_name)
+    return any(row["changeset_id"] is not None for row in rows if row["decision_id"] == decision.decision_id)
 
 
 def _current_state(pool: ReaderPool, map_name: str, decision: DecisionRequest) -> Any:

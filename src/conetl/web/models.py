@@ -271,7 +271,11 @@ class Decision(DecisionFacts):
 
 class ActiveDecisions(Listing):
     writable: bool
-    """True if this server accepts decisions from holders of its writer token."""
+    """True if this server accepts decisions: from this person, or from holders of its writer token."""
+    person: str | None
+    """Who is logged in by name; needs no writer token."""
+    decides_drives: bool
+    """Whether decisions about whole drives are accepted too."""
     decisions: list[Decision]
     """Newest first."""
 
