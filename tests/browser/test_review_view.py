@@ -185,6 +185,8 @@ def test_a_person_who_is_logged_in_needs_no_token_and_sees_whole_images(
         page.goto(f"http://127.0.0.1:{port}/?token={token}#list=review")
         wait_for_images(page)
         assert page.inner_text(".review-progress") and token not in page.url
+        page.click(".review-items button:has(.mono) >> nth=0")
+        wait_for_images(page)
         page.keyboard.press("i")
         page.wait_for_selector(".viewer:modal figcaption:text-is('right')")
         assert "pixelated" not in page.inner_text(".viewer-text")

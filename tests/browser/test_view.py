@@ -254,7 +254,7 @@ def test_a_new_changeset_appears_without_a_reload(page, address, conn, samples, 
     late = cone(samples, "late", 12.0, day=2)
     commit(conn, samples, images, "3", 2, samples.added(late), missed(stays, at_ns, 0.8))
     committed = time.monotonic()
-    page.wait_for_selector("text=drive_3 was committed: 1 added")
+    page.wait_for_selector("text=drive_3 was saved: 1 added")
     page.wait_for_selector(".drive-text >> text=drive_3")
     print(f"from commit to view: {time.monotonic() - committed:.1f} s")
     assert page.evaluate("window.notReloaded") is True
@@ -267,7 +267,8 @@ def test_a_new_changeset_appears_without_a_reload(page, address, conn, samples, 
     said = page.locator(".history button").all_inner_texts()  # without line ends where the panel is being drawn
     begins = ["added · version 1", "confirmed · version 2", "not observed in 5 frame pairs"]
     assert [text[: len(begin)] for text, begin in zip(said, begins, strict=True)] == begins
-    why = "Not observed: drive drive_3 passed, the position was visible in 5 frame pairs, none showed a cone; existence 0.80"
+    passed = "drive drive_3 passed, the position was visible in 5 frame pairs, none showed a cone"
+    why = f"Not observed: {passed}; sure it stands: 80 %"
     assert page.locator(".panel .why").inner_text().startswith(why)
 
 

@@ -111,7 +111,7 @@ def test_roles_decide_about_features_and_drives(client, tokens, module_conn):
     held = next(i for i in client.get(f"{MAP}/review", headers=as_(SHARED)).json()["items"] if i["kind"] == "held")
     drive = {"kind": "accept", "changeset_id": held["changeset_id"]}
     for request in (about, drive):
-        decide(client, tokens["read"], 401, **request)
+        decide(client, tokens["read"], 403, **request)
         decide(client, SHARED, 401, **request)
     pinned = decide(client, tokens["review"], 201, **about)
     assert "role admin" in decide(client, tokens["review"], 403, **drive)["detail"]

@@ -1,7 +1,7 @@
 // Decisions of people: suppress, pin, revert, and taking them back. Only for holders of the writer token, which the page keeps for this
 // tab once a person typed it, and sends in a header only.
 import { api, ApiError, type Decision, type Decisions, type HistoryItem, type DecisionRequest, type TimelineItem } from "./api";
-import { el, fill, plural, utc } from "./dom";
+import { el, fill, plural, when } from "./dom";
 import { STYLES } from "./kinds";
 
 const TOKEN = "conetl writer token";
@@ -101,7 +101,7 @@ const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: 
 export function sentence(d: Decision): HTMLElement {
   return el("div", { class: "decision" },
     el("b", { textContent: `${LABELS[d.kind]}${d.drive_id ? ` ${d.drive_id}` : ""}` }), ` by ${d.decided_by ?? (d.kind === "hold" ? "the health checks" : "unknown")}`,
-    Boolean(d.reason) && `: ${d.reason}`, el("small", { textContent: `${utc(d.decided_at)} UTC${d.radius_m === null ? "" : ` · within ${d.radius_m} m`}` })); // prettier-ignore
+    Boolean(d.reason) && `: ${d.reason}`, el("small", { textContent: `${when(d.decided_at)}${d.radius_m === null ? "" : ` · within ${d.radius_m} m`}` })); // prettier-ignore
 }
 
 /** Buttons that each open a form below them; one form at a time. They stay open while `about` is the same. */

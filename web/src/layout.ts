@@ -1,6 +1,6 @@
 // The frame of the page: header, side panels, cards for empty maps, loading and errors.
 import { classOf, onlyCones } from "./classes";
-import { el, fill, messageOf, plural, probabilityText, shortId } from "./dom";
+import { el, fill, lengthText, messageOf, plural, shortId, sureText } from "./dom";
 import { icon, STYLES, type Cone } from "./kinds";
 import { createListPane } from "./list_pane";
 import type { LiveStatus } from "./live";
@@ -86,7 +86,7 @@ export function createLayout(app: HTMLElement) {
   function tell(cone: Cone): void {
     const shift = cone.kind === "moved" && cone.shift_m !== null ? ` by ${cone.shift_m.toFixed(2)} m` : "";
     fill(tip, el("b", {}, icon(cone.kind), `${STYLES[cone.kind].label}${shift}`), !onlyCones() && classOf(cone.category).label, cone.marking && el("span", { textContent: wordsOf(cone.marking) }), el("span", { class: "mono", textContent: shortId(cone.id) }),
-      el("span", { textContent: `existence probability ${probabilityText(cone.probability)}, sigma ${cone.sigma_m.toFixed(3)} m, ${plural(cone.observations, "observation")}` })); // prettier-ignore
+      el("span", { textContent: `sure it stands: ${sureText(cone.probability)}, accuracy ±${lengthText(cone.sigma_m)}, ${plural(cone.observations, "observation")}` })); // prettier-ignore
   }
 
   return {

@@ -311,7 +311,7 @@ async function newChangeset(no: number): Promise<void> {
     void readMaps();
     const counts = changesOf([item]).map((change) => change.text).join(", ") || "no changes";
     const follows = state.mode === "drive" && state.changeset === null;
-    const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} was committed, but is not part of the map: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
+    const said = item.counts ? `${item.drive_id} was saved: ${counts}.` : item.hold === null ? `${item.drive_id} was saved, but is not part of the map: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
     layout.toast(said, follows ? null : { text: "Show its changes", run: () => change({ mode: "drive", changeset: null, side: "changes" }) });
     await refresh();
     await selection.again();

@@ -2,7 +2,7 @@
 import type { Decisions, HistoryItem, Marking, Sighting } from "./api";
 import { classOf, nounOf } from "./classes";
 import { aboutFeature, createDecider, placeChoice, sentence, withdrawChoice, type DecideContext } from "./decisions";
-import { el, fill, knownText, messageOf, plural, probabilityText, shortId, utc } from "./dom";
+import { el, fill, knownText, lengthText, messageOf, plural, probabilityText, shortId, sureText, when } from "./dom";
 import { icon, isGone, STYLES, type Kind } from "./kinds";
 import { lengthOf, wordsOf } from "./markings";
 import { ellipse95, niceFactor } from "./overlays";
@@ -34,7 +34,8 @@ export interface Chosen {
   decisions: Decisions | null;
 }
 
-const sigma = (variance: number) => Math.sqrt(variance).toFixed(3);
+const accuracy = (variance: number) => `±${lengthText(Math.sqrt(variance))}`;
+const [SURE, ACCURACY] = ["Existence probability", "One standard deviation (sigma)"];
 
 /** The state that is shown; undefined before the cone was on the map. */
 export const stateOf = ({ history, reached }: Chosen): HistoryItem | undefined => history.filter(reached).at(-1);
@@ -87,7 +88,7 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
     fill(reason, now && sentenceOf(now));
     fill(facts);
     if (now) showFacts(chosen, now);
-    else fill(reason, el("p", { class: "notice", textContent: `Not on the map yet: ${first.drive_id}, recorded ${utc(first.captured_from)} UTC, added it.` }));
+    else fill(reason, el("p", { class: "notice", textContent: `Not on the map yet: ${first.drive_id}, recorded ${when(first.captured_from)}, added it.` }));
     showDecisions(chosen);
     showStory(chosen, now);
   }
@@ -111,13 +112,13 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
         ...row("Class", classOf(now.category).label),
         ...row("Position", el("span", { class: "mono", textContent: `${easting} E` }), el("span", { class: "mono", textContent: `${northing} N` }), el("small", { textContent: `EPSG:${chosen.srid}, ${line ? "middle of this stretch" : "foot centre"}` })),
         ...row("Height", el("span", { class: "mono", textContent: `${height} m` }), el("small", { textContent: "ellipsoidal" })),
-        ...row("Sigma E, N, up", el("span", { class: "mono", textContent: `${sigma(now.cov_m2[0])}, ${sigma(now.cov_m2[3])}, ${sigma(now.cov_m2[5])} m` })),
+        ...row("Accuracy", el("span", { title: `${ACCURACY}: ${[0, 3, 5].map((i) => Math.sqrt(now.cov_m2[i] ?? 0).toFixed(3)).join(", ")} m`, textContent: `${accuracy(now.cov_m2[0])} east, ${accuracy(now.cov_m2[3])} north, ${accuracy(now.cov_m2[5])} up` })),
         ...(line ? lineRows(line) : row("95 % semi-axes", el("span", { class: "mono", textContent: `${e.major_m.toFixed(3)} × ${e.minor_m.toFixed(3)} m` }),
           el("small", {}, "ellipse drawn at ", factor))),
-        ...row("Existence probability", meter, el("span", { class: "mono", textContent: probabilityText(now.existence_probability) })),
+        ...row("Sure it stands", meter, el("span", { title: `${SURE} ${probabilityText(now.existence_probability)}`, textContent: sureText(now.existence_probability) })),
         ...row("Evidence", el("span", { textContent: evidence(now) }), el("small", { textContent: `${plural(now.observation_count, "observation")} in total` })),
         ...(now.object_height_m === null ? [] : row("Object height", el("span", { class: "mono", textContent: `${now.object_height_m.toFixed(3)} ± ${(now.object_height_sigma_m ?? 0).toFixed(3)} m` }))),
-        ...row("First, last seen", el("span", { class: "mono", textContent: utc(now.first_seen_at) }), el("span", { class: "mono", textContent: `${utc(now.last_seen_at)} UTC` })),
+        ...row("First, last seen", el("span", { textContent: when(now.first_seen_at, false) }), el("span", { textContent: when(now.last_seen_at, false) })),
       ),
     ); // prettier-ignore
   }
@@ -148,8 +149,8 @@ export function createPanel(host: HTMLElement, actions: PanelActions) {
           el("button", { type: "button", title: h.why, onclick: () => actions.showChangeset(h.changeset_no) },
             icon(h.kind),
             el("span", {}, el("b", { textContent: STYLES[h.kind].label }), h.kind === "moved" && h.shift_m !== null && ` by ${h.shift_m.toFixed(3)} m`, other(h), h.kind === "missed" ? frames(h) : ` · version ${h.version}`,
-              el("small", {}, `${utc(h.changed_at)} UTC · `, el("span", { class: "together", textContent: h.drive_id })),
-              el("small", { textContent: `existence ${probabilityText(h.existence_probability)} · ${plural(h.observation_count, "observation")} · σ ${sigma((h.cov_m2[0] + h.cov_m2[3]) / 2)} m` }))))),
+              el("small", {}, `${when(h.changed_at)} · `, el("span", { class: "together", textContent: h.drive_id })),
+              el("small", { title: `${SURE} ${probabilityText(h.existence_probability)}`, textContent: `sure it stands: ${sureText(h.existence_probability)} · ${plural(h.observation_count, "observation")} · ${accuracy((h.cov_m2[0] + h.cov_m2[3]) / 2)}` }))))),
       ),
     ); // prettier-ignore
   }
@@ -174,7 +175,7 @@ function row(name: string, ...values: (Node | string)[]): Node[] {
 }
 
 const lineRows = (line: Marking): Node[] => [
-  ...row("Sigma across", el("span", { class: "mono", textContent: `${line.sigma_lateral_m.toFixed(3)} m` }), el("small", { textContent: "largest along the line" })),
+  ...row("Accuracy across", el("span", { title: ACCURACY, textContent: `±${lengthText(line.sigma_lateral_m)}` }), el("small", { textContent: "largest along the line" })),
   ...row("Paint", el("span", { textContent: wordsOf(line) })),
   ...row("Width", el("span", { class: "mono", textContent: `${line.width_m.toFixed(3)} ± ${line.width_sigma_m.toFixed(3)} m` })),
   ...row("Length", el("span", { class: "mono", textContent: `${lengthOf(line.line_m).toFixed(2)} m` }), el("small", { textContent: "of this stretch" })),

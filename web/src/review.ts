@@ -89,7 +89,7 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
   let loadNo = 0;
   let choosingClass = false;
   /** Typed once before the first verdict, and again if the server refuses it. */
-  let asking: { problem: string; then: () => void } | null = null;
+  let asking: HTMLFormElement | null = null;
   let shownKey = "";
   const verdicts = new Map<string, Verdict>();
   const subjects = new Map<string, Promise<[Subject, Start | null]>>();
@@ -249,9 +249,10 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
     question.textContent = KINDS[item.kind].question;
     why.textContent = [item.why, ...item.checks.map((c) => c.figures && `${c.name}: ${c.figures}`)].filter(Boolean).join(" ");
     note.hidden = !actions.writable() || asking !== null;
+    if (asking?.isConnected) return; // somebody is typing
     const focused = buttons.contains(document.activeElement);
-    fill(buttons, ...(asking ? [form(asking)] : !actions.writable() ? [el("p", { class: "hint", textContent: writer.person() === null ? "Read-only: decisions require `conetl view --decisions`." : "Read-only: decisions require the role review, and `conetl view --decisions`." }), ...moves()] : item.kind === "held" && !actions.decidesDrives() ? [el("p", { class: "hint", textContent: "Decisions about whole drives require the role admin." }), ...moves()] : choosingClass ? classButtons(item) : verdict && verdict.state !== "failed" ? judged(verdict, item) : answers(item, verdict)));
-    if (focused) buttons.querySelector<HTMLElement>("button, input")?.focus();
+    fill(buttons, ...(asking ? [asking] : !actions.writable() ? [el("p", { class: "hint", textContent: writer.person() === null ? "Read-only: decisions require `conetl view --decisions`." : "Read-only: decisions require the role review, and `conetl view --decisions`." }), ...moves()] : item.kind === "held" && !actions.decidesDrives() ? [el("p", { class: "hint", textContent: "Decisions about whole drives require the role admin." }), ...moves()] : choosingClass ? classButtons(item) : verdict && verdict.state !== "failed" ? judged(verdict, item) : answers(item, verdict)));
+    if (focused && !asking) buttons.querySelector<HTMLElement>("button")?.focus();
   }
 
   const moves = () => [keyButton("Skip", "", "S", skip), keyButton("Back", "", "B", () => go(-1))];
@@ -282,9 +283,9 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
     draw();
   }
 
-  function form({ problem, then }: { problem: string; then: () => void }): HTMLFormElement {
-    const name = el("input", { type: "text", name: "name", required: true, minLength: 2, maxLength: 80, autocomplete: "name", value: writer.name() });
-    const token = el("input", { type: "password", name: "token", required: true, autocomplete: "off" });
+  function form(problem: string, then: () => void): HTMLFormElement {
+    const name = el("input", { type: "text", name: "name", required: true, minLength: 2, maxLength: 80, autocomplete: "name", placeholder: " ", value: writer.name() });
+    const token = el("input", { type: "password", name: "token", required: true, autocomplete: "off", placeholder: " " });
     const made = el("form", { class: "review-writer" }, Boolean(problem) && el("p", { class: "hint bad", role: "alert", textContent: problem }),
       label("Your name", name, "Visible to everyone who sees the map."), label("Writer token", token, "In the file that conetl view names when it starts."),
       el("button", { type: "submit", class: "primary", textContent: "Continue" }), el("button", { type: "button", textContent: "Cancel", onclick: () => ask(null) })); // prettier-ignore
@@ -294,14 +295,15 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
       ask(null);
       then();
     });
-    queueMicrotask(() => (name.value ? token : name).focus());
     return made;
   }
 
-  function ask(what: typeof asking): void {
+  function ask(what: HTMLFormElement | null): void {
+    asking?.remove();
     asking = what;
     draw();
-    if (!what) question.focus();
+    if (what) what.querySelector<HTMLInputElement>("input:placeholder-shown")?.focus(); // the first empty one
+    else question.focus();
   }
 
   // --- verdicts
@@ -315,7 +317,7 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
 
   function judge(item: ReviewItem, answer: Answer): void {
     const token = writer.token();
-    if (token === null) return ask({ problem: "", then: () => judge(item, answer) });
+    if (token === null) return ask(form("", () => judge(item, answer)));
     const request = answer.request(item, signed(REASON));
     const verdict: Verdict = { text: answer.done, state: "saving", problem: "", decisionId: null };
     verdicts.set(keyOf(item), verdict);
@@ -331,7 +333,7 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
         writer.forget();
         verdicts.delete(keyOf(item));
         choose(item);
-        ask({ problem: verdict.problem, then: () => judge(item, answer) });
+        ask(form(verdict.problem, () => judge(item, answer)));
       }
     });
     choose(following() ?? item);

@@ -1,7 +1,7 @@
 // The image viewer: whole images of a frame pair, zoomed and panned, with boxes, the projected cone and epipolar lines; played along
 // the drive, and beside the drive before. It is docked in a part of the page, or covers the page.
 import { api, type HistoryItem, type Sighting, type Trajectory } from "./api";
-import { el, fill, messageOf, plural, utc } from "./dom";
+import { el, fill, messageOf, plural, utc, when } from "./dom";
 import { createFrameCache, type LoadedImage } from "./frame_cache";
 import { createPane, type Pane, type Picture, type Shape, type View } from "./image_pane";
 import { bestFrame, judging, type DrivePass, type Frame, type FrameView, type PassFrame, type Side } from "./judging";
@@ -354,7 +354,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
     const seen = passFrame(own.drive_uuid, own.frame_index);
     dialog.dataset["item"] = subject.title;
     dialog.dataset["frame"] = `${own.drive_id} ${own.frame_index}`;
-    fill(text, el("b", { textContent: own.drive_id }), ` · frame pair ${own.frame_index} (${at + 1} of ${path.frame_index.length}) · ${utc(own.captured_at)} UTC`,
+    fill(text, el("b", { textContent: own.drive_id }), ` · frame pair ${own.frame_index} (${at + 1} of ${path.frame_index.length}) · ${when(own.captured_at)}`,
       subject.now && " · ", subject.now && (seen ? `${seen.range_m.toFixed(1)} m away, ${STATES[seen.state]}` : "position not in view"),
       own.pixelated && el("small", { textContent: " · pixelated outside detections (logins with the role review see all)" })); // prettier-ignore
   }

@@ -146,8 +146,8 @@ def person_of(request: Request) -> Person | None:
 
 
 class WritersRoute(APIRoute):
-    """A route that accepts other methods than GET from people who may decide and holders of the writer token only; refuses before
-    it reads the body."""
+    """A route that accepts other methods than GET from people who may decide, and from holders of the writer token who are not
+    logged in by name; refuses before it reads the body."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         handle = super().get_route_handler()
@@ -174,7 +174,9 @@ def _require_writer(request: Request) -> None:
     wanted = writer.token.get_secret_value().encode()
     has_token = hmac.compare_digest(given.strip().encode(), wanted) and scheme.lower() == "bearer"
     person = person_of(request)
-    if not (has_token or (person is not None and person.may_decide)):
+    if person is not None and not person.may_decide:
+        raise HTTPException(403, f"{person.name} has the role {person.role}: decisions require the role review.")
+    if person is None and not has_token:
         raise HTTPException(401, _WRONG_TOKEN, headers={"WWW-Authenticate": "Bearer"})
     if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         raise HTTPException(415, "A decision must be sent as application/json.")
