@@ -121,6 +121,24 @@ def test_what_is_skipped_stays_away_and_nothing_is_written_without_a_name(browse
     page.close()
 
 
+def test_a_class_is_corrected_and_withdrawn_by_keys(page, address, conn):
+    open_review(page, address)
+    page.click(".review-items li:last-child button")  # moved
+    wait_for_images(page)
+    page.keyboard.press("c")
+    page.keyboard.press(page.inner_text(".review-buttons button:has-text('Drum') kbd"))
+    page.wait_for_selector(".review-items .saved:has-text('drum ✓')")
+    conn.rollback()
+    [made] = [d for d in list_decisions(conn) if d.kind != "hold"]
+    assert (made.kind, made.category, made.decided_by) == ("classify", "drum", "Ada")
+    page.click(".review-items .saved button")
+    page.wait_for_selector(".review-buttons button:has-text('Withdraw')")
+    page.keyboard.press("w")
+    page.wait_for_selector(".review-items :is(.saved, .withdrawing)", state="detached")
+    conn.rollback()
+    assert [d.kind for d in list_decisions(conn)] == ["hold"]
+
+
 def test_twenty_items_are_judged_by_at_most_sixty_keys(page, address, conn, settings, capsys):
     """It decides."""
     held = next(c for c in list_changesets(conn) if c.hold)
@@ -182,6 +200,9 @@ def test_a_person_who_is_logged_in_needs_no_token_and_sees_whole_images(
         module_database_url, "default", writer=writer, reader_token=shared, find_person=people_of(tmp_path)
     ) as port:
         page = browser.new_page(viewport={"width": 1280, "height": 800})
+        other = browser.new_page()
+        other.goto(f"http://127.0.0.1:{port}/?token={shared.get_secret_value()}")
+        other.wait_for_selector(".status[data-status=live]")
         page.goto(f"http://127.0.0.1:{port}/?token={token}#list=review")
         wait_for_images(page)
         assert page.inner_text(".review-progress") and token not in page.url
@@ -198,5 +219,6 @@ def test_a_person_who_is_logged_in_needs_no_token_and_sees_whole_images(
         page.wait_for_selector(".review-items .saved")
         page.keyboard.press("Escape")
         assert page.inner_text(".who") == "Ada Mayer"
-        page.wait_for_selector(".decisions .decision >> text=by Ada Mayer: a shadow")
-        page.close()
+        for tab in (page, other):
+            tab.wait_for_selector(".decisions .decision >> text=by Ada Mayer: a shadow", timeout=10_000)
+            tab.close()

@@ -28,8 +28,6 @@ export interface DecideContext {
   map: string;
   /** Something was written, or changed meanwhile: read it again. */
   changed(): void;
-  /** What was written, for a page that goes on to the next thing. */
-  wrote?(text: string): void;
 }
 
 export interface Choice {
@@ -197,7 +195,6 @@ export function createDecider(host: HTMLElement) {
         cancel();
         const said = [`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} replayed.`, ...done.hold_changes, done.report_problem].filter(Boolean).join(" "); // prettier-ignore
         report(said, done.report_problem !== null);
-        context.wrote?.(said);
         context.changed();
       } catch (error) {
         refused(error);
@@ -237,7 +234,7 @@ export function createDecider(host: HTMLElement) {
     return form;
   }
 
-  return { show, idle: () => !busy };
+  return { show };
 }
 
 export function label(text: string, input: HTMLInputElement, hint = ""): HTMLElement {
