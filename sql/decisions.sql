@@ -7,14 +7,14 @@
 -- decided_by is null of a hold and where no name was kept.
 select
     d.decision_id, d.kind, d.easting_m, d.northing_m, d.radius_m, d.of_line, d.category, d.found_as, d.feature_id,
-    d.changeset_id, r.drive_id, d.note, d.decided_by, d.decided_at
+    d.changeset_id, d.approves, r.drive_id, d.note, d.decided_by, d.decided_at
 from (
     select
         a.decision_id, a.map_id, a.kind, ST_X(a.geom) as easting_m, ST_Y(a.geom) as northing_m, a.radius_m, a.of_line, a.category,
-        a.found_as, a.feature_id, a.changeset_id, a.note, a.decided_by, a.decided_at
+        a.found_as, a.feature_id, a.changeset_id, a.approves, a.note, a.decided_by, a.decided_at
     from conetl.active_decision a
     union all
-    select h.hold_id, h.map_id, 'hold', null, null, null, false, null, null, null, h.changeset_id, h.reason, null, h.since
+    select h.hold_id, h.map_id, 'hold', null, null, null, false, null, null, null, h.changeset_id, null, h.reason, null, h.since
     from conetl.on_hold h
 ) d
 join conetl.map m using (map_id)
@@ -58,10 +58,11 @@ limit 2;
 -- name: insert_decision
 -- What a person decided. Parameters: as the columns; easting_m, northing_m (null of a revert or withdrawal).
 insert into conetl.decision (
-    decision_id, map_id, srid, kind, geom, radius_m, of_line, category, found_as, feature_id, changeset_id, withdraws, note,
-    decided_by, decided_at
+    decision_id, map_id, srid, kind, geom, radius_m, of_line, category, found_as, feature_id, changeset_id, withdraws,
+    approves, note, decided_by, decided_at
 ) values (
     %(decision_id)s, %(map_id)s, %(srid)s, %(kind)s,
     ST_SetSRID(ST_MakePoint(%(easting_m)s::float8, %(northing_m)s::float8), %(srid)s), %(radius_m)s, %(of_line)s,
-    %(category)s, %(found_as)s, %(feature_id)s, %(changeset_id)s, %(withdraws)s, %(note)s, %(decided_by)s, %(decided_at)s
+    %(category)s, %(found_as)s, %(feature_id)s, %(changeset_id)s, %(withdraws)s, %(approves)s, %(note)s, %(decided_by)s,
+    %(decided_at)s
 );

@@ -107,7 +107,8 @@ order by b.side, b.detection_index, b.match_index;
 
 -- name: review_changes
 -- Cones without a decision that were removed (the latest first) or moved (the largest moves first) by the last drive that
--- changed them. Parameters: map_name; first_row; max_rows; change ('removed' or 'moved').
+-- changed them; an approval is of the change that it names alone. Parameters: map_name; first_row; max_rows; change ('removed'
+-- or 'moved').
 -- Columns: total (of all pages), feature_id (null on an empty page).
 with found as (
     select v.feature_id, x.changed_at, case x.kind when 'moved' then x.shift_m end as shift_m
@@ -120,7 +121,10 @@ with found as (
     and (x.kind <> 'moved' or x.shift_m > g.moved_m)
     and not exists (
         select from conetl.active_decision a
-        where a.map_id = m.map_id and (a.feature_id = v.feature_id or ST_DWithin(a.geom, v.geom, a.radius_m))
+        where a.map_id = m.map_id and (
+            a.feature_id = v.feature_id and coalesce(a.approves, x.changeset_id) = x.changeset_id
+            or ST_DWithin(a.geom, v.geom, a.radius_m)
+        )
     )
 )
 select n.total, p.feature_id
@@ -140,7 +144,8 @@ with found as (
     where s.line is null and s.existence_probability between %(least)s and %(most)s
     and not exists (
         select from conetl.active_decision a
-        where a.map_id = s.map_id and (a.feature_id = s.feature_id or ST_DWithin(a.geom, s.geom, a.radius_m))
+        where a.map_id = s.map_id and a.approves is null
+        and (a.feature_id = s.feature_id or ST_DWithin(a.geom, s.geom, a.radius_m))
     )
 )
 select n.total, p.feature_id
@@ -153,12 +158,12 @@ left join lateral (
 
 -- name: last_changes
 -- What the last drive that judged each of some features did to it. Parameters: map_name; feature_ids (uuid[]).
--- Columns: feature_id, then as serving.feature_history.
+-- Columns: feature_id, changeset_id, then as serving.feature_history.
 select n.feature_id, x.*
 from unnest(%(feature_ids)s::uuid[]) n (feature_id)
 cross join lateral (
     select
-        x.changeset_no, x.drive_id, x.drive_uuid, x.drive_kind, x.captured_from_ns, x.kind, x.changed_at,
+        x.changeset_id, x.changeset_no, x.drive_id, x.drive_uuid, x.drive_kind, x.captured_from_ns, x.kind, x.changed_at,
         x.new_version as version, x.track_index, x.shift_m, x.other_feature_id, x.frames_seen, x.frames_empty, s.category,
         s.easting_m, s.northing_m, s.ellipsoidal_height_m, s.object_height_m, s.sigma_m,
         coalesce(x.existence_after, s.existence_probability) as existence_probability

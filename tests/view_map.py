@@ -119,6 +119,7 @@ def serving(
     *,
     writer: Writer | None = None,
     reader_token: SecretStr | None = None,
+    find_person: Any = lambda _: None,
     basemap: BaseMap | None = None,
     port: int = 0,
 ) -> Iterator[int]:
@@ -130,6 +131,7 @@ def serving(
         closing=lambda: running is not None and running.should_exit,
         writer=writer,
         reader_token=reader_token,
+        find_person=find_person,
         base_map=basemap,
     )
     listener = socket.create_server(("127.0.0.1", port), backlog=2048)

@@ -82,9 +82,10 @@ def test_what_is_not_counted_yet_is_unknown(tab, address):
     assert tab.inner_text(".review-button .badge") == "…"
     assert "unknown" in tab.get_attribute(".review-button", "aria-label")
     tab.click(".review-button")
-    assert tab.inner_text(".review-detail").strip().startswith("Loading")
+    assert tab.inner_text(".review-head h2").startswith("Loading")
     for route in held:
         route.continue_()
+    tab.keyboard.press("Escape")
     tab.wait_for_selector(".review-button .badge[data-count]:not([data-count=''])")
     assert tab.inner_text(".review-button .badge").isdigit()
 
@@ -116,12 +117,12 @@ def test_the_buttons_of_a_panel_are_on_the_screen(tab, address, features, size):
     """640 x 400 is the screen of 1280 x 800 at 200 %."""
     tab.set_viewport_size({"width": size[0], "height": size[1]})
     tab.goto(f"{address}#mode=drive&feature={features['wanders']}&list=changes")
-    tab.wait_for_selector("figure img >> nth=1", state="attached")
+    tab.wait_for_selector(".panel-images .pane img >> nth=0", state="attached")
     tab.evaluate(  # a pinned cone of a long kind
         "() => document.querySelector('.panel-title').append(...['pinned', 'height changed'].map((text) => {"
         "  const chip = document.createElement('span'); chip.className = 'chip'; chip.textContent = text; return chip; }))"
     )
-    for button in (".panel .close", ".list-head .close"):
+    for button in (".panel > header > .close", ".list-head .close"):
         box, host = tab.locator(button).bounding_box(), tab.locator(button.split()[0]).bounding_box()
         assert host["x"] <= box["x"] and box["x"] + box["width"] <= min(host["x"] + host["width"], size[0]) + 1, button
         assert box["y"] >= 0 and box["y"] + box["height"] <= size[1], button

@@ -320,7 +320,7 @@ def test_a_phone_needs_no_sideways_scrolling(browser, address, features, long_na
 def test_axe_has_no_serious_finding(browser, address, features):
     tab = browser.new_page(viewport={"width": 1280, "height": 800}, bypass_csp=True)
     tab.goto(f"{address}#mode=drive&list=changes&feature={features['wanders']}")
-    tab.wait_for_selector("figure img >> nth=1")
+    tab.wait_for_selector(".panel-images .pane img")
     tab.add_script_tag(path=AXE)
 
     def findings() -> list[str]:

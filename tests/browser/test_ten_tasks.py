@@ -116,7 +116,7 @@ def test_1_the_cone_that_moved_most(task, changed, size):
         if size != "phone":  # where the page opens with the newest drive, which is on hold
             hand.click(".column[data-changeset='2']")
         else:
-            hand.click("button.step:not([disabled]) >> nth=0")
+            hand.click(".timeline button.step:not([disabled]) >> nth=0")
         hand.click(".drive-text .chip[data-kind=moved]")
         hand.click("#list-changes .row[data-index='0']")
         hand.page.wait_for_selector(f".panel h2:text-is('{changed['moved'][0][:8]}')")
@@ -168,9 +168,7 @@ def test_6_cones_below_a_probability(task):
 def test_7_the_empty_position_of_a_removed_cone(task, changed):
     with task("&changeset=2") as hand:
         hand.find(changed["removed"][0])
-        hand.page.wait_for_selector(".empty-position[data-frame]")
-        hand.click(".empty-position button:has(img) >> nth=0")
-        hand.page.wait_for_selector(".viewer[data-frame] path.cone.dashed", state="attached")
+        hand.page.wait_for_selector(".panel-images .viewer[data-frame] path.cone.dashed", state="attached")
 
 
 def test_8_a_held_drive_is_accepted(task, conn, size):
@@ -181,9 +179,8 @@ def test_8_a_held_drive_is_accepted(task, conn, size):
             [TOKEN, "Ada"],
         )
         hand.click(".review-button")
-        hand.click(".review-actions .decide-buttons button >> nth=0")
-        hand.write("form.decide [name=reason]", "seen in the images")
-        hand.page.wait_for_selector(".toast:has-text('Released: drive')")
+        hand.click(".review-buttons button >> nth=0")
+        hand.page.wait_for_selector(".review-items .saved")
     conn.rollback()
     assert [c.hold for c in list_changesets(conn, map_name=size)] == [None] * 3
 

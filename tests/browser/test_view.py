@@ -161,16 +161,18 @@ def test_compare_and_any_time(page, address, samples):
 def test_a_click_shows_history_and_images(page, address, features):
     open_view(page, address)
     click_cone(page, features["wanders"])
-    page.wait_for_selector("figure img >> nth=1")
+    page.wait_for_selector(".panel-images .pane img >> nth=1")
     panel = page.locator(".panel").inner_text()
     assert features["wanders"][:8] in panel
     assert "moved by 1.500 m" in panel and "HISTORY, AS KNOWN NOW" in panel.upper()
     assert "458006.500 E" in panel
-    assert "Image pair 4 of 6" in panel  # the nearest of the drive that is shown
-    sizes = page.eval_on_selector_all("figure img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")
+    captions = page.locator(".panel-images figcaption").all_inner_texts()
+    assert [text.split(" · ")[0] for text in captions] == ["before", "this drive"]
+    sizes = page.eval_on_selector_all(".panel-images img", "all => all.map(i => [i.naturalWidth, i.naturalHeight])")
     assert len(sizes) == 2 and all(min(size) >= 300 for size in sizes)
+    frame = int(page.get_attribute(".viewer", "data-frame").split()[-1])
     page.keyboard.press("n")
-    page.wait_for_selector("text=Image pair 5 of 6")
+    page.wait_for_selector(f".viewer[data-frame$=' {frame + 1}']")
     page.keyboard.press("Escape")
     page.wait_for_selector(".panel", state="hidden")
 
@@ -182,7 +184,7 @@ def test_a_link_restores_the_view(page, address, features, browser):
         page.keyboard.press(key)
     settle(page)
     click_cone(page, features["comes"])
-    page.wait_for_selector("figure img >> nth=1")
+    page.wait_for_selector(".panel-images .pane img")
     settle(page)
     page.mouse.move(5, 5)  # no tooltip, no focus ring
     page.evaluate("document.activeElement.blur()")
@@ -192,7 +194,7 @@ def test_a_link_restores_the_view(page, address, features, browser):
     wanted = screenshot(page)
     again = browser.new_page(viewport={"width": 1280, "height": 800})
     again.goto(link)
-    again.wait_for_selector("figure img >> nth=1")
+    again.wait_for_selector(".panel-images .pane img")
     settle(again)
     assert (np.abs(screenshot(again) - wanted).max(axis=2) > 40).mean() < 0.002
     assert features["comes"][:8] in again.locator(".panel h2").inner_text()
@@ -204,12 +206,14 @@ def test_a_choice_is_in_the_address_before_the_next_thing_happens(page, address,
     open_view(page, address)
     click_cone(page, features["wanders"])
     assert f"feature={features['wanders']}" in page.evaluate("() => location.hash")
-    page.wait_for_selector("text=Image pair 4 of 6")
+    page.wait_for_selector(".viewer[data-frame]")
+    frame = int(page.get_attribute(".viewer", "data-frame").split()[-1])
     settle(page)
     press = "key => (window.dispatchEvent(new KeyboardEvent('keydown', { key })), location.hash)"
-    assert "sighting=" not in page.evaluate("() => location.hash")
+    assert "image=" not in page.evaluate("() => location.hash")
     page.keyboard.press("ArrowRight")  # moves the camera
-    assert "sighting=4" in page.evaluate(press, "n")
+    image = re.search(r"image=([0-9a-f-]{36})\.(\d+)", page.evaluate(press, "n"))
+    assert image and int(image[2]) == frame + 1
     assert "feature=" not in page.evaluate(press, "Escape")
     page.wait_for_timeout(300)
     held = """() => {
@@ -222,8 +226,8 @@ def test_a_choice_is_in_the_address_before_the_next_thing_happens(page, address,
     }"""
     assert page.evaluate(held) == 1, "browsers refuse an address that changes all the time"
     page.goto("about:blank")
-    page.goto(f"{address}#map=default&side=before&feature={features['wanders']}&sighting=1")
-    page.wait_for_selector("text=Image pair 2 of 6")
+    page.goto(f"{address}#map=default&side=before&feature={features['wanders']}&image={image[1]}.{frame + 1}")
+    page.wait_for_selector(f".viewer[data-frame$=' {frame + 1}']")
     page.wait_for_selector(".legend >> text=standing")
 
 
@@ -250,7 +254,7 @@ def test_a_new_changeset_appears_without_a_reload(page, address, conn, samples, 
     late = cone(samples, "late", 12.0, day=2)
     commit(conn, samples, images, "3", 2, samples.added(late), missed(stays, at_ns, 0.8))
     committed = time.monotonic()
-    page.wait_for_selector("text=drive_3 was committed: 1 added")
+    page.wait_for_selector("text=drive_3 was saved: 1 added")
     page.wait_for_selector(".drive-text >> text=drive_3")
     print(f"from commit to view: {time.monotonic() - committed:.1f} s")
     assert page.evaluate("window.notReloaded") is True
@@ -263,7 +267,8 @@ def test_a_new_changeset_appears_without_a_reload(page, address, conn, samples, 
     said = page.locator(".history button").all_inner_texts()  # without line ends where the panel is being drawn
     begins = ["added · version 1", "confirmed · version 2", "not observed in 5 frame pairs"]
     assert [text[: len(begin)] for text, begin in zip(said, begins, strict=True)] == begins
-    why = "Not observed: drive drive_3 passed, the position was visible in 5 frame pairs, none showed a cone; existence 0.80"
+    passed = "drive drive_3 passed, the position was visible in 5 frame pairs, none showed a cone"
+    why = f"Not observed: {passed}; sure it stands: 80 %"
     assert page.locator(".panel .why").inner_text().startswith(why)
 
 

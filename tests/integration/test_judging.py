@@ -44,10 +44,10 @@ def get(client, path):
     return answer.json()
 
 
-def decide(client, request):
+def decide(client, request, status=201):
     headers = {"Authorization": f"Bearer {TOKEN}", "Origin": OWN}
     answer = client.post(f"{MAP}/decisions", json=request | BY, headers=headers)
-    assert answer.status_code == 201, answer.text
+    assert answer.status_code == status, answer.text
     return answer.json()
 
 
@@ -147,3 +147,40 @@ def test_the_queue_is_paged_and_what_is_decided_leaves_it(client, module_conn, h
     decide(client, pin)
     assert now["feature_id"] in {f["feature_id"] for f in get(client, "tiles/0/0/5")["features"]}
     assert now["feature_id"] not in {item["feature_id"] for item in get(client, "review?limit=100")["items"]}
+
+
+def test_an_approval_holds_until_the_next_change_and_can_be_withdrawn(client, module_conn):
+    """Last in this file: it decides, and merges another day."""
+    moves = [item for item in get(client, "review?limit=100")["items"] if item["kind"] == "move"]
+    one = {"feature_id": moves[0]["feature_id"], "expected_version": moves[0]["version"]}
+    standing = get(client, "tiles/0/0/5")["features"]
+
+    def waiting() -> set[str]:
+        found = get(client, "review?limit=100")["items"]
+        return {item["feature_id"] for item in found if item["kind"] == "move"}
+
+    done = decide(client, {"kind": "approve"} | one)
+    assert (done["versions_written"], done["replayed"]) == (0, 0)
+    assert get(client, "tiles/0/0/5")["features"] == standing, "the map is unchanged"
+    assert one["feature_id"] not in waiting()
+    listed = get(client, "decisions")["decisions"][0]
+    assert (listed["kind"], listed["feature_id"], listed["decided_by"]) == ("approve", one["feature_id"], "Ada")
+    again = decide(client, {"kind": "approve"} | one, status=409)
+    assert "already approved" in again["detail"]
+    older = decide(client, {"kind": "approve"} | one | {"expected_version": 99}, status=409)
+    assert older["now"]["version"] == moves[0]["version"]
+
+    decide(client, {"kind": "withdraw", "decision_id": done["decision_id"]})
+    assert one["feature_id"] in waiting()
+    decide(client, {"kind": "approve"} | one)
+    merge(module_conn, survey(3))  # moves nothing of it
+    module_conn.commit()
+    assert one["feature_id"] not in waiting()
+
+
+def test_a_class_is_corrected_from_the_web(client):
+    one = get(client, "tiles/0/0/5")["features"][-1]
+    about = {"feature_id": one["feature_id"], "expected_version": one["version"]}
+    decide(client, {"kind": "classify", "category": "drum"} | about)
+    [now] = [f for f in get(client, "tiles/0/0/5")["features"] if f["feature_id"] == one["feature_id"]]
+    assert now["category"] == "drum"

@@ -27,7 +27,7 @@ export type FoundPosition = Schemas["FoundPosition"];
 export type Found = Schemas["SearchResult"];
 export type Decision = Schemas["Decision"];
 export type Decisions = Schemas["ActiveDecisions"];
-export type DecisionRequest = Schemas["PlaceRequest"] | Schemas["DriveRequest"] | Schemas["WithdrawRequest"];
+export type DecisionRequest = Schemas["PlaceRequest"] | Schemas["ClassRequest"] | Schemas["ApproveRequest"] | Schemas["DriveRequest"] | Schemas["WithdrawRequest"];
 
 /** As lists of drives and imported maps name it. */
 export const changesetName = (t: Pick<TimelineItem, "drive_id" | "kind">): string => (t.kind === "drive" ? t.drive_id : `${t.drive_id} (imported map)`);
@@ -137,10 +137,6 @@ export const api = {
   /** Address of a file of the state that is shown; empty values are left out. */
   download: (map: string, format: string, values: Record<string, string | null>) => `./api/${mapPath(map, `downloads/${format}${query(values)}`)}`,
   report: (map: string, changesetNo: number) => `./api/${mapPath(map, `changesets/${changesetNo}/report`)}`,
-  image: async (map: string, s: Sighting, side: "left" | "right", whole: boolean, signal: AbortSignal): Promise<Blob> => {
-    const path = `drives/${s.drive_uuid}/pictures/${s.frame_index}/${s.match_index}/${side}.jpg?context=${whole ? 100 : 3}`;
-    return (await ask(mapPath(map, path), { signal })).blob();
-  },
   base: (map: string) => askMap<Schemas["BaseLayers"]>(map, "base"),
   baseLines: (map: string) => askMap<Schemas["BaseLines"]>(map, "base/lines"),
   baseTile: async (map: string, sha256: string): Promise<ArrayBuffer> => (await ask(mapPath(map, `base/tiles/${sha256}.bin`))).arrayBuffer(),

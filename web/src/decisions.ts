@@ -1,18 +1,33 @@
 // Decisions of people: suppress, pin, revert, and taking them back. Only for holders of the writer token, which the page keeps for this
 // tab once a person typed it, and sends in a header only.
 import { api, ApiError, type Decision, type Decisions, type HistoryItem, type DecisionRequest, type TimelineItem } from "./api";
-import { el, fill, plural, utc } from "./dom";
+import { el, fill, plural, when } from "./dom";
 import { STYLES } from "./kinds";
 
 const TOKEN = "conetl writer token";
 const NAME = "conetl name";
 
+let person: string | null = null;
+
+/** Who decides in this tab: who is logged in by name, else as typed once, and accepted by the server. */
+export const writer = {
+  /** null: nobody by name; a person needs no token. */
+  logIn: (name: string | null): void => void (person = name),
+  person: () => person,
+  name: () => person ?? sessionStorage.getItem(NAME) ?? "",
+  token: () => (person === null ? sessionStorage.getItem(TOKEN) : ""),
+  keep(name: string, token: string): void {
+    sessionStorage.setItem(NAME, name);
+    sessionStorage.setItem(TOKEN, token);
+  },
+  /** The server refused the token. */
+  forget: () => sessionStorage.removeItem(TOKEN),
+};
+
 export interface DecideContext {
   map: string;
   /** Something was written, or changed meanwhile: read it again. */
   changed(): void;
-  /** What was written, for a page that goes on to the next thing. */
-  wrote?(text: string): void;
 }
 
 export interface Choice {
@@ -52,6 +67,7 @@ export const placeChoice = (kind: "suppress" | "pin", id: string, version: numbe
 const WITHDRAWALS: Record<Decision["kind"], [text: string, submit: string, explain: string]> = {
   suppress: ["Withdraw …", "Withdraw the decision", "Drives update this position again."],
   classify: ["Withdraw …", "Withdraw the decision", "The detector decides the class again."],
+  approve: ["Withdraw …", "Withdraw the approval", "The change waits for review again."],
   pin: ["Unpin …", "Unpin", "Drives update this position again."],
   revert: ["Withdraw …", "Withdraw the decision", "The drive is merged into the map again."],
   accept: ["Withdraw …", "Withdraw the decision", "The drive goes on hold again if its health checks still fail."],
@@ -77,13 +93,13 @@ export const revertChoice = ({ changeset_id, drive_id, kind }: TimelineItem): Ch
   done: "Reverted.",
 });
 
-const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: "Pinned", classify: "Class corrected", revert: "Reverted", accept: "Accepted", hold: "On hold" };
+const LABELS: Record<Decision["kind"], string> = { suppress: "Suppressed", pin: "Pinned", classify: "Class corrected", approve: "Approved", revert: "Reverted", accept: "Accepted", hold: "On hold" };
 
 /** "Pinned by Ada: stands on a kerb", with the time. */
 export function sentence(d: Decision): HTMLElement {
   return el("div", { class: "decision" },
     el("b", { textContent: `${LABELS[d.kind]}${d.drive_id ? ` ${d.drive_id}` : ""}` }), ` by ${d.decided_by ?? (d.kind === "hold" ? "the health checks" : "unknown")}`,
-    Boolean(d.reason) && `: ${d.reason}`, el("small", { textContent: `${utc(d.decided_at)} UTC${d.radius_m === null ? "" : ` · within ${d.radius_m} m`}` })); // prettier-ignore
+    Boolean(d.reason) && `: ${d.reason}`, el("small", { textContent: `${when(d.decided_at)}${d.radius_m === null ? "" : ` · within ${d.radius_m} m`}` })); // prettier-ignore
 }
 
 /** Buttons that each open a form below them; one form at a time. They stay open while `about` is the same. */
@@ -136,13 +152,13 @@ export function createDecider(host: HTMLElement) {
 
   function makeForm(choice: Choice, context: DecideContext, cancel: () => void): HTMLFormElement {
     const text = (props: Record<string, unknown>) => el("input", { type: "text", required: true, autocomplete: "off", placeholder: " ", ...props });
-    const name = text({ name: "name", value: sessionStorage.getItem(NAME) ?? "", minLength: 2, maxLength: 80, autocomplete: "name" });
+    const name = text({ name: "name", value: writer.name(), minLength: 2, maxLength: 80, autocomplete: "name" });
+    name.readOnly = writer.person() !== null;
     const reason = text({ name: "reason", minLength: 3, maxLength: 500 });
     const radius = el("input", { type: "number", name: "radius", value: "1", min: "0.1", max: "20", step: "0.1", required: true });
     const token = text({ name: "token", type: "password", autocomplete: "off" });
     const tokenRow = label("Writer token", token, "In the file that conetl view names when it starts. Kept for this tab only.");
-    const known = sessionStorage.getItem(TOKEN);
-    if (known !== null) {
+    if (writer.token() !== null) {
       token.required = false;
       tokenRow.hidden = true;
     }
@@ -163,8 +179,10 @@ export function createDecider(host: HTMLElement) {
       if (!busy) void write();
     });
 
+    const typed = () => (tokenRow.hidden ? (writer.token() ?? "") : token.value.trim());
+
     async function write(): Promise<void> {
-      const secret = tokenRow.hidden ? (sessionStorage.getItem(TOKEN) ?? "") : token.value.trim();
+      const secret = typed();
       const by = { decided_by: name.value.trim(), reason: reason.value.trim(), radius_m: Number(radius.value) };
       busy = true;
       for (const input of [name, reason, radius, token, abort]) input.disabled = true;
@@ -177,7 +195,6 @@ export function createDecider(host: HTMLElement) {
         cancel();
         const said = [`${choice.done} ${plural(done.versions_written, "feature version")} written, ${plural(done.replayed, "drive")} replayed.`, ...done.hold_changes, done.report_problem].filter(Boolean).join(" "); // prettier-ignore
         report(said, done.report_problem !== null);
-        context.wrote?.(said);
         context.changed();
       } catch (error) {
         refused(error);
@@ -188,8 +205,7 @@ export function createDecider(host: HTMLElement) {
 
     /** Once the server accepted the token, even if it refused the decision. */
     function remember(): void {
-      sessionStorage.setItem(TOKEN, tokenRow.hidden ? (sessionStorage.getItem(TOKEN) ?? "") : token.value.trim());
-      sessionStorage.setItem(NAME, name.value.trim());
+      writer.keep(name.value.trim(), typed());
     }
 
     function refused(error: unknown): void {
@@ -199,7 +215,7 @@ export function createDecider(host: HTMLElement) {
       submit.textContent = choice.submit;
       const message = error instanceof Error ? error.message : String(error);
       if (error instanceof ApiError && error.status === 401) {
-        sessionStorage.removeItem(TOKEN);
+        writer.forget();
         tokenRow.hidden = false;
         token.required = true;
         token.value = "";
@@ -218,10 +234,10 @@ export function createDecider(host: HTMLElement) {
     return form;
   }
 
-  return { show, idle: () => !busy };
+  return { show };
 }
 
-function label(text: string, input: HTMLInputElement, hint = ""): HTMLElement {
+export function label(text: string, input: HTMLInputElement, hint = ""): HTMLElement {
   return el("label", {}, el("span", { textContent: text }), input, Boolean(hint) && el("small", { textContent: hint }));
 }
 

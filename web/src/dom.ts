@@ -37,6 +37,16 @@ export function utc(iso: string, seconds = true): string {
   return `${day} ${two(t.getUTCHours())}:${two(t.getUTCMinutes())}${seconds ? `:${two(t.getUTCSeconds())}` : ""}`;
 }
 
+const LOCAL = new Intl.DateTimeFormat("en-GB", { day: "2-digit", month: "short", hour: "2-digit", minute: "2-digit", timeZoneName: "short" });
+const CLOCK = new Intl.DateTimeFormat("en-GB", { hour: "2-digit", minute: "2-digit", timeZoneName: "short" });
+
+/** As `utc`, with the zone, and the time where the reader is, if it is another one. */
+export function when(iso: string, seconds = true): string {
+  const t = new Date(iso);
+  const here = t.getTimezoneOffset() === 0 ? "" : ` (${(t.getDate() === t.getUTCDate() ? CLOCK : LOCAL).format(t)})`;
+  return `${utc(iso, seconds)} UTC${here}`;
+}
+
 export function plural(count: number, one: string, many = `${one}s`): string {
   return `${count.toLocaleString("en")} ${count === 1 ? one : many}`;
 }
@@ -44,8 +54,14 @@ export function plural(count: number, one: string, many = `${one}s`): string {
 /** Three decimals that never read as certainty; the same in src/conetl/mapping/reasons.py. */
 export const probabilityText = (p: number): string => (p < 0.0005 ? "<0.001" : p >= 0.9995 ? ">0.999" : p.toFixed(3));
 
+/** The existence probability in words for everybody; never certainty. The same in src/conetl/mapping/reasons.py. */
+export const sureText = (p: number): string => (p < 0.005 ? "<1 %" : p >= 0.995 ? ">99 %" : `${(100 * p).toFixed(0)} %`);
+
+/** A sigma in the unit in which people say it; the same in src/conetl/mapping/reasons.py. */
+export const lengthText = (m: number): string => (m < 0.0095 ? `${(1000 * m).toFixed(0)} mm` : m < 0.995 ? `${(100 * m).toFixed(0)} cm` : `${m.toFixed(1)} m`);
+
 /** Which state of the database; null is the newest. */
-export const knownText = (known: string | null): string => (known === null ? "as known now" : `as known at ${utc(known)} UTC`);
+export const knownText = (known: string | null): string => (known === null ? "as known now" : `as known at ${when(known)}`);
 
 export const messageOf = (error: unknown) => (error instanceof Error ? error.message : String(error));
 

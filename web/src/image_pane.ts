@@ -45,6 +45,8 @@ export interface Pane {
   show(picture: Picture, view: View): void;
   setView(view: View): void;
   zoom(factor: number): void;
+  /** Scale at which the whole image fits. */
+  fit(): number;
   pan(dx: number, dy: number): void;
 }
 
@@ -64,7 +66,14 @@ export function createPane(actions: PaneActions | null): Pane {
   function middle(): Point {
     if (!picture) return [0, 0];
     if (view.scale === null) return [picture.size[0] / 2, picture.size[1] / 2];
-    return [picture.anchor[0] + view.offset[0], picture.anchor[1] + view.offset[1]];
+    return [within(0, node.clientWidth), within(1, node.clientHeight)];
+  }
+
+  /** No border is left empty that the image can fill. */
+  function within(axis: 0 | 1, screen: number): number {
+    if (!picture) return 0;
+    const [size, half] = [picture.size[axis], screen / scaleOf() / 2];
+    return size < 2 * half ? size / 2 : Math.min(Math.max(picture.anchor[axis] + view.offset[axis], half), size - half);
   }
 
   /** From image to screen. */
@@ -102,6 +111,7 @@ export function createPane(actions: PaneActions | null): Pane {
     label.setAttribute("x", left.toFixed(1));
     label.setAttribute("y", (top > 16 ? top - 5 : top + 14).toFixed(1));
     label.setAttribute("class", style);
+    if (left > 0.8 * node.clientWidth) label.setAttribute("text-anchor", "end");
     label.textContent = text;
     return [...lines, label];
   }
@@ -145,6 +155,7 @@ export function createPane(actions: PaneActions | null): Pane {
       draw();
     },
     zoom: (factor) => zoomAt(factor, node.clientWidth / 2, node.clientHeight / 2),
+    fit: fitScale,
     pan,
   };
 }

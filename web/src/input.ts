@@ -9,6 +9,8 @@ export interface InputActions {
   select(id: string | null): void;
   /** Whether something was there besides the cones. */
   click(x: number, y: number): boolean;
+  /** Keys of what covers the page: whether this one meant something; null if nothing does. */
+  covering(event: KeyboardEvent, typing: boolean): boolean | null;
   /** Whether the key meant something. */
   key(event: KeyboardEvent): boolean;
 }
@@ -56,6 +58,11 @@ export function listenToInput(stage: Stage, layout: Layout, tools: Tools, action
     if (event.ctrlKey || event.metaKey || event.altKey) return;
     const target = event.target instanceof HTMLElement ? event.target : document.body;
     const typing = target.matches("select, input:not([type=range]):not([type=checkbox])");
+    const covered = actions.covering(event, typing);
+    if (covered !== null) {
+      if (covered) event.preventDefault();
+      return;
+    }
     if (event.key === "Escape") {
       if (typing) target.blur();
       else if (!layout.closeHelp() && !tools.escape()) actions.select(null);

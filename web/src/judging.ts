@@ -14,8 +14,8 @@ export type ReviewItem = Schemas["ReviewItem"];
 export type ReviewKind = ReviewItem["kind"];
 
 export const judging = {
-  passes: (map: string, id: string, version: number) =>
-    askMap<Schemas["Passes"]>(map, `features/${id}/passes${query({ version: String(version) })}`),
+  passes: (map: string, id: string, version: number | null) =>
+    askMap<Schemas["Passes"]>(map, `features/${id}/passes${query({ version: version === null ? null : String(version) })}`),
   frame: (map: string, drive: string, index: number) => askMap<Frame>(map, `drives/${drive}/frames/${index}`),
   image: async (map: string, drive: string, index: number, side: Side, feature: string | null): Promise<Blob> =>
     (await ask(mapPath(map, `drives/${drive}/frames/${index}/${side}.jpg${query({ feature_id: feature })}`))).blob(),

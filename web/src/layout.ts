@@ -1,6 +1,6 @@
 // The frame of the page: header, side panels, cards for empty maps, loading and errors.
 import { classOf, onlyCones } from "./classes";
-import { el, fill, messageOf, plural, probabilityText, shortId } from "./dom";
+import { el, fill, lengthText, messageOf, plural, shortId, sureText } from "./dom";
 import { icon, STYLES, type Cone } from "./kinds";
 import { createListPane } from "./list_pane";
 import type { LiveStatus } from "./live";
@@ -23,9 +23,9 @@ const SHORTCUTS: [string, string][] = [
   [",  .", "previous, next drive"],
   ["B, C", "before or after the drive, changes"],
   ["1, 2", "show or hide LiDAR points, lane boundaries"],
-  ["P, N", "previous, next image pair"],
+  ["P, N", "previous, next image along the drive"],
   ["I", "full images of the selected cone"],
-  ["A, R, S", "accept, reject, skip (in the review list)"],
+  ["R", "review changes in images"],
   ["/", "search"],
   ["L", "open or close the list"],
   ["[  ] or K, J", "previous, next row of the list"],
@@ -44,6 +44,7 @@ export function createLayout(app: HTMLElement) {
   const tools = { search: el("div", { class: "tool-search" }), download: el("div", {}) };
   const timeline = el("footer", { class: "timeline" });
   const brand = el("h1", { class: "brand" });
+  const whoHost = el("span", { class: "who", hidden: true, title: "Logged in" });
   const dot = el("span", { class: "status", role: "status" }, el("i"), el("span", { textContent: "connecting" }));
   dot.dataset["status"] = "waiting";
   const progress = el("div", { class: "progress", hidden: true });
@@ -77,7 +78,7 @@ export function createLayout(app: HTMLElement) {
   });
   const helpButton = el("button", { type: "button", class: "link help-button", onclick: () => help.showModal() }, "Shortcuts ", el("kbd", { textContent: "?" }));
   app.append(
-    el("header", { class: "top" }, menu, brand, tools.search, el("span", { class: "space" }), dot, tools.download, listButton, helpButton),
+    el("header", { class: "top" }, menu, brand, tools.search, el("span", { class: "space" }), whoHost, dot, tools.download, listButton, helpButton),
     progress, sidebar, view, panel, list, timeline, toasts, help, loginDialog,
   ); // prettier-ignore
   view.append(cardHost, noticeHost, tip);
@@ -85,11 +86,11 @@ export function createLayout(app: HTMLElement) {
   function tell(cone: Cone): void {
     const shift = cone.kind === "moved" && cone.shift_m !== null ? ` by ${cone.shift_m.toFixed(2)} m` : "";
     fill(tip, el("b", {}, icon(cone.kind), `${STYLES[cone.kind].label}${shift}`), !onlyCones() && classOf(cone.category).label, cone.marking && el("span", { textContent: wordsOf(cone.marking) }), el("span", { class: "mono", textContent: shortId(cone.id) }),
-      el("span", { textContent: `existence probability ${probabilityText(cone.probability)}, sigma ${cone.sigma_m.toFixed(3)} m, ${plural(cone.observations, "observation")}` })); // prettier-ignore
+      el("span", { textContent: `sure it stands: ${sureText(cone.probability)}, accuracy ±${lengthText(cone.sigma_m)}, ${plural(cone.observations, "observation")}` })); // prettier-ignore
   }
 
   return {
-    view, sidebar, panel, timeline, brand, listPane, tools,
+    app, view, sidebar, panel, timeline, brand, listPane, tools,
     busy: (on: boolean) => void (progress.hidden = !on),
     empty: (on: boolean) => void app.classList.toggle("is-empty", on),
     panelOpen: (on: boolean) => void app.classList.toggle("panel-open", on),
@@ -146,6 +147,11 @@ export function createLayout(app: HTMLElement) {
       if (cone !== tipped) tell((tipped = cone));
       const left = x + 14 + tip.offsetWidth > view.clientWidth ? x - 14 - tip.offsetWidth : x + 14;
       tip.style.transform = `translate(${left}px, ${Math.max(4, y - tip.offsetHeight / 2)}px)`;
+    },
+    /** Who is logged in by name. */
+    person(name: string | null): void {
+      whoHost.hidden = name === null;
+      whoHost.textContent = name;
     },
     openHelp: () => void (help.open || help.showModal()),
     closeHelp: (): boolean => {

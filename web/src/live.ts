@@ -26,7 +26,7 @@ export function listen(map: string, on: LiveHandlers): () => void {
     source = api.events(map);
     source.addEventListener("open", () => (lostAt = null));
     source.addEventListener("changeset", (event: MessageEvent<string>) => {
-      on.status("live", "New drives appear as soon as they are committed.");
+      on.status("live", "New drives appear as soon as they are saved.");
       on.newest(Number(event.data));
     });
     source.addEventListener("decision", (event: MessageEvent<string>) => on.decided(Number(event.data)));

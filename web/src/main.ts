@@ -6,7 +6,7 @@ import { footprint } from "./basemap";
 import { countClasses, countOf } from "./classes";
 import { createClusters } from "./clusters";
 import { createCones } from "./cones";
-import { aboutFeature, createDecisionList } from "./decisions";
+import { aboutFeature, createDecisionList, writer } from "./decisions";
 import { el, fill, messageOf } from "./dom";
 import { isGone, type Cone, type Kind } from "./kinds";
 import { createDownloads, pictureOf } from "./downloads";
@@ -20,7 +20,7 @@ import { changesetOf, drivesShown, readChanges, shownInstant, unknownChangeset, 
 import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
 import { createMarker, createSearch } from "./search";
-import { createSelection } from "./selection";
+import { createSelection, subjectAfter } from "./selection";
 import { createSidebar } from "./sidebar";
 import { createSites, nearTo } from "./sites";
 import { parseState, type State } from "./state";
@@ -71,6 +71,8 @@ const tools = createTools(stage, layout.view, cones, {
   redraw: () => draw(),
 });
 
+/** In the address, in place of a list. */
+const REVIEW = "review";
 let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
 /** What changed, and all that is drawn: with what stands in view. */
@@ -126,11 +128,11 @@ createDownloads(layout.tools.download, {
 const showTimeline = createTimeline(layout.timeline, {
   change,
   showChanges: (changeset, kind) => change({ mode: "drive", changeset, side: "changes", hidden: onlyKind({ ...state, hidden: state.list === "changes" ? state.hidden : new Set() }, kind), list: "changes" }),
-  writableMap: () => (decisions?.writable ? state.map : null),
+  writableMap: () => (decisions?.decides_drives ? state.map : null),
   decided: () => void newDecision(),
   decisions: () => decisions?.decisions ?? [],
 });
-const viewer = createViewer(document.body);
+const viewer = createViewer(document.body, { walked: (start) => selection.walked(start), camera: (view) => selection.camera(view) });
 const selection = createSelection(layout.panel, stage, overlays, viewer, {
   state: () => state,
   timeline: () => timeline,
@@ -147,17 +149,25 @@ const selection = createSelection(layout.panel, stage, overlays, viewer, {
   showChangeset: (changeset) => change({ mode: "drive", changeset }),
 });
 const { select } = selection;
-const review = createReview((render) => layout.listPane.addTab("Review", render), {
+viewer.dockIn(selection.images);
+const review = createReview(layout.app, viewer, {
   map: () => state.map,
   writable: () => decisions?.writable ?? false,
+  decidesDrives: () => decisions?.decides_drives ?? false,
+  opened: (on) => {
+    state.list = on ? REVIEW : null;
+    address.write();
+    if (!on) viewer.dockIn(selection.images);
+    if (!on) selection.draw();
+  },
   show: (item) => {
     change({ mode: "drive", side: "changes", changeset: item.changeset_no === timeline?.changesets.at(-1)?.changeset_no ? null : item.changeset_no });
     void select(item.feature_id, true);
   },
-  openImages: (item) => {
-    const drive = timeline?.changesets.find((t) => t.changeset_no === item.changeset_no);
-    if (item.feature_id !== null) selection.openImages(null);
-    else if (drive) void viewer.open({ map: state.map, id: null, title: item.drive_id, why: item.why, now: null, before: null, sightings: [] }, { drive_uuid: drive.drive_uuid, frame_index: 0 });
+  subject: async (item) => {
+    if (item.feature_id !== null) return subjectAfter(state.map, item.feature_id, item.changeset_no);
+    const { drive_uuid } = timeline?.changesets.find((t) => t.changeset_no === item.changeset_no) ?? { drive_uuid: "" };
+    return [{ map: state.map, id: null, title: item.drive_id, why: item.why, now: null, isLast: true, before: null, sightings: [] }, { drive_uuid, frame_index: 0 }];
   },
   decided: () => void newDecision(),
   said: (text) => layout.toast(text, null),
@@ -206,6 +216,7 @@ window.addEventListener("hashchange", () => {
     tools.openMeasure();
     void refresh();
     void select(state.feature);
+    review.set(state.list === REVIEW);
   }
 });
 
@@ -248,6 +259,7 @@ async function openMap(): Promise<void> {
     tools.openMeasure();
     if (state.feature) await select(state.feature);
     if (timeline) review.load();
+    review.set(state.list === REVIEW);
   } catch (error) {
     fail(error, openMap);
   }
@@ -299,7 +311,7 @@ async function newChangeset(no: number): Promise<void> {
     void readMaps();
     const counts = changesOf([item]).map((change) => change.text).join(", ") || "no changes";
     const follows = state.mode === "drive" && state.changeset === null;
-    const said = item.counts ? `${item.drive_id} was committed: ${counts}.` : item.hold === null ? `${item.drive_id} was committed, but is not part of the map: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
+    const said = item.counts ? `${item.drive_id} was saved: ${counts}.` : item.hold === null ? `${item.drive_id} was saved, but is not part of the map: see the decisions.` : `${item.drive_id} is on hold: ${item.hold}`;
     layout.toast(said, follows ? null : { text: "Show its changes", run: () => change({ mode: "drive", changeset: null, side: "changes" }) });
     await refresh();
     await selection.again();
@@ -315,6 +327,8 @@ async function readDecisions(): Promise<void> {
     const answer = await api.decisions(map);
     if (map !== state.map) return;
     decisions = answer;
+    writer.logIn(answer.person);
+    layout.person(answer.person);
     showDecisionList(answer);
   } catch (error) {
     layout.toast(`The decisions cannot be read: ${messageOf(error)}`, { text: "Try again", run: () => void newDecision() });
@@ -499,7 +513,7 @@ function draw(): void {
   const rest = beyond();
   cones.show(shown);
   input.shown(shown);
-  layout.listPane.open(state.list);
+  layout.listPane.open(state.list === REVIEW ? null : state.list);
   lists.show(state, all, timeline, rest);
   showSites(tiles.isWhole() ? all.filter((c) => !c.marking) : null);
   clusters.show(tiles.shown().clusters, (category) => !state.filter.hiddenClasses?.includes(category) && !state.hidden.has(restKind()));
@@ -548,7 +562,8 @@ function fail(error: unknown, again: () => unknown): void {
 
 // --- mouse and keyboard
 
-const input = listenToInput(stage, layout, tools, { select: (id) => void select(id), key: handleKey, click: comeNearer });
+const input = listenToInput(stage, layout, tools, { select: (id) => void select(id), key: handleKey, click: comeNearer,
+  covering: (event, typing) => (review.isOpen ? review.key(event, typing) : null) }); // prettier-ignore
 
 function comeNearer(x: number, y: number): boolean {
   const at = clusters.pick(x, y);
@@ -557,7 +572,6 @@ function comeNearer(x: number, y: number): boolean {
 }
 
 function handleKey(event: KeyboardEvent): boolean {
-  if (review.key(event)) return true;
   const items = timeline?.changesets ?? [];
   const at = items.findIndex((t) => t === changeset(state.changeset));
   const step = (by: number) => {
@@ -570,11 +584,12 @@ function handleKey(event: KeyboardEvent): boolean {
     case ".": step(1); return true;
     case "b": case "B": change({ mode: "drive", side: state.side === "before" ? "after" : "before" }); return true;
     case "c": case "C": change({ mode: "drive", side: "changes" }); return true;
-    case "n": case "N": selection.showNext(1); return true;
-    case "p": case "P": selection.showNext(-1); return true;
-    case "i": case "I": selection.openImages(null); return true;
+    case "n": case "N": viewer.step(1); return true;
+    case "p": case "P": viewer.step(-1); return true;
+    case "i": case "I": viewer.cover(); return true;
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
+    case "r": case "R": review.set(true); return true;
     case "l": case "L": layout.listPane.toggle(); return true;
     case "]": case "j": case "J": case "[": case "k": case "K": {
       const cone = lists.next(event.key === "]" || event.key.toLowerCase() === "j" ? 1 : -1);

@@ -1,10 +1,11 @@
-// Overlays: camera paths, the camera of a sighting, the error ellipse of the selected cone, labels.
+// Overlays: camera paths, the camera of an image, the error ellipse of the selected cone, labels.
 import {
   BufferGeometry, CircleGeometry, DoubleSide, Float32BufferAttribute, Group, InstancedMesh, Line, LineBasicMaterial,
   LineLoop, LineSegments, Matrix4, Mesh, MeshBasicMaterial, Object3D, Shape, ShapeGeometry, Vector3,
 } from "three";
-import type { HistoryItem, Sighting, Trajectory, Vec3 } from "./api";
+import type { HistoryItem, Trajectory, Vec3 } from "./api";
 import { el } from "./dom";
+import type { FrameView } from "./judging";
 import type { Cone } from "./kinds";
 import { leftAt } from "./markings";
 import type { Stage } from "./scene";
@@ -109,24 +110,26 @@ export function createOverlays(stage: Stage, host: HTMLElement) {
       stage.draw();
     },
 
-    showFrustum(sighting: Sighting | null): void {
+    /** Where an image was taken, and the line to what it shows. */
+    showCamera(view: FrameView | null, target: Vec3 | null): void {
       empty(frustum);
-      if (sighting) {
-        const centre = new Vector3(...sighting.camera_xyz_m);
-        const corner = sighting.corners.map((c) => centre.clone().add(rotate(sighting.map_R_camera, c).multiplyScalar(FRUSTUM_DEPTH_M)));
+      if (view) {
+        const centre = new Vector3(...view.xyz_m);
+        const [left, top] = [-view.cx_px / view.fx_px, -view.cy_px / view.fy_px];
+        const [right, bottom] = [left + view.width_px / view.fx_px, top + view.height_px / view.fy_px];
+        const rays: Vec3[] = [[left, top, 1], [right, top, 1], [right, bottom, 1], [left, bottom, 1]];
+        const corner = rays.map((ray) => centre.clone().add(rotate(view.map_R_camera, ray).multiplyScalar(FRUSTUM_DEPTH_M)));
         const points: Vector3[] = [];
         corner.forEach((c, i) => points.push(centre, c, c, corner[(i + 1) % 4] ?? c));
         const [a, b] = [corner[0], corner[1]];
         if (a && b) {
-          const roof = a.clone().lerp(b, 0.5).add(rotate(sighting.map_R_camera, [0, -0.25, 0]));
+          const roof = a.clone().lerp(b, 0.5).add(rotate(view.map_R_camera, [0, -0.25, 0]));
           points.push(a.clone().lerp(b, 0.35), roof, roof, a.clone().lerp(b, 0.65));
         }
         const lines = new LineSegments(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: colours().camera }));
-        const ray = new Line(
-          new BufferGeometry().setFromPoints([centre, new Vector3(...sighting.xyz_m)]),
-          new LineBasicMaterial({ color: colours().camera, transparent: true, opacity: 0.55 }),
-        );
-        frustum.add(lines, ray);
+        frustum.add(lines);
+        const material = new LineBasicMaterial({ color: colours().camera, transparent: true, opacity: 0.55 });
+        if (target) frustum.add(new Line(new BufferGeometry().setFromPoints([centre, new Vector3(...target)]), material));
       }
       stage.draw();
     },

@@ -1,14 +1,28 @@
 // The selected feature: its details in the panel, its ellipse and camera in the scene, its images.
-import { api, type Decisions, type Sighting, type Timeline } from "./api";
+import { api, type Decisions, type HistoryItem, type Sighting, type Timeline } from "./api";
 import { aboutFeature } from "./decisions";
 import { shortId } from "./dom";
 import { isGone, type Cone, type Kind } from "./kinds";
 import { ellipse95, niceFactor, type Overlays } from "./overlays";
+import type { FrameView } from "./judging";
 import { createPanel, stateOf, type Chosen } from "./panel";
 import { shownState } from "./query";
 import type { Stage } from "./scene";
 import type { State } from "./state";
-import type { Start, Viewer } from "./viewer";
+import type { Start, Subject, Viewer } from "./viewer";
+
+/** A cone as a drive left it, and where to begin: its best images. */
+export async function subjectAfter(map: string, id: string, changesetNo: number): Promise<[Subject, Start | null]> {
+  const [{ history }, { sightings }] = await Promise.all([api.history(map, id, null), api.sightings(map, id)]);
+  const now = history.filter((h) => h.changeset_no === changesetNo).at(-1) ?? history.at(-1);
+  if (!now) throw new Error(`The history of ${shortId(id)} is empty.`);
+  return [subjectOf(map, id, history, now, sightings), null];
+}
+
+function subjectOf(map: string, id: string, history: HistoryItem[], now: HistoryItem, sightings: Sighting[]): Subject {
+  const before = now.kind === "moved" ? history[history.indexOf(now) - 1] ?? null : null;
+  return { map, id, title: shortId(id), why: now.why, now, isLast: now === history.at(-1), before, sightings };
+}
 
 export interface SelectionContext {
   state(): State;
@@ -28,10 +42,10 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
   let chosen: Chosen | null = null;
   /** Number of the latest selection: answers to earlier ones are dropped. */
   let selecting = 0;
+  let shownImages = "";
 
   const panel = createPanel(host, {
     close: () => void select(null),
-    showSighting,
     showChangeset: page.showChangeset,
     setFactor: (factor) => {
       if (chosen) chosen = { ...chosen, factor };
@@ -39,7 +53,6 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
     },
     centre,
     decided: page.decided,
-    openImages,
   });
 
   const shown = () => shownState(page.state(), page.timeline()?.changesets ?? []);
@@ -47,7 +60,7 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
   async function select(id: string | null, centred = false): Promise<void> {
     const mine = ++selecting;
     const state = page.state();
-    if (id !== state.feature) state.sighting = null;
+    if (id !== state.feature) state.image = null;
     state.feature = id;
     page.writeAddress();
     page.chosen(id);
@@ -67,12 +80,12 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
       const { history } = await api.history(map, id, known);
       if (mine !== selecting) return;
       // The images of before stay until there are others.
-      chosen = { id, map, srid: page.timeline()?.srid ?? 0, history, known, sightings: chosen?.sightings ?? null, truncated: chosen?.truncated ?? false, sightingIndex: 0, reached, kind: null, factor: chosen?.factor ?? null, decisions: null };
+      chosen = { id, map, srid: page.timeline()?.srid ?? 0, history, known, sightings: chosen?.sightings ?? null, reached, kind: null, factor: chosen?.factor ?? null, decisions: null };
       draw();
       if (centred) centre();
-      const { sightings, truncated } = await api.sightings(map, id);
+      const { sightings } = await api.sightings(map, id);
       if (mine !== selecting || !chosen) return;
-      chosen = { ...chosen, sightings, truncated };
+      chosen = { ...chosen, sightings };
       draw();
     } catch (error) {
       if (mine === selecting) panel.failed(id, error);
@@ -81,7 +94,9 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
 
   function clear(): void {
     chosen = null;
+    shownImages = "";
     panel.hide();
+    if (viewer.dock === panel.images) viewer.clear();
   }
 
   /** Read it again: what is known about it may have changed. */
@@ -89,28 +104,18 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
     if (chosen) await select(chosen.id);
   }
 
-  function showSighting(index: number): void {
-    if (!chosen?.sightings) return;
-    const sightingIndex = Math.max(0, Math.min(index, sightingsShown(chosen).length - 1));
-    page.state().sighting = sightingIndex;
-    page.writeChoice();
-    draw();
-  }
-
   function draw(): void {
     if (!chosen) {
       overlays.showSelection(null, null, 1);
-      overlays.showFrustum(null);
       return;
     }
     chosen = { ...chosen, reached: shown().reached, decisions: page.decisions() };
-    const drawn: Chosen = { ...chosen, kind: kindShown(chosen), sightings: chosen.sightings && sightingsShown(chosen) };
-    drawn.sightingIndex = chosen.sightingIndex = sightingToShow(drawn);
+    const drawn: Chosen = { ...chosen, kind: kindShown(chosen) };
     const now = stateOf(drawn);
     const ellipse = now && !now.marking ? ellipse95(now.cov_m2) : null;
     overlays.showSelection(now?.xyz_m ?? null, ellipse, ellipse ? chosen.factor ?? niceFactor(ellipse) : 1, now?.marking?.line_m);
-    overlays.showFrustum(drawn.sightings?.[drawn.sightingIndex] ?? null);
     panel.show(drawn);
+    showImages(chosen);
   }
 
   /** As the scene draws it, or would. */
@@ -123,34 +128,18 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
     return page.state().mode !== "drive" && !isGone(now.kind) ? "standing" : now.kind;
   }
 
-  /** Of the drives until the chosen instant; drive by drive of all drives. */
-  function sightingsShown({ sightings, history, reached }: Chosen): Sighting[] {
-    if (!sightings || page.state().mode === "drive") return sightings ?? [];
-    const until = new Set(history.filter(reached).map((h) => h.changeset_no));
-    return sightings.filter((s) => until.has(s.changeset_no));
-  }
-
-  /** The selected one, else the nearest one of the drive that is shown. */
-  function sightingToShow({ sightings, history, reached }: Chosen): number {
-    if (!sightings?.length) return 0;
-    const { sighting } = page.state();
-    if (sighting !== null) return Math.min(sighting, sightings.length - 1);
-    const no = history.filter((h) => reached(h) && h.sighting_count > 0).at(-1)?.changeset_no;
-    let best = -1;
-    sightings.forEach((s, i) => {
-      if ((s.changeset_no === no || no === undefined) && (best < 0 || s.range_m < (sightings[best]?.range_m ?? 0))) best = i;
-    });
-    return Math.max(best, 0);
-  }
-
-  function openImages(start: Start | null): void {
-    if (!chosen) return;
-    const now = stateOf(chosen) ?? chosen.history[0];
-    if (!now || now.marking) return;
-    const before = now.kind === "moved" ? chosen.history[chosen.history.indexOf(now) - 1] ?? null : null;
-    const absent = now.kind === "removed" || now.kind === "missed";
-    const sighting = absent ? undefined : sightingsShown(chosen)[chosen.sightingIndex];
-    void viewer.open({ map: chosen.map, id: chosen.id, title: shortId(chosen.id), why: now.why, now, before, sightings: chosen.sightings ?? [] }, start ?? sighting ?? null);
+  /** The best images of the state that is shown, or those of the address; beside the drive before, if anything changed. */
+  function showImages(shown: Chosen): void {
+    const { map, id, history, sightings } = shown;
+    const now = stateOf(shown) ?? history[0];
+    panel.images.hidden = !now || Boolean(now.marking); // no image shows a marking alone
+    if (viewer.dock !== panel.images) shownImages = "";
+    else if (now && sightings && !panel.images.hidden) {
+      const key = `${map} ${id} ${now.version} ${now.changeset_no}`;
+      if (key === shownImages) return;
+      shownImages = key;
+      void viewer.show(subjectOf(map, id, history, now, sightings), page.state().image, now.kind !== "confirmed");
+    }
   }
 
   function centre(): void {
@@ -163,9 +152,16 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
     clear,
     again,
     draw,
-    openImages,
-    showNext: (by: number) => {
-      if (chosen) showSighting(chosen.sightingIndex + by);
+    /** Where its images are, unless the review shows others. */
+    images: panel.images,
+    walked(start: Start): void {
+      if (!chosen || viewer.dock !== panel.images) return;
+      page.state().image = start;
+      page.writeChoice();
+    },
+    camera(view: FrameView | null): void {
+      const now = chosen && (stateOf(chosen) ?? chosen.history[0]);
+      overlays.showCamera(view, now?.xyz_m ?? null);
     },
     /** Read it again if another state of the database is shown. */
     follow: () => {

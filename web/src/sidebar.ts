@@ -40,7 +40,7 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
     el("section", {}, el("label", { htmlFor: "map", textContent: "Map" }), maps),
     sites,
     el("section", {}, heading, legend), classSection,
-    el("section", {}, el("label", { htmlFor: "probability" }, "Existence probability ≥ ", probabilityText), probability),
+    el("section", {}, el("label", { htmlFor: "probability", title: "Existence probability" }, "Sure it stands ≥ ", probabilityText), probability),
     baseSection,
     el("section", {}, switchRow("trajectory", "way", el("i", { class: "swatch path" }), "Drive path"),
       el("button", { type: "button", class: "wide", onclick: () => actions.fit() }, "Show everything ", el("kbd", { textContent: "Home" }))),
@@ -93,7 +93,7 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
       fill(legend, ...rows, Boolean(hint) && el("p", { class: "hint" }, hint, filterCount(state) > 0 && " – ", filterCount(state) > 0 && clear), clustered && el("p", { class: "hint", textContent: clustered }));
       document.getElementById(focused)?.focus();
       if (document.activeElement !== probability) probability.value = String(state.minProbability);
-      probabilityText.textContent = state.minProbability.toFixed(2);
+      probabilityText.textContent = `${(100 * state.minProbability).toFixed(0)} %`;
       for (const field of Object.keys(boxes) as Switch[]) boxes[field].checked = state[field];
     },
   };

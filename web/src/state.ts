@@ -31,8 +31,8 @@ export interface State {
   /** A found position, offset from the map's origin. */
   mark: [number, number] | null;
   feature: string | null;
-  /** Index of the open sighting; null is the nearest one. */
-  sighting: number | null;
+  /** The frame pair that is shown of the feature; null: the best one. */
+  image: { drive_uuid: string; frame_index: number } | null;
   trajectory: boolean;
   /** Base layers. */
   points: boolean;
@@ -46,7 +46,7 @@ export interface State {
 export function initialState(): State {
   return {
     map: "", mode: "instant", changeset: null, side: "changes", from: 0, to: null, valid: null, known: null,
-    hidden: new Set(), minProbability: 0, filter: anyCone(), inView: false, sort: null, mark: null, feature: null, sighting: null, trajectory: true,
+    hidden: new Set(), minProbability: 0, filter: anyCone(), inView: false, sort: null, mark: null, feature: null, image: null, trajectory: true,
     points: true, lines: true, scene: SCENE, list: null, camera: null,
   };
 }
@@ -96,7 +96,10 @@ export function parseState(hash: string, problems: string[] = []): State {
   state.sort = value<string | null>("sort", null, "a column", (text) => (/^[a-z]{1,20}-?$/.test(text) ? text : undefined));
   state.list = value<string | null>("list", null, "a list", (text) => (/^[a-z]{1,20}$/.test(text) ? text : undefined));
   state.feature = value<string | null>("feature", null, "the id of a cone, 36 characters", (text) => (/^[0-9a-f-]{36}$/.test(text) ? text : undefined));
-  state.sighting = number("sighting");
+  state.image = value<State["image"]>("image", null, "a drive and a frame pair", (text) => {
+    const [, drive_uuid, index] = /^([0-9a-f-]{36})\.(\d{1,9})$/.exec(text) ?? [];
+    return drive_uuid && index ? { drive_uuid, frame_index: Number(index) } : undefined;
+  });
   for (const [name, field] of SWITCHES) state[field] = p.get(name) !== "0";
   state.scene = parseScene(p);
   const numbers = (count: number) => (text: string) => {
@@ -134,7 +137,7 @@ export function formatState(state: State): string {
   if (state.sort !== null) p.set("sort", state.sort);
   if (state.mark) p.set("mark", state.mark.map((v) => v.toFixed(2)).join(","));
   if (state.feature) p.set("feature", state.feature);
-  if (state.feature && state.sighting !== null) p.set("sighting", String(state.sighting));
+  if (state.feature && state.image) p.set("image", `${state.image.drive_uuid}.${state.image.frame_index}`);
   for (const [name, field] of SWITCHES) if (!state[field]) p.set(name, "0");
   formatScene(p, state.scene, state.mode === "compare");
   if (state.list !== null) p.set("list", state.list);

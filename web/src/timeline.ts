@@ -1,7 +1,7 @@
 // Below: one drive before and after, two drives compared, or any point in time.
 import { changesetName, type ChangeKind, type Decision, type TimelineItem } from "./api";
 import { createDecider, revertChoice, withdrawChoice, type Choice } from "./decisions";
-import { el, fill, plural, utc } from "./dom";
+import { el, fill, plural, utc, when } from "./dom";
 import { STYLES, type Kind } from "./kinds";
 import { changeChip } from "./lists";
 import type { Mode, Side, State } from "./state";
@@ -153,7 +153,7 @@ function driveView(actions: TimelineActions) {
       fill(
         text,
         el("strong", { textContent: t.drive_id }),
-        el("span", { textContent: [position, ...(t.kind === "drive" ? [`recorded ${utc(t.captured_from)} UTC`, plural(t.frame_pair_count, "frame pair")] : [`state of the road on ${utc(t.captured_from)} UTC`]), `committed ${utc(t.committed_at)} UTC, as known then`].join(" · ") }),
+        el("span", { textContent: [position, ...(t.kind === "drive" ? [`recorded ${when(t.captured_from)}`, plural(t.frame_pair_count, "frame pair")] : [`state of the road on ${when(t.captured_from)}`]), `saved ${when(t.committed_at)}, as known then`].join(" · ") }),
         el("span", { class: "chips" }, ...changesOf([t]).map((c) => changeChip(c.kind, c.text, (kind) => actions.showChanges(state.changeset, kind))),
           !t.counts && notCounted(about, t.hold),
           t.hold !== null && el("span", { class: "hold-reason", title: t.hold, textContent: t.hold })),

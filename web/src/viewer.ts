@@ -1,10 +1,10 @@
 // The image viewer: whole images of a frame pair, zoomed and panned, with boxes, the projected cone and epipolar lines; played along
-// the drive, and beside the drive before.
+// the drive, and beside the drive before. It is docked in a part of the page, or covers the page.
 import { api, type HistoryItem, type Sighting, type Trajectory } from "./api";
-import { el, fill, messageOf, plural, utc } from "./dom";
+import { el, fill, messageOf, plural, utc, when } from "./dom";
 import { createFrameCache, type LoadedImage } from "./frame_cache";
 import { createPane, type Pane, type Picture, type Shape, type View } from "./image_pane";
-import { bestFrame, judging, type DrivePass, type Frame, type PassFrame, type Side } from "./judging";
+import { bestFrame, judging, type DrivePass, type Frame, type FrameView, type PassFrame, type Side } from "./judging";
 import { isGone, STYLES } from "./kinds";
 import { ellipseOutline, epipolarLine, outlineOf, project, type Point } from "./projection";
 import "./viewer.css";
@@ -17,6 +17,8 @@ export interface Subject {
   why: string;
   /** The state whose position is projected, and the one before a move. */
   now: HistoryItem | null;
+  /** `now` is the last state: of its versions the server has the newest, whatever is decided meanwhile. */
+  isLast: boolean;
   before: HistoryItem | null;
   sightings: Sighting[];
 }
@@ -26,14 +28,17 @@ export interface Start {
   frame_index: number;
 }
 
-type Sides = Side | "both";
+/** `best`: of each frame pair the image that shows the position. */
+type Sides = Side | "both" | "best";
 const SIDES: [Sides, string, string][] = [["left", "Left", "1"], ["right", "Right", "2"], ["both", "Both", "3"]];
 const SWITCHES = [["boxes", "Boxes", "B"], ["cone", "Projected cone", "O"], ["epipolar", "Epipolar line", "E"]] as const;
 type Switch = (typeof SWITCHES)[number][0];
 const STATES = { observed: "cone observed", empty: "position visible, no cone observed", occupied: "another object at the position", hidden: "position hidden" };
 const PAN_PX = 60;
-/** Screen pixels for the height of the cone after "zoom to the cone". */
+/** Screen pixels for the height of the cone after "zoom to the cone", and at most this share of the image's height; at first while docked. */
 const CONE_PX = 220;
+const [CONE_SHARE, FIRST_SHARE] = [0.6, 0.3];
+const WHOLE: View = { scale: null, offset: [0, 0] };
 
 interface Shown {
   frame: Frame;
@@ -42,9 +47,19 @@ interface Shown {
   title: string;
 }
 
-export function createViewer(host: HTMLElement) {
+export interface ViewerEvents {
+  /** A person went to another frame pair. */
+  walked(start: Start): void;
+  /** Another image is shown; null: none. */
+  camera(view: FrameView | null): void;
+}
+
+export function createViewer(host: HTMLElement, events: ViewerEvents) {
   const cache = createFrameCache();
-  const title = el("h2", {});
+  /** Requests of items that are shown next, each used once; paths never change. */
+  const early = new Map<string, Promise<DrivePass[]>>();
+  const trajectories = new Map<string, Promise<Trajectory>>();
+  const title = el("b", { class: "viewer-title" });
   const why = el("p", { class: "viewer-why" });
   const drives = el("select", { aria: { label: "Drive" } });
   const others = el("select", { aria: { label: "Drive to Compare with" } });
@@ -62,7 +77,7 @@ export function createViewer(host: HTMLElement) {
   const text = el("p", { class: "viewer-text", role: "status", aria: { live: "polite" } });
   const stepper = (by: number, sign: string, label: string) => el("button", { type: "button", class: "step", textContent: sign, title: label, aria: { label }, onclick: () => step(by) });
   const button = (label: string, key: string, run: () => void) => el("button", { type: "button", title: `${label} (${key})`, textContent: label, onclick: run });
-  const zoom = button("Zoom to the cone", "Z", () => zoomToCone());
+  const zoom = button("Zoom to the cone", "Z", () => zoomToCone(CONE_SHARE));
   const compareRow = el("label", { class: "check" }, compareBox, "Compare with", others, el("kbd", { textContent: "C" }));
   const dialog = el("dialog", { class: "viewer", aria: { label: "Images" } },
     el("header", {}, title, why, el("button", { type: "button", class: "close", textContent: "×", title: "Close (Esc)", aria: { label: "Close the images" }, onclick: () => dialog.close() })),
@@ -71,9 +86,10 @@ export function createViewer(host: HTMLElement) {
       compareRow,
       ...switches.map(({ node }) => node),
       el("span", { class: "space" }),
-      zoom, button("Whole image", "0", () => setView({ scale: null, offset: [0, 0] }))),
+      zoom, button("Whole image", "0", () => setView(WHOLE))),
     panesHost,
-    el("footer", {}, el("div", { class: "viewer-line" }, drives, play, stepper(-1, "‹", "Previous frame pair (←)"), el("div", { class: "viewer-track" }, ticks, slider), stepper(1, "›", "Next frame pair (→)")), text)); // prettier-ignore
+    el("footer", {}, el("div", { class: "viewer-line" }, drives, play, stepper(-1, "‹", "Previous frame pair (←)"), el("div", { class: "viewer-track" }, ticks, slider), stepper(1, "›", "Next frame pair (→)"),
+      el("button", { type: "button", class: "enlarge", textContent: "Enlarge", title: "Over the whole page, with all tools (I)", onclick: () => cover() })), text)); // prettier-ignore
   host.append(dialog);
 
   let subject: Subject | null = null;
@@ -84,7 +100,13 @@ export function createViewer(host: HTMLElement) {
   let at = 0;
   let sides: Sides = "both";
   let compare = false;
-  let view: View = { scale: null, offset: [0, 0] };
+  /** Docked: beside the drive before. */
+  let compared = false;
+  let view: View = WHOLE;
+  /** Where it is docked; null: it covers the page, or is closed. */
+  let dock: HTMLElement | null = null;
+  /** Docked, another cone begins with the position in the middle. */
+  let fresh = false;
   let picked: { drive: string; index: number; side: Side; point: Point } | null = null;
   let playing = false;
   let timer = 0;
@@ -97,8 +119,14 @@ export function createViewer(host: HTMLElement) {
   drives.addEventListener("change", () => void openDrive(drives.value, null));
   others.addEventListener("change", () => setCompare(true));
   compareBox.addEventListener("change", () => setCompare(compareBox.checked));
-  dialog.addEventListener("close", () => setPlaying(false));
+  dialog.addEventListener("close", () => {
+    setPlaying(false);
+    if (dock) [sides, compare, fresh] = ["best", compared, true];
+    layOut();
+    void show();
+  });
   dialog.addEventListener("keydown", (event) => {
+    if (!isCovering()) return;
     event.stopPropagation(); // the map below keeps still
     if (event.ctrlKey || event.metaKey || event.altKey || event.target instanceof HTMLSelectElement) return;
     if (key(event)) event.preventDefault();
@@ -115,10 +143,10 @@ export function createViewer(host: HTMLElement) {
     else if (event.key === " ") setPlaying(!playing);
     else if (event.key === "+" || event.key === "=") panes[0]?.zoom(1.5);
     else if (event.key === "-") panes[0]?.zoom(1 / 1.5);
-    else if (event.key === "0") setView({ scale: null, offset: [0, 0] });
-    else if (event.key.toLowerCase() === "z") zoomToCone();
+    else if (event.key === "0") setView(WHOLE);
+    else if (event.key.toLowerCase() === "z") zoomToCone(CONE_SHARE);
     else if (event.key.toLowerCase() === "c") setCompare(!compare);
-    else if (event.key.toLowerCase() === "i") dialog.close();
+    else if (event.key.toLowerCase() === "i") isCovering() ? dialog.close() : cover();
     else return false;
     return true;
   }
@@ -149,13 +177,37 @@ export function createViewer(host: HTMLElement) {
     panes[0]?.pan((dx ?? 0) * PAN_PX, (dy ?? 0) * PAN_PX);
   }
 
-  function zoomToCone(): void {
+  const isDocked = () => dock !== null && !isCovering();
+  const isCovering = () => dialog.matches(":modal");
+
+  /** Docked, or closed. */
+  function layOut(): void {
+    dialog.classList.toggle("docked", dock !== null);
+    (dock ?? host).append(dialog);
+    dialog.toggleAttribute("open", dock !== null && subject !== null);
+    draw();
+  }
+
+  function cover(): void {
+    if (isCovering() || !subject) return;
+    dialog.removeAttribute("open");
+    dialog.classList.remove("docked");
+    dialog.showModal();
+    if (dock) [sides, compare] = ["both", false];
+    compareBox.checked = compare;
+    setView(WHOLE);
+    void show();
+    play.focus();
+  }
+
+  function zoomToCone(share: number): void {
     const first = shown[0];
     const outline = first && subject?.now && outlineOf(first.frame[first.side], subject.now);
     if (!outline) return;
     const rows = outline.map(([, v]) => v);
-    const most = Math.min(CONE_PX, 0.6 * (panes[0]?.node.clientHeight || CONE_PX));
-    setView({ scale: Math.min(Math.max(most / (Math.max(...rows) - Math.min(...rows)), 1), 24), offset: [0, 0] });
+    const most = Math.min(CONE_PX, share * (panes[0]?.node.clientHeight || CONE_PX));
+    const fit = panes[0]?.fit() ?? 1;
+    setView({ scale: Math.min(Math.max(most / (Math.max(...rows) - Math.min(...rows)), fit), 24), offset: [0, 0] });
   }
 
   function setCompare(value: boolean): void {
@@ -195,6 +247,8 @@ export function createViewer(host: HTMLElement) {
   function go(index: number): void {
     const count = path?.frame_index.length ?? 0;
     at = Math.min(Math.max(index, 0), Math.max(count - 1, 0));
+    const frameIndex = path?.frame_index[at];
+    if (frameIndex !== undefined) events.walked({ drive_uuid: drive, frame_index: frameIndex });
     void show();
   }
 
@@ -204,11 +258,12 @@ export function createViewer(host: HTMLElement) {
     drive = uuid;
     drives.value = uuid;
     const { map, id } = subject;
-    const found = await api.trajectory(map, uuid);
+    const found = await pathOf(map, uuid);
     if (subject?.id !== id || drive !== uuid) return;
     path = found;
     const pass = passOf(uuid);
     const best = frameIndex ?? (pass && bestFrame(pass)?.frame_index) ?? -1;
+    fresh = true;
     at = Math.max(path.frame_index.indexOf(best), 0);
     slider.max = String(Math.max(path.frame_index.length - 1, 0));
     const span = Math.max(path.frame_index.length - 1, 1);
@@ -221,10 +276,9 @@ export function createViewer(host: HTMLElement) {
     await show();
   }
 
-  /** The drive before comes first. */
   function fillOthers(): void {
-    const own = passes.findIndex((p) => p.drive_uuid === drive);
-    const sorted = [...passes.slice(own + 1), ...passes.slice(0, Math.max(own, 0)).reverse()].filter((p) => p.drive_uuid !== drive);
+    const own = passOf(drive);
+    const sorted = own ? othersOf(passes, own) : passes;
     const kept = others.value;
     fill(others, ...sorted.map((p) => el("option", { value: p.drive_uuid, textContent: `${p.captured_from < (passOf(drive)?.captured_from ?? "") ? "before" : "after"}: ${nameOf(p)}` })));
     if (sorted.some((p) => p.drive_uuid === kept)) others.value = kept;
@@ -239,16 +293,13 @@ export function createViewer(host: HTMLElement) {
   async function otherFrame(index: number): Promise<Frame | null> {
     const pass = passOf(others.value);
     if (!subject || !pass || !path) return null;
+    const own = passFrame(drive, index);
+    if (own) return cache.frame(subject.map, pass.drive_uuid, counterpart(own, pass).frame_index);
     const here = path.xyz_m[at];
     if (!here) return null;
-    const distance = (p: readonly number[]) => Math.hypot((p[0] ?? 0) - here[0], (p[1] ?? 0) - here[1]);
-    if (passFrame(drive, index)) {
-      const nearest = pass.frames.reduce((a, b) => (distance(b.camera_xyz_m) < distance(a.camera_xyz_m) ? b : a));
-      return cache.frame(subject.map, pass.drive_uuid, nearest.frame_index);
-    }
-    otherPath ??= await api.trajectory(subject.map, pass.drive_uuid);
+    otherPath ??= await pathOf(subject.map, pass.drive_uuid);
     const points = otherPath.xyz_m;
-    const best = points.reduce((a, p, i) => (distance(p) < distance(points[a] ?? p) ? i : a), 0);
+    const best = points.reduce((a, p, i) => (apart(p, here) < apart(points[a] ?? p, here) ? i : a), 0);
     return cache.frame(subject.map, pass.drive_uuid, otherPath.frame_index[best] ?? 0);
   }
 
@@ -262,7 +313,7 @@ export function createViewer(host: HTMLElement) {
     dialog.classList.add("busy");
     try {
       const [frame, other] = await Promise.all([cache.frame(map, drive, index), compare ? otherFrame(index) : null]);
-      const of = (f: Frame, title: string) => (sides === "both" ? (["left", "right"] as const) : [sides]).map((side) => ({ frame: f, side, title }));
+      const of = (f: Frame, title: string) => sidesOf(f).map((side) => ({ frame: f, side, title }));
       const wanted = [...(other ? of(other, other.captured_at < frame.captured_at ? "before" : "after") : []), ...of(frame, other ? "this drive" : "")];
       const images = await Promise.all(wanted.map((w) => cache.image(map, w.frame, w.side, id)));
       if (mine !== shownNo) return;
@@ -280,7 +331,7 @@ export function createViewer(host: HTMLElement) {
   function prefetch(): void {
     const { map, id } = subject as Subject;
     for (const index of path?.frame_index.slice(at + 1, at + (playing ? 5 : 2)) ?? [])
-      void cache.frame(map, drive, index).then((f) => (sides === "both" ? (["left", "right"] as const) : [sides]).map((side) => cache.image(map, f, side, id)), () => undefined);
+      void cache.frame(map, drive, index).then((f) => sidesOf(f).map((side) => cache.image(map, f, side, id)), () => undefined);
   }
 
   function draw(): void {
@@ -291,16 +342,21 @@ export function createViewer(host: HTMLElement) {
     }
     panes = panes.slice(0, shown.length);
     fill(panesHost, ...panes.map((p) => p.node));
+    panesHost.dataset["count"] = String(panes.length);
     panesHost.dataset["columns"] = String(columns());
     shown.forEach((one, i) => panes[i]?.show(pictureOf(one), view));
+    if (fresh && isDocked()) subject.now ? zoomToCone(FIRST_SHARE) : setView(WHOLE);
+    fresh = false;
     for (const b of sideButtons) b.setAttribute("aria-pressed", String(b.dataset["value"] === sides));
-    const own = shown.at(-1)?.frame;
+    const [own, ownSide] = [shown.at(-1)?.frame, shown.at(-1)?.side ?? "left"];
+    events.camera(own?.[ownSide] ?? null);
     if (!own) return;
     const seen = passFrame(own.drive_uuid, own.frame_index);
+    dialog.dataset["item"] = subject.title;
     dialog.dataset["frame"] = `${own.drive_id} ${own.frame_index}`;
-    fill(text, el("b", { textContent: own.drive_id }), ` · frame pair ${own.frame_index} (${at + 1} of ${path.frame_index.length}) · ${utc(own.captured_at)} UTC`,
+    fill(text, el("b", { textContent: own.drive_id }), ` · frame pair ${own.frame_index} (${at + 1} of ${path.frame_index.length}) · ${when(own.captured_at)}`,
       subject.now && " · ", subject.now && (seen ? `${seen.range_m.toFixed(1)} m away, ${STATES[seen.state]}` : "position not in view"),
-      own.pixelated && el("small", { textContent: " · pixelated outside detections (CONETL_IMAGES=full shows all)" })); // prettier-ignore
+      own.pixelated && el("small", { textContent: " · pixelated outside detections (logins with the role review see all)" })); // prettier-ignore
   }
 
   /** One or two, whichever shows the images larger; four images as two rows of pairs. */
@@ -327,7 +383,7 @@ export function createViewer(host: HTMLElement) {
     return {
       ...image, anchor, size: [own.width_px, own.height_px],
       alt: `${side} image of frame pair ${frame.frame_index} of ${frame.drive_id}`,
-      caption: [side, name && `${name}: ${frame.drive_id}`, name && utc(frame.captured_at, false)].filter(Boolean).join(" · "),
+      caption: isDocked() ? `${name || side} · ${utc(frame.captured_at, false)} UTC` : [side, name && `${name}: ${frame.drive_id}`, name && utc(frame.captured_at, false)].filter(Boolean).join(" · "),
       shapes: shapesOf(frame, side),
     };
   }
@@ -341,7 +397,7 @@ export function createViewer(host: HTMLElement) {
       for (const b of own.boxes) {
         const [x1, y1] = [b.x_px + b.w_px, b.y_px + b.h_px];
         const mine = b.match_index !== null && matches.has(b.match_index);
-        shapes.push({ points: [[b.x_px, b.y_px], [x1, b.y_px], [x1, y1], [b.x_px, y1]], style: mine ? "box chosen" : "box", text: b.score?.toFixed(2) ?? "" }); // prettier-ignore
+        shapes.push({ points: [[b.x_px, b.y_px], [x1, b.y_px], [x1, y1], [b.x_px, y1]], style: mine ? "box chosen" : "box", text: isDocked() ? "" : (b.score?.toFixed(2) ?? "") }); // prettier-ignore
       }
     if (now && on("cone")) {
       const style = matches.size ? "cone" : "cone dashed";
@@ -369,47 +425,128 @@ export function createViewer(host: HTMLElement) {
     return line ? [{ points: line, style: "epipolar", closed: false }] : [];
   }
 
+  const sidesOf = (f: Frame): Side[] => (sides === "both" ? ["left", "right"] : [sides === "best" ? bestSide(f, subject?.now ?? null) : sides]);
+
+  function pathOf(map: string, uuid: string): Promise<Trajectory> {
+    const found = trajectories.get(uuid) ?? api.trajectory(map, uuid);
+    trajectories.set(uuid, found);
+    found.catch(() => trajectories.delete(uuid));
+    return found;
+  }
+
+  const keyOf = ({ map, id, now }: Subject) => `${map} ${id} ${now?.version}`;
+
+  async function passesOf(next: Subject): Promise<DrivePass[]> {
+    if (next.id === null || !next.now) return [];
+    const key = keyOf(next);
+    const found = early.get(key) ?? judging.passes(next.map, next.id, next.isLast ? null : next.now.version).then((answer) => answer.passes);
+    early.delete(key);
+    return found;
+  }
+
+  /** Show another cone or drive where the viewer is. */
+  async function load(next: Subject, start: Start | null): Promise<void> {
+    const again = subject?.map === next.map && subject.id === next.id;
+    subject = next;
+    picked = null;
+    if (!again) [passes, path, shown] = [[], null, []];
+    if (!again && dock) fill(panesHost);
+    zoom.hidden = compareRow.hidden = next.now === null;
+    for (const { name, node } of switches) node.hidden = name === "cone" && next.now === null;
+    fill(title, next.title);
+    why.textContent = why.title = next.why;
+    text.textContent = "Loading …";
+    try {
+      const found = await passesOf(next);
+      if (subject !== next) return;
+      passes = found;
+      if (!next.now) fill(drives, el("option", { value: start?.drive_uuid ?? "", textContent: next.title }));
+      else fill(drives, ...passes.map((p) => el("option", { value: p.drive_uuid, textContent: `${nameOf(p)} · ${plural(p.frames.length, "frame pair")}` })));
+      const first = firstOf(next, passes, start);
+      if (first) return await openDrive(first.drive_uuid, first.frame_index);
+      text.textContent = "No drive has images of this position: its records were deleted, or the map was imported.";
+    } catch (error) {
+      if (subject === next) text.textContent = messageOf(error);
+    }
+  }
+
   return {
-    get opened() {
-      return dialog.open;
+    get covers() {
+      return isCovering();
     },
-    async open(next: Subject, start: Start | null): Promise<void> {
-      const again = subject?.map === next.map && subject.id === next.id;
-      subject = next;
-      picked = null;
-      if (!again) [passes, path, shown] = [[], null, []];
-      zoom.hidden = compareRow.hidden = next.now === null;
-      for (const { name, node } of switches) node.hidden = name === "cone" && next.now === null;
-      fill(title, next.title);
-      why.textContent = why.title = next.why;
-      setView({ scale: null, offset: [0, 0] });
-      if (!dialog.open) dialog.showModal();
-      text.textContent = "Loading …";
-      try {
-        if (next.id === null || next.now === null) {
-          passes = [];
-          fill(drives, el("option", { value: start?.drive_uuid ?? "", textContent: next.title }));
-          if (start) await openDrive(start.drive_uuid, null);
-          return play.focus();
-        }
-        const found = await judging.passes(next.map, next.id, next.now.version);
-        if (subject !== next) return;
-        passes = found.passes;
-        fill(drives, ...passes.map((p) => el("option", { value: p.drive_uuid, textContent: `${nameOf(p)} · ${plural(p.frames.length, "frame pair")}` })));
-        const wanted = start?.drive_uuid ?? next.now.drive_uuid;
-        const own = passOf(wanted) ?? passes[0];
-        if (!own && !start) {
-          text.textContent = "No drive has images of this position: its records were deleted, or the map was imported.";
-          return;
-        }
-        await openDrive(own?.drive_uuid ?? wanted, own?.drive_uuid === start?.drive_uuid ? (start?.frame_index ?? null) : null);
-        play.focus();
-      } catch (error) {
-        text.textContent = messageOf(error);
-      }
+    key,
+    step,
+    get dock() {
+      return dock;
     },
-    close: () => dialog.close(),
+    dockIn(next: HTMLElement): void {
+      if (isCovering()) dialog.close();
+      dock = next;
+      layOut();
+    },
+    /** Show a cone or a drive in the dock, with its best images; beside the drive before. */
+    async show(next: Subject, start: Start | null, beside: boolean): Promise<void> {
+      compared = beside;
+      if (!isCovering()) [sides, compare] = ["best", beside];
+      const loaded = load(next, start);
+      layOut();
+      compareBox.checked = compare;
+      await loaded;
+    },
+    clear(): void {
+      [subject, path, shown] = [null, null, []];
+      events.camera(null);
+      if (!isCovering()) layOut();
+    },
+    /** Read the images that `show` starts with. */
+    async preload(next: Subject, start: Start | null, beside: boolean): Promise<void> {
+      const found = passesOf(next);
+      early.set(keyOf(next), found);
+      found.catch(() => early.delete(keyOf(next)));
+      const all = await found;
+      const first = firstOf(next, all, start);
+      if (!first) return;
+      const pass = all.find((p) => p.drive_uuid === first.drive_uuid);
+      const own = pass && (pass.frames.find((f) => f.frame_index === first.frame_index) ?? bestFrame(pass));
+      const other = beside && pass ? othersOf(all, pass)[0] : undefined;
+      const wanted = [[first.drive_uuid, own?.frame_index ?? first.frame_index ?? 0], ...(own && other ? [[other.drive_uuid, counterpart(own, other).frame_index]] : [])] as const;
+      await Promise.all([pathOf(next.map, first.drive_uuid), ...wanted.map(async ([uuid, index]) => {
+        const frame = await cache.frame(next.map, String(uuid), Number(index));
+        await cache.image(next.map, frame, bestSide(frame, next.now), next.id);
+      })]); // prettier-ignore
+    },
+    /** Show it over the whole page, with all tools, until it is closed. */
+    cover,
   };
+}
+
+/** The drive before comes first. */
+function othersOf(passes: DrivePass[], own: DrivePass): DrivePass[] {
+  const at = passes.indexOf(own);
+  return [...passes.slice(at + 1), ...passes.slice(0, at).reverse()];
+}
+
+/** Where to begin; undefined if there is nothing to show. */
+function firstOf(subject: Subject, passes: DrivePass[], start: Start | null): { drive_uuid: string; frame_index: number | null } | undefined {
+  const wanted = start?.drive_uuid ?? subject.now?.drive_uuid;
+  const own = passes.find((p) => p.drive_uuid === wanted) ?? passes[0];
+  if (!own) return start ?? undefined;
+  return { drive_uuid: own.drive_uuid, frame_index: own.drive_uuid === start?.drive_uuid ? start.frame_index : null };
+}
+
+const apart = (p: readonly number[], q: readonly number[]) => Math.hypot((p[0] ?? 0) - (q[0] ?? 0), (p[1] ?? 0) - (q[1] ?? 0));
+
+/** The frame pair of another drive from the nearest position. */
+const counterpart = (own: PassFrame, other: DrivePass): PassFrame =>
+  other.frames.reduce((a, b) => (apart(b.camera_xyz_m, own.camera_xyz_m) < apart(a.camera_xyz_m, own.camera_xyz_m) ? b : a));
+
+/** The left image, unless the right one alone shows the position. */
+function bestSide(frame: Frame, now: HistoryItem | null): Side {
+  const margin = (side: Side) => {
+    const at = now && project(frame[side], now.xyz_m);
+    return at ? Math.min(at[0], frame[side].width_px - at[0]) : -Infinity;
+  };
+  return margin("left") < 0 && margin("right") > 0 ? "right" : "left";
 }
 
 export type Viewer = ReturnType<typeof createViewer>;

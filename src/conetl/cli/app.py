@@ -48,6 +48,7 @@ _COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
         "down": ("services:down", ""),
         "status": ("services:status", "", "--json"),
         "db": (),
+        "user": (),
     },
     "Tools": {
         "demo": ("demo:demo", "", "data/drives"),
@@ -173,6 +174,14 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
                 "--restore 2026-03-02_taper_pass1",
             ),
             "prune": ("database:prune", "--keep-positions 90d --keep-results 30d", "--keep-results 30d --yes"),
+        },
+    ),
+    "user": (
+        "Logins of people for the web view, and what they may do there.",
+        {
+            "add": ("user:add", '"Ada Mayer" --role review'),
+            "list": ("user:users", ""),
+            "remove": ("user:remove", '"Ada Mayer"'),
         },
     ),
     "rig": (

@@ -14,6 +14,7 @@ from conetl.cli.console import DecisionsOption, JsonOption, MapOption, answer, e
 from conetl.cli.database import require_maps
 from conetl.db.map.map_store import require_map
 from conetl.files.home import WRITER_TOKEN, login_address, make_secret, read_secret, validated_secret, view_token
+from conetl.files.people import IMAGE_LOG, people_of
 from conetl.model.errors import InputError
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.settings import Settings, read_settings
@@ -74,7 +75,8 @@ def view(
         server: uvicorn.Server | None = None
         app = create_app(
             url, settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,
-            reader_token=token, whole_images=settings.images == "full", base_map=tiles,
+            reader_token=token, find_person=people_of(settings.home), whole_images=settings.images == "full",
+            image_log=settings.home / "logs" / IMAGE_LOG, base_map=tiles,
         )  # fmt: skip
         config = uvicorn.Config(
             app, log_level="error", http=BoundedProtocol, access_log=False, limit_concurrency=_MAX_CONNECTIONS,

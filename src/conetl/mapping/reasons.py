@@ -34,7 +34,8 @@ class ChangeFacts(NamedTuple):
 
 
 def explain_change(facts: ChangeFacts) -> str:
-    """One sentence: what happened, by which drive, what it observed from where, and the existence probability after it."""
+    """One sentence: what happened, by which drive, what it observed from where, the existence probability after it, and
+    the largest horizontal sigma."""
     if facts.is_import:
         observed = f"the imported map {facts.drive_id} states it"
     elif facts.kind in (DeltaKind.REMOVED, DeltaKind.MISSED):
@@ -47,9 +48,9 @@ def explain_change(facts: ChangeFacts) -> str:
         observed = (
             f"drive {facts.drive_id} observed it{_frames(facts.frames_seen)}{_range(facts)}{_what_changed(facts)}"
         )
-    end = f"existence {probability_text(facts.existence_probability)}"
+    end = f"sure it stands: {sure_text(facts.existence_probability)}"
     if facts.sigma_m is not None and not (facts.kind.ends or facts.kind is DeltaKind.MISSED):
-        end += f", largest horizontal sigma {facts.sigma_m:.3f} m"
+        end += f", accuracy ±{length_text(facts.sigma_m)}"
     if facts.kind is DeltaKind.MISSED:
         end += ", it stays on the map"
     head = "not observed" if facts.kind is DeltaKind.MISSED else facts.kind.replace("_", " ")
@@ -93,6 +94,18 @@ def _range(facts: ChangeFacts) -> str:
 
 def _article(noun: str) -> str:
     return "an" if noun[0] in "aeiou" else "a"
+
+
+def sure_text(probability: float) -> str:
+    """The existence probability in words for everybody; never certainty. The same in web/src/dom.ts."""
+    return "<1 %" if probability < 0.005 else ">99 %" if probability >= 0.995 else f"{100 * probability:.0f} %"
+
+
+def length_text(metres: float) -> str:
+    """A sigma in the unit in which people say it; the same in web/src/dom.ts."""
+    if metres < 0.0095:
+        return f"{1000 * metres:.0f} mm"
+    return f"{100 * metres:.0f} cm" if metres < 0.995 else f"{metres:.1f} m"
 
 
 def probability_text(value: float) -> str:

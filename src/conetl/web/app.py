@@ -14,6 +14,7 @@ from starlette.middleware.gzip import GZipMiddleware
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
+from conetl.files.people import Person
 from conetl.model.errors import DatabaseError, InputError, StorageError
 from conetl.perception.images import ImageFileError
 from conetl.web import basemap, decisions, downloads, frames, layers, live, maps, search, tiles
@@ -34,13 +35,17 @@ def create_app(
     closing: Callable[[], bool] = lambda: False,
     writer: decisions.Writer | None = None,
     reader_token: SecretStr | None = None,
+    find_person: Callable[[str], Person | None] = lambda _: None,
     whole_images: bool = False,
+    image_log: Path | None = None,
     base_map: basemap.BaseMap | None = None,
 ) -> FastAPI:
     """The application for one database. Streams end when `closing` returns True. Without `writer` it is read-only.
 
     reader_token: required for reading; the writer's token serves as well. Without it, everybody who reaches the server may read.
-    whole_images: show images whole; otherwise they are pixelated outside detections.
+    find_person: who has a token of a person, which logs in too. Used with `reader_token` only.
+    whole_images: show whole images to everybody; otherwise only to people who may see them, and to others pixelated ones.
+    image_log: file to which every whole image that is shown is appended.
     base_map: tiles under the map; the browser may request them from this one other server.
     """
     pool = ReaderPool(database_url)
@@ -60,6 +65,7 @@ def create_app(
     app.state.map_name = map_name
     app.state.writer = writer
     app.state.whole_images = whole_images
+    app.state.image_log = image_log
     app.state.basemap = base_map
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
     for routes in (maps, tiles, search, frames, layers, basemap, downloads, decisions, live):
@@ -73,7 +79,7 @@ def create_app(
     app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=2)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
     tokens = [reader_token, *([writer.token] if writer else [])] if reader_token else []
-    app.add_middleware(Guard, tokens=tokens, image_host=base_map.host if base_map else None)
+    app.add_middleware(Guard, tokens=tokens, find_person=find_person, image_host=base_map.host if base_map else None)
     return app
 
 

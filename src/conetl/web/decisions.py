@@ -18,14 +18,14 @@ from conetl.db.serve_store import last_changes, read_feature_history, read_rows,
 from conetl.model.base import Record, Vec3
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.health import HeldDrive
-from conetl.pipeline.maps.decisions import accept_drive, decide_location, revert
+from conetl.pipeline.maps.decisions import accept_drive, approve_change, decide_location, revert
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.judging_models import Measured, Review, ReviewItem
 from conetl.web.parameters import MapName, Origin, Reader, cut, origin_of
-from conetl.web.security import WritersRoute
+from conetl.web.security import WritersRoute, person_of
 
 router = APIRouter(prefix="/maps/{map_name}", route_class=WritersRoute)
 _MAX_DECISIONS = 1_000
@@ -34,7 +34,10 @@ _LOCK_TIMEOUT_S = 15.0
 _ERRORS: dict[int | str, dict[str, Any]] = {
     409: {"model": m.Conflict, "description": "The feature has changed, or this was already decided."},
     401: {"model": m.Problem, "description": "The writer token is missing or wrong."},
-    403: {"model": m.Problem, "description": "The server is read-only, or the request comes from another page."},
+    403: {
+        "model": m.Problem,
+        "description": "The server is read-only, the request comes from another page, or the person may not decide this.",
+    },
     411: {"model": m.Problem, "description": "Content-Length is missing."},
     413: {"model": m.Problem, "description": "Too long."},
     415: {"model": m.Problem, "description": "Not JSON."},
@@ -61,14 +64,30 @@ class _Request(Record):
     reason: Reason
 
 
-class PlaceRequest(_Request):
-    """Whatever drives observe: no cone stands at the position of this feature (suppress), or the cone stands (pin)."""
-
-    kind: Literal["suppress", "pin"]
+class _About(_Request):
     feature_id: UUID
     expected_version: int = Field(ge=1, le=2**31 - 1)
     """Version of the feature that the person saw; 409 if it is another one now."""
+
+
+class PlaceRequest(_About):
+    """Whatever drives observe: no cone stands at the position of this feature (suppress), or the cone stands (pin)."""
+
+    kind: Literal["suppress", "pin"]
     radius_m: float = Field(default=1.0, gt=0, le=20, allow_inf_nan=False)
+
+
+class ClassRequest(_About):
+    """The object that drives detect at the position of this feature is of another class."""
+
+    kind: Literal["classify"]
+    category: Annotated[str, StringConstraints(pattern=r"^[a-z_]{1,40}$")]
+
+
+class ApproveRequest(_About):
+    """What the last drive did to this feature is right; nothing changes on the map."""
+
+    kind: Literal["approve"]
 
 
 class DriveRequest(_Request):
@@ -85,7 +104,9 @@ class WithdrawRequest(_Request):
     decision_id: UUID
 
 
-DecisionRequest = Annotated[PlaceRequest | DriveRequest | WithdrawRequest, Field(discriminator="kind")]
+DecisionRequest = Annotated[
+    PlaceRequest | ClassRequest | ApproveRequest | DriveRequest | WithdrawRequest, Field(discriminator="kind")
+]
 
 
 @dataclass(frozen=True)
@@ -98,19 +119,21 @@ class Writer:
     """Folders of the QA reports that decisions change."""
 
     def decide(self, map_name: str, wish: DecisionRequest) -> m.Decided:
-        """Write a decision as `conetl map suppress|pin|revert` and `conetl drive accept` do. Raises InputError, ConflictError,
-        DatabaseError."""
+        """Write a decision as `conetl map suppress|pin|classify|revert` and `conetl drive accept` do.
+
+        Raises InputError, ConflictError, DatabaseError.
+        """
         from conetl.pipeline.publish import publish_decision  # matplotlib takes half a second to load
 
         common: dict[str, Any] = {
             "map_name": map_name, "note": wish.reason, "decided_by": wish.decided_by, "lock_timeout_s": _LOCK_TIMEOUT_S,
         }  # fmt: skip
         with closing(connect(self.database_url)) as conn:
-            if isinstance(wish, PlaceRequest):
-                done = decide_location(
-                    conn, wish.kind, str(wish.feature_id), radius_m=wish.radius_m,
-                    expected_version=wish.expected_version, **common,
-                )  # fmt: skip
+            if isinstance(wish, ApproveRequest):
+                done = approve_change(conn, wish.feature_id, expected_version=wish.expected_version, **common)
+            elif isinstance(wish, _About):
+                own = wish.model_dump(include={"kind", "radius_m", "category", "expected_version"})
+                done = decide_location(conn, feature=str(wish.feature_id), **own, **common)
             elif wish.kind == "accept":
                 done = accept_drive(conn, str(wish.changeset_id), **common)
             else:
@@ -132,9 +155,13 @@ def decisions(map_name: MapName, conn: Reader, origin: Origin, request: Request)
     """The decisions in effect, newest first."""
     rows = read_rows(conn, "decisions.active_decisions", map_name=map_name)
     found, truncated = cut(rows[::-1], _MAX_DECISIONS)
+    person = person_of(request)
+    writable = request.app.state.writer is not None and (person is None or person.may_decide)
     return m.ActiveDecisions(
         origin_m=origin,
-        writable=request.app.state.writer is not None,
+        writable=writable,
+        person=person.name if person else None,
+        decides_drives=writable and (person is None or person.may_decide_drives),
         decisions=[to.decision(row, origin) for row in found],
         truncated=truncated,
     )
@@ -144,8 +171,13 @@ def decisions(map_name: MapName, conn: Reader, origin: Origin, request: Request)
 def decide(
     map_name: MapName, decision: Annotated[DecisionRequest, Body()], request: Request
 ) -> m.Decided | JSONResponse:
-    """Suppress or pin the position of a feature, revert a changeset, or withdraw a decision; the map is updated at once."""
+    """Suppress or pin the position of a feature, correct its class, approve its last change; revert or accept a drive; withdraw a
+    decision. The map is updated at once."""
     writer: Writer = request.app.state.writer
+    if (person := person_of(request)) is not None:
+        decision = decision.model_copy(update={"decided_by": person.name})
+        if not person.may_decide_drives and _is_about_drive(request.app.state.pool, map_name, decision):
+            raise HTTPException(403, "Decisions about whole drives require the role admin.")
     try:
         return writer.decide(map_name, decision)
     except ConflictError as error:
@@ -155,9 +187,17 @@ def decide(
         raise HTTPException(404, _sentence(error)) from error
 
 
+def _is_about_drive(pool: ReaderPool, map_name: str, decision: DecisionRequest) -> bool:
+    if not isinstance(decision, WithdrawRequest):
+        return isinstance(decision, DriveRequest)
+    with pool.reading() as conn:
+        rows = read_rows(conn, "decisions.active_decisions", map_name=map_name)
+    return any(row["changeset_id"] is not None for row in rows if row["decision_id"] == decision.decision_id)
+
+
 def _current_state(pool: ReaderPool, map_name: str, decision: DecisionRequest) -> Any:
     """The newest state of the feature of a decision; None for decisions about something else."""
-    if not isinstance(decision, PlaceRequest):
+    if not isinstance(decision, _About):
         return None
     with pool.reading() as conn:
         origin = origin_of(conn, map_name)
@@ -199,6 +239,7 @@ def _held(drive: HeldDrive) -> ReviewItem:
     return ReviewItem(
         kind="held", changeset_no=drive.changeset_no, changeset_id=drive.changeset_id, drive_id=drive.drive_id, at=drive.since,
         why=drive.reason, checks=checks, feature_id=None, version=None, xyz_m=None, existence_probability=None,
+        category=None,
     )  # fmt: skip
 
 

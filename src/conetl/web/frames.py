@@ -12,6 +12,7 @@ from conetl.db import serve_store as store
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import list_changesets
 from conetl.db.reader_pool import ReaderPool
+from conetl.files.people import log_whole_image
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import ConetlError
 from conetl.model.rig import Rig
@@ -20,6 +21,7 @@ from conetl.reports.drive_passes import expected_box, passes_of
 from conetl.web import rows as to
 from conetl.web.judging_models import Frame, Passes
 from conetl.web.parameters import ChangesetNo, Index, MapName, Origin, Reader, cut
+from conetl.web.security import person_of
 
 router = APIRouter(prefix="/maps/{map_name}")
 _MAX_PASSES = 30
@@ -70,7 +72,7 @@ def frame(
         frame_index=frame_index,
         captured_at=utc_from_ns(row["captured_at_ns"]),
         origin_m=origin,
-        pixelated=not request.app.state.whole_images,
+        pixelated=not _sees_whole(request),
         left=left,
         right=right,
     )
@@ -85,7 +87,8 @@ def frame_image(
     request: Request,
     feature_id: Annotated[UUID | None, Query(description="Also show the positions of this feature sharp.")] = None,
 ) -> Response:
-    """JPEG of a whole rectified image; pixelated except around detections and the feature, unless the server shows all."""
+    """JPEG of a whole rectified image; pixelated except around detections and the feature, for those who may
+    not see it whole."""
     pool: ReaderPool = request.app.state.pool
     with pool.reading() as conn:  # released before the image is decoded
         row = _frame(conn, map_name, drive_uuid, frame_index)
@@ -99,8 +102,30 @@ def frame_image(
     sharp = [_xywh(box) for box in boxes]
     sharp += [box for box in expected if box is not None and _is_near(box, rig)]
     path = image_file(row["source_path"], row[f"{side}_path"])
-    data = frame_jpeg(path, rig, side, sharp, whole=request.app.state.whole_images)
-    return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
+    whole = _show_whole(request, map_name, row, frame_index, side)
+    return _image(frame_jpeg(path, rig, side, sharp, whole=whole), whole)
+
+
+def _sees_whole(request: Request) -> bool:
+    person = person_of(request)
+    return request.app.state.whole_images or (person is not None and person.sees_whole_images)
+
+
+def _show_whole(request: Request, map_name: str, row: dict[str, Any], frame_index: int, side: str) -> bool:
+    """Whether this request gets the whole image, which is logged before."""
+    if not _sees_whole(request):
+        return False
+    person = person_of(request)
+    if request.app.state.image_log is not None:
+        what = {"map": map_name, "drive": row["drive_id"], "frame_index": frame_index, "side": side}
+        log_whole_image(request.app.state.image_log, person.name if person else None, **what)
+    return True
+
+
+def _image(jpeg: bytes, whole: bool) -> Response:
+    """Browsers keep no whole image, so each view of one is logged."""
+    headers = {"Cache-Control": "no-store" if whole else "private, max-age=3600", "Vary": "Cookie, Authorization"}
+    return Response(jpeg, media_type="image/jpeg", headers=headers)
 
 
 def _frame(conn: Connection, map_name: str, drive_uuid: UUID, frame_index: int) -> dict[str, Any]:
@@ -151,10 +176,8 @@ def sighting_image(
             404, f"The map {map_name} has no match {match_index} in frame pair {frame_index} of this drive."
         )
     path, box = image_file(row["source_path"], row[f"{side}_path"]), _xywh(found[0])
-    data = crop_jpeg(
-        path, Rig.model_validate(row["rig"]), side, box, context=context, whole=request.app.state.whole_images
-    )
-    return Response(data, media_type="image/jpeg", headers={"Cache-Control": "private, max-age=3600"})
+    whole = _show_whole(request, map_name, row, frame_index, side)
+    return _image(crop_jpeg(path, Rig.model_validate(row["rig"]), side, box, context=context, whole=whole), whole)
 
 
 @router.get("/changesets/{changeset_no}/report", tags=["images"], response_class=HTMLResponse)

@@ -80,6 +80,7 @@ class ReviewItem(Record):
     version: int | None
     xyz_m: Vec3 | None
     existence_probability: float | None
+    category: str | None
 
 
 class Review(Record):

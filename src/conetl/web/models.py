@@ -271,7 +271,11 @@ class Decision(DecisionFacts):
 
 class ActiveDecisions(Listing):
     writable: bool
-    """True if this server accepts decisions from holders of its writer token."""
+    """True if this server accepts decisions: from this person, or from holders of its writer token."""
+    person: str | None
+    """Who is logged in by name; needs no writer token."""
+    decides_drives: bool
+    """Whether decisions about whole drives are accepted too."""
     decisions: list[Decision]
     """Newest first."""
 
@@ -280,7 +284,7 @@ class Decided(Record):
     """A decision that was written, and its effects."""
 
     decision_id: UUID
-    kind: Literal["suppress", "pin", "classify", "revert", "accept", "withdraw"]
+    kind: Literal["suppress", "pin", "classify", "approve", "revert", "accept", "withdraw"]
     decided_at: datetime
     versions_written: int
     replayed: int

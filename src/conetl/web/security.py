@@ -1,4 +1,4 @@
-"""Who may call the server: login, refusal of other web pages, headers of every answer, the writer token of those who decide."""
+"""Who may call the server: logins, refusal of other web pages, headers of every answer, and who may decide."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.responses import JSONResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from conetl.files.people import Person
+
 #: Bytes of path and query together; a filter by a hundred ids has 4 kB.
 MAX_URL_BYTES = 8_192
 MAX_BODY_BYTES = 8_192
 _CROSS_SITE = "This server answers its own pages and programs on this machine, not other web pages."
 _OWN_PAGE_ONLY = "Decisions are accepted from this server's own page only."
 _LOG_IN = (
-    "Log in: open the address with the token that `conetl status` or `conetl view` prints, or give the token (the file "
-    "view_token in CONETL_HOME) as the password, with any user name."
+    "Log in: open the address with the token that `conetl status` or `conetl view` prints, or give the token (your own of "
+    "`conetl user add`, or the file view_token in CONETL_HOME) as the password, with any user name."
 )
 _WRONG_TOKEN = "The writer token is missing or wrong: `conetl view` prints the path of its file when it starts."
 _REALM = "conetl view, token as password"
@@ -48,14 +50,22 @@ class Guard:
     Other pages could not read the answers, but they could keep the server and its streams busy. Streams are not buffered.
     tokens: one of them is required of every request, as a cookie, as the password of Basic authentication, as a Bearer token, or
     once as `?token=` of a page, which sets the cookie; without tokens, everybody who reaches the server may read.
+    find_person: who has a token of a person; the routes find them by `person_of`.
     image_host: the one other server whose images pages may load, such as https://tiles.example; None for none.
     """
 
-    def __init__(self, app: ASGIApp, tokens: Sequence[SecretStr] = (), image_host: str | None = None) -> None:
+    def __init__(
+        self,
+        app: ASGIApp,
+        tokens: Sequence[SecretStr] = (),
+        find_person: Callable[[str], Person | None] = lambda _: None,
+        image_host: str | None = None,
+    ) -> None:
         self._app = app
         policy = _POLICY.format(images=f" {image_host}" if image_host else "")
         self._headers = _HEADERS | {"Content-Security-Policy": policy}
         self._tokens = [token.get_secret_value() for token in tokens]
+        self._find_person = find_person
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def send_with_headers(message: Message) -> None:
@@ -82,8 +92,12 @@ class Guard:
             answer = RedirectResponse(request.url.remove_query_params("token"), status_code=303)
             answer.set_cookie(cookie, given, max_age=_LOGIN_S, httponly=True, samesite="lax")
             return answer
-        if not self._tokens or self._is_known(request.cookies.get(cookie, "")) or self._is_known(_credential(request)):
+        if not self._tokens:
             return None
+        for given in (request.cookies.get(cookie, ""), _credential(request)):
+            if self._is_known(given):
+                scope.setdefault("state", {})["person"] = self._find_person(given)
+                return None
         # For Basic a browser opens a dialog of its own, at every request of a page that is open; the page asks once.
         scheme = "Bearer" if request.headers.get("sec-fetch-dest") == "empty" else "Basic"
         return JSONResponse(
@@ -91,7 +105,8 @@ class Guard:
         )
 
     def _is_known(self, given: str) -> bool:
-        return any(hmac.compare_digest(given.encode(), token.encode()) for token in self._tokens)
+        is_shared = any(hmac.compare_digest(given.encode(), token.encode()) for token in self._tokens)
+        return is_shared or (bool(given) and self._find_person(given) is not None)
 
 
 def _credential(request: Request) -> str:
@@ -125,8 +140,14 @@ def _is_cross_site(headers: Headers) -> bool:
     return headers.get("sec-fetch-site") in ("cross-site", "same-site") and not is_link
 
 
+def person_of(request: Request) -> Person | None:
+    """Who is logged in by name; None for holders of the view's own token, and without logins."""
+    return getattr(request.state, "person", None)
+
+
 class WritersRoute(APIRoute):
-    """A route that accepts other methods than GET from holders of the writer token only; refuses before it reads the body."""
+    """A route that accepts other methods than GET from people who may decide, and from holders of the writer token who are not
+    logged in by name; refuses before it reads the body."""
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         handle = super().get_route_handler()
@@ -151,7 +172,11 @@ def _require_writer(request: Request) -> None:
         raise HTTPException(403, _OWN_PAGE_ONLY)
     scheme, _, given = headers.get("authorization", "").partition(" ")
     wanted = writer.token.get_secret_value().encode()
-    if not (hmac.compare_digest(given.strip().encode(), wanted) and scheme.lower() == "bearer"):
+    has_token = hmac.compare_digest(given.strip().encode(), wanted) and scheme.lower() == "bearer"
+    person = person_of(request)
+    if person is not None and not person.may_decide:
+        raise HTTPException(403, f"{person.name} has the role {person.role}: decisions require the role review.")
+    if person is None and not has_token:
         raise HTTPException(401, _WRONG_TOKEN, headers={"WWW-Authenticate": "Bearer"})
     if headers.get("content-type", "").partition(";")[0].strip().lower() != "application/json":
         raise HTTPException(415, "A decision must be sent as application/json.")

@@ -51,10 +51,11 @@ def insert_decision(
     feature_id: UUID | None = None,
     changeset_id: UUID | None = None,
     withdraws: UUID | None = None,
+    approves: UUID | None = None,
 ) -> UUID:
     """Write a decision inside the caller's `map_transaction`. Returns its id.
 
-    kind: suppress, pin, classify (with a `Classification`), revert, accept or withdraw.
+    kind: suppress, pin, classify (with a `Classification`), approve, revert, accept or withdraw.
     """
     decision_id = uuid4()
     easting_m, northing_m = location.xy_m if location else (None, None)
@@ -73,6 +74,7 @@ def insert_decision(
         feature_id=feature_id,
         changeset_id=changeset_id,
         withdraws=withdraws,
+        approves=approves,
         note=clean_text(note),
         decided_by=clean_text(decided_by) if decided_by else None,
         decided_at=decided_at,

@@ -154,12 +154,14 @@ class DecisionFacts(Record):
     """What the database and the web view state of a decision."""
 
     decision_id: UUID
-    kind: Literal["suppress", "pin", "classify", "revert", "accept", "hold"]
+    kind: Literal["suppress", "pin", "classify", "approve", "revert", "accept", "hold"]
     radius_m: float | None
     """Of a suppressed or pinned area, and of one where the class is another one."""
     feature_id: UUID | None
     """The feature that the person selected."""
     changeset_id: UUID | None
+    approves: UUID | None
+    """Of approve: the changeset whose change of the feature is right."""
     of_line: bool
     """Of suppress and pin: whether it is about lane markings, else about point objects."""
     found_as: str | None
@@ -180,7 +182,7 @@ class StoredDecision(DecisionFacts):
 
     @property
     def location(self) -> Location | None:
-        """The location that it applies to, with the classes of a `classify`; None for a revert."""
+        """The location that it applies to, with the classes of a `classify`; None for a revert or an approval."""
         if self.easting_m is None or self.northing_m is None or self.radius_m is None:
             return None
         location = Location(xy_m=(self.easting_m, self.northing_m), radius_m=self.radius_m, of_line=self.of_line)

@@ -18,6 +18,7 @@ from conetl.db.map import replay_store as replays
 from conetl.db.map.decision_store import hold_changes
 from conetl.db.map.map_store import find_features, list_changesets, map_transaction, require_map, system_time
 from conetl.db.map.results import DecisionTarget, MapInfo, Replay
+from conetl.db.serve_store import last_changes
 from conetl.mapping.history import is_within
 from conetl.model.errors import ConflictError, InputError
 from conetl.model.feature_classes import FEATURE_CLASSES
@@ -25,7 +26,7 @@ from conetl.model.health import HeldDrive, HoldChange
 from conetl.model.map_records import Classification, FeatureVersion, Location, MapFeature
 from conetl.pipeline.replay import replay_of
 
-SUPPRESS, PIN, CLASSIFY = "suppress", "pin", "classify"
+SUPPRESS, PIN, CLASSIFY, APPROVE = "suppress", "pin", "classify", "approve"
 REVERT, ACCEPT, WITHDRAW = "revert", "accept", "withdraw"
 #: Name of a hold (by the checks) in `list_decisions`.
 HOLD = "hold"
@@ -106,17 +107,48 @@ def decide_location(
                 f"feature {state.feature_id} is suppressed, so a decision to {kind} it has no effect. If the object is "
                 f"there, withdraw the suppression first: `conetl map revert {here[SUPPRESS].decision_id}`"
             )
-        if expected_version is not None and state.version != expected_version:
-            raise ConflictError(
-                f"feature {state.feature_id} has changed: you decided on version {expected_version}, but it is now at "
-                f"version {state.version}. Review it again."
-            )
+        _require_version(state.feature_id, state.version, expected_version)
         location = Location(xy_m=state.xyz_m[:2], radius_m=radius_m, of_line=state.marking is not None)
         if kind == CLASSIFY:
             location = _classification(state, category, location)
         decision_id = at.insert(kind, location=location, feature_id=state.feature_id)
         written, replayed = _judge_location(conn, at, kind, location)
         return _outcome(conn, at, decision_id, kind, written, replayed)
+
+
+def approve_change(
+    conn: Connection,
+    feature_id: UUID,
+    *,
+    map_name: str,
+    note: str = "",
+    decided_by: str | None = None,
+    expected_version: int | None = None,
+    lock_timeout_s: float = LOCK_TIMEOUT_S,
+) -> DecisionOutcome:
+    """Keep that the last change of a feature is right; the map stays as it is, and the next change is not covered.
+
+    Raises InputError, and ConflictError as `decide_location` does.
+    """
+    with _open_decision(conn, map_name, note, decided_by, lock_timeout_s) as at:
+        last = last_changes(conn, map_name, [feature_id]).get(feature_id)
+        if last is None:
+            raise InputError(f"there is no feature {feature_id} on the map {map_name}: see `conetl map show`")
+        known = store.list_decisions(conn, map_name=map_name)
+        if any(one.feature_id == feature_id and one.approves == last["changeset_id"] for one in known):
+            raise ConflictError(f"this change of feature {feature_id} is already approved: see `conetl map decisions`")
+        _require_version(feature_id, last["version"], expected_version)
+        decision_id = at.insert(APPROVE, feature_id=feature_id, approves=last["changeset_id"])
+        return _outcome(conn, at, decision_id, APPROVE, 0, 0)
+
+
+def _require_version(feature_id: UUID, version: int, expected_version: int | None) -> None:
+    """Raises ConflictError if a person saw another version of a feature than the last."""
+    if expected_version not in (None, version):
+        raise ConflictError(
+            f"feature {feature_id} has changed: you decided on version {expected_version}, but it is now at "
+            f"version {version}. Review it again."
+        )
 
 
 def revert(
@@ -151,6 +183,8 @@ def revert(
         elif decision is not None and (location := decision.location) is not None:
             decision_id = decide()
             written, replayed = _judge_location(conn, at, decision.kind, location)
+        elif target.kind == APPROVE:
+            decision_id, written, replayed = decide(), 0, 0
         else:
             raise InputError(f"decision {target.id} cannot be reverted")
         return _outcome(conn, at, decision_id, kind, written, replayed, conflicts, target.changeset_id)
