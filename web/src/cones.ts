@@ -1,13 +1,14 @@
-// The cones, objects of other classes and lane markings: bodies in true size (instanced), markers of fixed size above them, translucent old positions, arrows.
+// The cones, objects of other classes and lane markings: bodies in true size and paint (instanced), on a ring in the colour of a change, markers
+// of fixed size above them, translucent old positions, arrows.
 import {
   BoxGeometry, BufferAttribute, BufferGeometry, CanvasTexture, Color, ConeGeometry, CylinderGeometry, DynamicDrawUsage, Group, InstancedMesh,
-  Matrix4, Mesh, Points, Quaternion, ShaderMaterial, Vector3,
+  Matrix4, Mesh, Points, Quaternion, RingGeometry, ShaderMaterial, Vector3,
 } from "three";
 import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 import type { Vec3 } from "./api";
 import { classOrder, CONE, GLYPHS, onlyCones } from "./classes";
 import { isGone, STYLES, type Cone } from "./kinds";
-import { createMarkings, distanceToSegment } from "./markings";
+import { createMarkings, distanceToSegment, isQuiet } from "./markings";
 import type { Stage } from "./scene";
 import { colourOf, colours } from "./theme";
 
@@ -21,7 +22,6 @@ const lift = (stage: Stage) => (stage.plan ? 0 : onlyCones() ? MARKER_LIFT_PX : 
 export function createCones(stage: Stage) {
   const markings = createMarkings(stage);
   const solid = shaded(1);
-  const ghost = shaded(0.3);
   const group = new Group();
   stage.scene.add(group);
   const markers = markerPoints(stage);
@@ -29,28 +29,30 @@ export function createCones(stage: Stage) {
   const seen = new Matrix4();
 
   const standing = bodies(solid);
-  const gone = bodies(ghost);
+  const unchanged = bodies(shaded(1, 0.65));
+  const gone = bodies(shaded(0.35));
+  const rings = ringsOf(solid);
   const arrows = new Mesh(new BufferGeometry(), solid); // all in one: each draw call costs
   arrows.frustumCulled = false;
   arrows.visible = false;
-  group.add(standing.holder, gone.holder, arrows, markers.group, markings.group);
-  stage.beforeDraw(() => {
-    standing.cull(stage);
-    gone.cull(stage);
-  });
+  group.add(standing.holder, unchanged.holder, gone.holder, rings.mesh, arrows, markers.group, markings.group);
+  stage.beforeDraw(() => [standing, unchanged, gone, rings].forEach((each) => each.cull(stage)));
 
   function show(next: Cone[]): void {
     cones = next.filter((c) => !c.marking);
     markings.show(next.filter((c) => c.marking));
     const colour = (c: Cone) => colourOf(c.kind);
-    const bodyAt = (c: Cone, at: Vec3): Body => ({ category: c.category, at, height: c.height_m, colour: colour(c) });
-    standing.set(cones.filter((c) => !isGone(c.kind)).map((c) => bodyAt(c, c.xyz)));
+    const bodyAt = (c: Cone, at: Vec3): Body => ({ category: c.category, at, height: c.height_m });
+    const there = cones.filter((c) => !isGone(c.kind));
+    standing.set(there.filter((c) => c.kind !== "unchanged").map((c) => bodyAt(c, c.xyz)));
+    unchanged.set(there.filter((c) => c.kind === "unchanged").map((c) => bodyAt(c, c.xyz)));
     gone.set(
       cones.flatMap((c) => {
         const at = isGone(c.kind) ? c.xyz : c.kind === "moved" ? c.old : null;
         return at ? [bodyAt(c, at)] : [];
       }),
     );
+    rings.set(cones.filter((c) => !isQuiet(c.kind)).map((c) => ({ at: c.xyz, height: c.height_m, colour: colour(c) })));
     const made = cones.flatMap((c) => (c.kind === "moved" && c.old ? arrow(c.old, c.xyz, 0.32 * c.height_m, colour(c)) : []));
     arrows.geometry.dispose();
     arrows.geometry = made.length ? mergeGeometries(made) : new BufferGeometry();
@@ -99,14 +101,12 @@ interface Body {
   category: string;
   at: Vec3;
   height: number;
-  colour: string;
 }
 
 /** Objects of one material, a mesh for each class. Those smaller than a few pixels are left out: their marker represents them. */
 function bodies(material: ShaderMaterial) {
   const matrix = new Matrix4();
   const scale = new Vector3();
-  const colour = new Color();
   const holder = new Group();
   let classes: { items: Body[]; mesh: InstancedMesh; turned: boolean }[] = [];
 
@@ -115,13 +115,7 @@ function bodies(material: ShaderMaterial) {
     const others = onlyCones() ? [] : [...new Set(next.map((item) => item.category))].filter((category) => category !== CONE);
     const of = (category: string): [string, Body[]] => [category, others.length ? next.filter((item) => item.category === category) : next];
     // Cones are always there: their shader is compiled at the start.
-    classes = [CONE, ...others].map(of).map(([category, items]) => {
-      const mesh = new InstancedMesh(bodyOf(category), material, Math.max(items.length, 1));
-      mesh.frustumCulled = false;
-      mesh.count = 0;
-      mesh.setColorAt(0, colour); // with colours from the start: it is compiled once
-      return { items, mesh, turned: category !== CONE };
-    });
+    classes = [CONE, ...others].map(of).map(([category, items]) => ({ items, mesh: instances(bodyOf(category), material, items.length), turned: category !== CONE }));
     holder.clear().add(...classes.map((c) => c.mesh));
   }
   set([]);
@@ -132,61 +126,102 @@ function bodies(material: ShaderMaterial) {
       const azimuth = stage.pose()[3];
       for (const { items, mesh, turned } of classes) {
         let count = 0;
-        for (const { at, height, colour: css } of items) {
+        for (const { at, height } of items) {
           if (!stage.sees(at, height, MIN_BODY_PX)) continue;
           // The map does not hold which way a sign or a board faces: it faces the viewer.
           if (turned) matrix.makeRotationZ(azimuth).scale(scale.setScalar(height));
           else matrix.makeScale(height, height, height);
           mesh.setMatrixAt(count, matrix.setPosition(...at));
-          mesh.setColorAt(count, colour.set(css));
           count += 1;
         }
-        mesh.count = count;
-        mesh.visible = count > 0;
-        mesh.instanceMatrix.needsUpdate = true;
-        if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
+        show(mesh, count);
       }
     },
   };
 }
 
-type Part = [BufferGeometry, number];
+/** Rings on the ground around the foot of what changed, in the colour of its kind. */
+function ringsOf(material: ShaderMaterial) {
+  const matrix = new Matrix4();
+  const colour = new Color();
+  const ring = new RingGeometry(0.62, 0.85, 24).translate(0, 0, 0.03);
+  const made = { mesh: new Group(), set, cull };
+  let items: { at: Vec3; height: number; colour: string }[] = [];
+  let mesh = instances(tinted(ring, new Color("white")), material, 0);
 
-function box(width: number, depth: number, from: number, to: number, shade = 1, x = 0): Part {
-  return [new BoxGeometry(width, depth, to - from).translate(x, 0, (from + to) / 2), shade];
+  function set(next: typeof items): void {
+    items = next;
+    mesh.dispose();
+    mesh = instances(ring, material, items.length);
+    mesh.setColorAt(0, colour); // with colours from the start: it is compiled once
+    made.mesh.clear().add(mesh);
+  }
+  function cull(stage: Stage): void {
+    let count = 0;
+    for (const { at, height, colour: css } of items) {
+      if (!stage.sees(at, height, MIN_BODY_PX)) continue;
+      mesh.setMatrixAt(count, matrix.makeScale(height, height, 1).setPosition(...at));
+      mesh.setColorAt(count, colour.set(css));
+      count += 1;
+    }
+    show(mesh, count);
+    if (mesh.instanceColor) mesh.instanceColor.needsUpdate = true;
+  }
+  set([]);
+  return made;
 }
 
-function tube(below: number, above: number, from: number, to: number, shade = 1): Part {
-  return [new CylinderGeometry(above, below, to - from, 20, 1, false).rotateX(Math.PI / 2).translate(0, 0, (from + to) / 2), shade];
+function instances(geometry: BufferGeometry, material: ShaderMaterial, most: number): InstancedMesh {
+  const mesh = new InstancedMesh(geometry, material, Math.max(most, 1));
+  mesh.frustumCulled = false;
+  mesh.count = 0;
+  return mesh;
+}
+
+function show(mesh: InstancedMesh, count: number): void {
+  mesh.count = count;
+  mesh.visible = count > 0;
+  mesh.instanceMatrix.needsUpdate = true;
+}
+
+/** Paint, as under an overcast sky. */
+const [ORANGE, RED, WHITE, YELLOW, BLACK, STEEL, GREY] = ["#ff6a13", "#c8102e", "#f7f7f2", "#ffc20e", "#2b2b2b", "#6d7479", "#9aa3ab"] as const;
+type Part = [BufferGeometry, string];
+
+function box(width: number, depth: number, from: number, to: number, paint: string, x = 0): Part {
+  return [new BoxGeometry(width, depth, to - from).translate(x, 0, (from + to) / 2), paint];
+}
+
+function tube(below: number, above: number, from: number, to: number, paint: string): Part {
+  return [new CylinderGeometry(above, below, to - from, 20, 1, false).rotateX(Math.PI / 2).translate(0, 0, (from + to) / 2), paint];
 }
 
 /** A square on its corner, or a disc, of height 1. */
-const diamond = (size: number, depth: number, shade: number): Part => [new BoxGeometry(size * Math.SQRT1_2, depth, size * Math.SQRT1_2).rotateY(Math.PI / 4).translate(0, 0, 0.5), shade];
-const disc = (size: number, depth: number, shade: number): Part => [new CylinderGeometry(size / 2, size / 2, depth, 32).translate(0, 0, 0.5), shade];
-const [DARK, LIGHT] = [0.62, 1.9];
+const diamond = (size: number, depth: number, paint: string): Part => [new BoxGeometry(size * Math.SQRT1_2, depth, size * Math.SQRT1_2).rotateY(Math.PI / 4).translate(0, 0, 0.5), paint];
+const disc = (size: number, depth: number, paint: string): Part => [new CylinderGeometry(size / 2, size / 2, depth, 32).translate(0, 0, 0.5), paint];
 
-/** Objects of height 1 with their foot's centre at the origin and z up, plates facing south; shades of one colour, light bands as on the road. */
+/** Objects of height 1 with their foot's centre at the origin and z up, plates facing south, in the paint of the most common make. */
 const PARTS = new Map<string, () => Part[]>(Object.entries({
   traffic_cone: () => {
     const radius = (z: number) => 0.2 - 0.165 * z;
-    const part = (from: number, to: number, shade?: number) => tube(radius(from), radius(to), from, to, shade);
-    return [box(0.56, 0.56, 0, 0.05, DARK), part(0.05, 0.45), part(0.45, 0.7, LIGHT), part(0.7, 1.0)];
+    const part = (from: number, to: number, paint: string) => tube(radius(from), radius(to), from, to, paint);
+    return [box(0.56, 0.56, 0, 0.05, BLACK), part(0.05, 0.36, ORANGE), part(0.36, 0.54, WHITE), part(0.54, 0.66, ORANGE), part(0.66, 0.84, WHITE), part(0.84, 1.0, ORANGE)];
   },
-  tubular_marker: () => [tube(0.16, 0.13, 0, 0.06, DARK), tube(0.055, 0.055, 0.06, 0.55), tube(0.055, 0.055, 0.55, 0.68, LIGHT), tube(0.055, 0.055, 0.68, 0.78), tube(0.055, 0.055, 0.78, 0.91, LIGHT), tube(0.055, 0.05, 0.91, 1)],
-  drum: () => [tube(0.33, 0.32, 0, 0.07, DARK), tube(0.28, 0.275, 0.07, 0.3), tube(0.275, 0.265, 0.3, 0.47, LIGHT), tube(0.265, 0.26, 0.47, 0.64), tube(0.26, 0.25, 0.64, 0.81, LIGHT), tube(0.25, 0.22, 0.81, 1)],
-  vertical_panel: () => [box(0.42, 0.3, 0, 0.06, DARK), box(0.06, 0.03, 0.06, 0.2, DARK), box(0.3, 0.03, 0.2, 1), box(0.3, 0.035, 0.36, 0.52, LIGHT), box(0.3, 0.035, 0.68, 0.84, LIGHT)],
-  barricade: () => [-0.45, 0.45].flatMap((x) => [box(0.06, 0.5, 0, 0.06, DARK, x), box(0.06, 0.06, 0.06, 0.75, DARK, x)])
-    .concat([0.75, 0.4].flatMap((z) => [box(1.2, 0.05, z, z + 0.25), box(0.24, 0.055, z, z + 0.25, LIGHT, -0.3), box(0.24, 0.055, z, z + 0.25, LIGHT, 0.3)])),
-  work_zone_sign: () => [diamond(1, 0.03, LIGHT), diamond(0.88, 0.035, 1)],
-  arrow_board: () => [box(0.5, 0.3, 0.05, 0.16, DARK), box(0.06, 0.06, 0.16, 0.45, DARK), box(1.2, 0.06, 0.45, 1), box(0.7, 0.065, 0.7, 0.76, LIGHT), [new BoxGeometry(0.2, 0.065, 0.2).rotateY(Math.PI / 4).translate(0.3, 0, 0.73), LIGHT]],
-  traffic_sign: () => [disc(1, 0.03, LIGHT), disc(0.86, 0.035, 1)],
+  tubular_marker: () => [tube(0.16, 0.13, 0, 0.06, BLACK), tube(0.055, 0.055, 0.06, 0.55, ORANGE), tube(0.055, 0.055, 0.55, 0.68, WHITE), tube(0.055, 0.055, 0.68, 0.78, ORANGE), tube(0.055, 0.055, 0.78, 0.91, WHITE), tube(0.055, 0.05, 0.91, 1, ORANGE)],
+  drum: () => [tube(0.33, 0.32, 0, 0.07, BLACK), tube(0.28, 0.275, 0.07, 0.3, ORANGE), tube(0.275, 0.265, 0.3, 0.47, WHITE), tube(0.265, 0.26, 0.47, 0.64, ORANGE), tube(0.26, 0.25, 0.64, 0.81, WHITE), tube(0.25, 0.22, 0.81, 1, ORANGE)],
+  vertical_panel: () => [box(0.42, 0.3, 0, 0.06, BLACK), box(0.06, 0.03, 0.06, 0.2, STEEL), box(0.3, 0.03, 0.2, 1, RED), box(0.3, 0.035, 0.36, 0.52, WHITE), box(0.3, 0.035, 0.68, 0.84, WHITE)],
+  barricade: () => [-0.45, 0.45].flatMap((x) => [box(0.06, 0.5, 0, 0.06, STEEL, x), box(0.06, 0.06, 0.06, 0.75, STEEL, x)])
+    .concat([0.75, 0.4].flatMap((z) => [box(1.2, 0.05, z, z + 0.25, RED), box(0.24, 0.055, z, z + 0.25, WHITE, -0.3), box(0.24, 0.055, z, z + 0.25, WHITE, 0.3)])),
+  work_zone_sign: () => [diamond(1, 0.03, BLACK), diamond(0.9, 0.035, ORANGE)],
+  arrow_board: () => [box(0.5, 0.3, 0.05, 0.16, STEEL), box(0.06, 0.06, 0.16, 0.45, STEEL), box(1.2, 0.06, 0.45, 1, BLACK), box(0.7, 0.065, 0.7, 0.76, YELLOW), [new BoxGeometry(0.2, 0.065, 0.2).rotateY(Math.PI / 4).translate(0.3, 0, 0.73), YELLOW]],
+  traffic_sign: () => [disc(1, 0.03, RED), disc(0.76, 0.035, WHITE)],
 })); // prettier-ignore
-const made = new Map<string, BufferGeometry>();
+const madeBodies = new Map<string, BufferGeometry>();
 
 function bodyOf(category: string): BufferGeometry {
-  const parts = () => (PARTS.get(category)?.() ?? [box(0.4, 0.4, 0, 1)]).map(([geometry, shade]) => tinted(geometry, new Color(shade, shade, shade)));
-  const body = made.get(category) ?? mergeGeometries(parts());
-  made.set(category, body);
+  const parts = () => (PARTS.get(category)?.() ?? [box(0.4, 0.4, 0, 1, GREY)]).map(([geometry, paint]) => tinted(geometry, new Color(paint)));
+  const body = madeBodies.get(category) ?? mergeGeometries(parts());
+  madeBodies.set(category, body);
   return body;
 }
 
@@ -196,15 +231,17 @@ function tinted(geometry: BufferGeometry, { r, g, b }: Color): BufferGeometry {
   return geometry.setAttribute("color", new BufferAttribute(tint, 3));
 }
 
-/** Lambert shading per vertex, with light from above and the south-west: without a graphics card much faster than three's material. */
-function shaded(opacity: number): ShaderMaterial {
+/** Lambert shading per vertex, with light from above and the south-west: without a graphics card much faster than three's material.
+ * grey: share of grey in the paint. */
+function shaded(opacity: number, grey = 0): ShaderMaterial {
   return new ShaderMaterial({
-    vertexShader: SHADED_VERTEX, fragmentShader: SHADED_FRAGMENT, vertexColors: true, uniforms: { opacity: { value: opacity } },
+    vertexShader: SHADED_VERTEX, fragmentShader: SHADED_FRAGMENT, vertexColors: true, uniforms: { opacity: { value: opacity }, grey: { value: grey } },
     transparent: opacity < 1, depthWrite: opacity === 1,
   }); // prettier-ignore
 }
 
 const SHADED_VERTEX = /* glsl */ `
+uniform float grey;
 varying vec3 vTint;
 void main() {
   vec4 at = vec4(position, 1.0);
@@ -217,6 +254,7 @@ void main() {
 #ifdef USE_INSTANCING_COLOR
   vTint *= instanceColor;
 #endif
+  vTint = mix(vTint, vec3(0.55), grey);
   vTint *= 0.6 + 0.51 * max(dot(normalize(n), vec3(-0.296, -0.474, 0.829)), 0.0);
   gl_Position = projectionMatrix * modelViewMatrix * at;
 }`;
@@ -261,13 +299,16 @@ uniform vec3 halo;
 varying vec3 vTint;
 varying float vShape;
 float bar(vec2 p) { return min(max(abs(p.x) - 0.15, abs(p.y) - 0.62), max(abs(p.y) - 0.15, abs(p.x) - 0.62)); }
+/** A slim body on a plate. */
+float cone(vec2 p) { return min(max(abs(p.x) - 0.24 - 0.22 * p.y, abs(p.y + 0.1) - 0.55), max(abs(p.x) - 0.55, abs(p.y - 0.5) - 0.12)); }
 /** Tip up; gl_PointCoord grows downwards. */
 float triangle(vec2 p) { return max(p.y - 0.5, abs(p.x) * 0.88 - p.y * 0.47 - 0.36); }
 void main() {
   vec2 p = gl_PointCoord * 2.0 - 1.0;
   float d = length(p) - 0.55;
   float w = max(abs(p.x), abs(p.y));
-  if (vShape > 6.5) d = triangle(vec2(p.x, -p.y));
+  if (vShape > 7.5) d = cone(p);
+  else if (vShape > 6.5) d = triangle(vec2(p.x, -p.y));
   else if (vShape > 5.5) d = triangle(p);
   else if (vShape > 4.5) d = w - 0.52;
   else if (vShape > 3.5) d = abs(length(p) - 0.47) - 0.17;
@@ -319,7 +360,8 @@ function markerPoints(stage: Stage): { group: Group; set(cones: Cone[]): void } 
   function set(cones: Cone[]): void {
     // Important ones last, on top.
     const order = [...cones].sort((a, b) => STYLES[a.kind].shape - STYLES[b.kind].shape);
-    kinds(order, (c) => STYLES[c.kind].shape);
+    // What stands is a cone, or the glyph of its class alone.
+    kinds(order.filter((c) => c.kind !== "standing" || c.category === CONE), (c) => STYLES[c.kind].shape);
     const others = onlyCones() ? [] : order.filter((c) => c.category !== CONE);
     if (others.length) classes ??= pointsOf(stage, group, 4, 30, GLYPH_FRAGMENT, glyphAtlas());
     classes?.(others, (c) => classOrder(c.category));

@@ -1,4 +1,4 @@
-// Style of each kind of cone: a colour that is safe for colour-blind people (no red/green pair, no orange) and a marker.
+// Style of each kind of cone: a colour that is safe for colour-blind people (no red/green pair; orange is what stands now) and a marker.
 import type { ChangeKind, Marking, Vec3 } from "./api";
 
 /** `unchanged`: not among the changes. */
@@ -41,7 +41,7 @@ export const STYLES: Record<Kind, { colour: string; dark: string; shape: number;
   confirmed: { colour: "#7c93a2", dark: "#84a3bb", shape: 0, label: "confirmed" },
   unchanged: { colour: "#b4bcc6", dark: "#616c78", shape: 0, label: "not evaluated" },
   suppressed: { colour: "#66717c", dark: "#98a3ae", shape: 3, label: "suppressed" },
-  standing: { colour: "#7c93a2", dark: "#84a3bb", shape: 0, label: "standing" },
+  standing: { colour: "#d64f00", dark: "#ff8c42", shape: 8, label: "standing" },
 };
 
 export const KIND_ORDER: Kind[] = ["added", "split", "moved", "removed", "merged", "height_changed", "missed", "suppressed", "confirmed", "unchanged", "standing"];
@@ -59,6 +59,7 @@ const PATHS = [
   "M3.200 3.200h9.600v9.600H3.200z",
   "M8 2 14 13.200H2z",
   "M8 14 2 2.800h12z",
+  "M7.2 1.5h1.6l3.2 10.5h2v2.5H2V12h2z",
 ];
 
 /** The marker of a kind as an icon, the same shape as in the scene. */

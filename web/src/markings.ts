@@ -18,7 +18,7 @@ const GONE = { dash_m: 0.7, gap_m: 0.7 };
 const JOIN_M = 0.6;
 
 /** Unchanged lines have the colour of their paint, others that of their change. */
-const isQuiet = (kind: Kind): boolean => kind === "standing" || kind === "confirmed" || kind === "unchanged";
+export const isQuiet = (kind: Kind): boolean => kind === "standing" || kind === "confirmed" || kind === "unchanged";
 const patternOf = ({ dash_m, gap_m }: { dash_m: number | null; gap_m: number | null }): string => `dashed, ${dash_m?.toFixed(1)} m with gaps of ${gap_m?.toFixed(1)} m`;
 /** "white, dashed, 3.0 m with gaps of 9.0 m". */
 export const wordsOf = (m: Marking): string => `${m.colour}, ${m.dash_m === null ? "solid" : patternOf(m)}`;

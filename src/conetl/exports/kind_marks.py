@@ -48,7 +48,7 @@ def kinds_text(counts: Mapping[DeltaKind, int]) -> str:
     return ", ".join(f"{counts[kind]} {kind_label(kind)}" for kind in DeltaKind if counts.get(kind))
 
 
-STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="standing")
+STANDING = KIND_MARKS[DeltaKind.CONFIRMED]._replace(colour="#d64f00", label="standing")
 #: Muted, so that cones come first: LiDAR points of low and of high intensity, lane boundaries, drive paths.
 DARK_POINT, BRIGHT_POINT, LANE, DRIVE_PATH = "#a9a294", "#dcd7cc", "#8a7443", "#4a5560"
 #: #rrggbb of the paint by `Marking.colour`.

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from conetl.exports.kind_marks import KIND_MARKS
 from conetl.exports.kind_marks import STANDING as STANDING_MARK
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES, LINE_CLASSES, letter_of
@@ -15,7 +16,8 @@ from conetl.model.map_records import DeltaKind, FeatureChange
 from conetl.reports.figures import NOT_EVALUATED, PlanMark, changes_of, marks_of, save_figure
 from conetl.reports.map_picture import PlanContent, draw_plan
 
-ADDED, MOVED, REMOVED, STANDING, LANE = map(bytes.fromhex, ("002e9a", "821773", "1f2933", "7c93a2", "8a7443"))
+ADDED, MOVED, REMOVED, UNCHANGED, LANE = map(bytes.fromhex, ("002e9a", "821773", "1f2933", "7c93a2", "8a7443"))
+STANDING = bytes.fromhex("d64f00")
 INK = bytes.fromhex("1d2733")
 NO_POINTS = (np.empty((0, 2)), np.empty(0, np.uint8))
 
@@ -36,7 +38,7 @@ def content(standing, changes=None, lines=(), points=NO_POINTS):
     return PlanContent(
         32632, marks_of(*shown), changes_of(*shown), [np.array([[458_000.0, 5_428_000.0], [458_030.0, 5_428_000.0]])],
         boundaries_m=list(lines), points_m=points[0], shades=points[1],
-        others=STANDING_MARK if changes is None else STANDING_MARK._replace(label="unchanged"),
+        others=STANDING_MARK if changes is None else KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="unchanged"),
     )  # fmt: skip
 
 
@@ -64,7 +66,7 @@ def test_changes_are_where_they_belong_in_the_colours_of_the_view(samples, tmp_p
     lane_m = np.array([[458_000.0, 5_428_014.0], [458_030.0, 5_428_014.0]])
     made = content([*same, moved, added], changes, lines=[lane_m])
     path = draw(tmp_path / "new folder" / "map.png", made)
-    places = {name: pixels(path, colour).mean(axis=0) for name, colour in (("d", ADDED), ("a", STANDING))}
+    places = {name: pixels(path, colour).mean(axis=0) for name, colour in (("d", ADDED), ("a", UNCHANGED))}
     assert places["d"][0] - places["a"][0] > 300  # 30 m east against the middle of a and e
     assert len(pixels(path, MOVED)) > 100 and len(pixels(path, REMOVED)) > 100
     lane = pixels(path, LANE)
@@ -93,7 +95,7 @@ def test_each_class_has_its_letter_and_its_line_in_the_legend(samples, tmp_path)
     made = content([*before, *new], [change("added", None, feature) for feature in new])
     bbox = (457_990.0, 5_427_990.0, 458_040.0, 5_428_020.0)
     path = draw(tmp_path / "map.png", made, bbox)
-    for colour, letters in ((STANDING, [False, True]), (ADDED, [True, True])):
+    for colour, letters in ((UNCHANGED, [False, True]), (ADDED, [True, True])):
         symbols = pixels(path, colour)
         groups = np.split(symbols[np.argsort(symbols[:, 0])], 1 + np.flatnonzero(np.diff(np.sort(symbols[:, 0])) > 50))
         assert len(groups) == 2

@@ -18,7 +18,7 @@ from conetl.cli.features import print_features, row_of
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import Bbox, list_changesets, read_changes, read_features_as_of
 from conetl.db.map.results import MapInstant
-from conetl.exports.kind_marks import STANDING, kinds_text
+from conetl.exports.kind_marks import KIND_MARKS, STANDING, kinds_text
 from conetl.exports.text_files import export_diff_geojson
 from conetl.model.errors import EXIT_DONE, EXIT_NEEDS_ATTENTION, InputError
 from conetl.model.feature_classes import CONE, LANE_MARKING
@@ -282,7 +282,7 @@ def _content(srid: int, standing: Sequence[MapFeature], changes: Sequence[Featur
 
     changed = {change.feature_id for change in changes or ()}
     shown = changes or (), [feature for feature in standing if feature.feature_id not in changed]
-    others = STANDING if changes is None else STANDING._replace(label="unchanged")
+    others = STANDING if changes is None else KIND_MARKS[DeltaKind.CONFIRMED]._replace(label="unchanged")
     return PlanContent(srid, marks_of(*shown), changes_of(*shown), others=others)
 
 
