@@ -17,7 +17,10 @@ and v.present and upper_inf(v.system_period) and upper_inf(v.valid_period);
 
 -- name: stood
 -- The features of any state. Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest). Columns: as standing.
-select 'standing' as kind, null::float8 as shift_m, null::timestamptz as changed_at, null::bigint as old_row_id, s.*
+select
+    'standing' as kind, null::float8 as shift_m, null::timestamptz as changed_at, null::bigint as old_row_id,
+    s.version_row_id, s.cell, s.feature_id, s.category, s.existence_probability, s.observation_count, s.sigma_m, s.object_height_m,
+    s.last_seen_at, s.changeset_no, s.geom
 from conetl.feature_states(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) s;
 
 -- name: changed_by
@@ -99,11 +102,14 @@ group by 1, 2, 3;
 -- name: drawn
 -- Changes with what the view shows of them. Parameters: origin_m. Columns: of conetl.feature_state; kind, changed_at, shift_m, old_xyz_m;
 -- marking, old_marking: shape of a lane marking, null of point objects.
+with found as materialized (
+    select s.* from ({{source}}) s where {{where}}
+)
 select
     c.kind, c.changed_at, c.shift_m, conetl.offset_m(o.geom, %(origin_m)s::float8[]) as old_xyz_m, c.existence_probability,
     c.changeset_no, s.feature_id, s.version, s.category, s.sigma_m, s.object_height_m, s.last_seen_at, s.observation_count,
     conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m, {{marking columns of s}} as marking, {{marking columns of o}} as old_marking
-from (select s.* from ({{source}}) s where {{where}}) c
+from found c
 join conetl.feature_state s using (version_row_id)
 left join conetl.feature_state o on o.version_row_id = c.old_row_id
 order by s.feature_id;

@@ -36,6 +36,19 @@ const CLUSTER_PX = 96;
 const PER_SIDE = 2;
 const MOST_TILES = 300;
 
+/** Easting, northing of places around what is seen, in the map's CRS; empty: nothing. */
+export function seenArea(stage: Stage, origin: Vec3): string[] {
+  const places = footprint(stage);
+  return places.length < 3 ? [] : places.flatMap(([x, y]) => [(x + origin[0]).toFixed(2), (y + origin[1]).toFixed(2)]);
+}
+
+/** Zoom of cells of which about CELLS are beside each other in an area. */
+export function cellZoom(area: string[] | null): number {
+  const east = (area ?? []).filter((_, i) => i % 2 === 0).map(Number);
+  const size = east.length ? Math.max(...east) - Math.min(...east) : SIDE_M;
+  return Math.min(Math.max(Math.round(Math.log2((CELLS * SIDE_M) / Math.max(size, 1))), 0), 30);
+}
+
 export function createTiles(stage: Stage) {
   let [map, at]: [string, Instant] = ["", { valid: null, known: null }];
   let found: Summary | null = null;
@@ -133,6 +146,8 @@ export function createTiles(stage: Stage) {
     /** Whether all features of the map are among those that are shown. */
     isWhole: () => total() <= WHOLE,
     summary: () => found,
+    /** Number of features of the map. */
+    count: total,
     close(): void {
       opening += 1;
       loading += 1;
