@@ -25,7 +25,7 @@ MAX_IN_TILE = 2_000
 #: Clusters per side of a tile, as a power of two.
 _CELL_STEPS = 4
 #: Zooms of conetl.feature_cell, see conetl.cell_zooms.
-_STORED_ZOOMS = range(4, 13, 2)
+STORED_ZOOMS = range(4, 13, 2)
 _LISTS: dict[str, type[m.Feature]] = {"features": m.Feature, "markings": m.Stretch}
 Zoom = Annotated[int, Path(ge=0, le=20)]
 Index = Annotated[int, Path(ge=-(2**31), le=2**31 - 1)]
@@ -93,7 +93,7 @@ class _State:
 
     def cells(self, zoom: int, edges: dict[str, float]) -> list[Row]:
         """Numbers by cell and class within a tile, in cells of about this zoom."""
-        stored = [z for z in _STORED_ZOOMS if z >= zoom]
+        stored = [z for z in STORED_ZOOMS if z >= zoom]
         kind = "stored" if self._is_now and stored else "counted"
         cell_zoom = stored[0] if kind == "stored" else zoom
         return read_rows(self._conn, f"serving.{kind}_cells", cell_zoom=cell_zoom, **edges, **self.parameters)
