@@ -24,10 +24,10 @@ select
 from conetl.feature_states(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) s;
 
 -- name: changed_by
--- What a changeset did to each feature that it judged. Parameters: map_name; changeset_no.
+-- What a changeset did to each feature that it judged. Parameters: map_name; changeset_no; box (geometry; null: everywhere).
 -- Columns: kind, changed_at, shift_m; old_row_id (before a move); those of the state after the change, of a removed feature the last one.
 select x.*, %(changeset_no)s as changeset_no
-from conetl.changeset_changes(%(map_name)s, %(changeset_no)s) x;
+from conetl.changeset_changes(%(map_name)s, %(changeset_no)s, %(box)s::geometry) x;
 
 -- name: changed_between
 -- How a map differs between two instants, each as known at its own. Parameters: map_name; from_valid_at, from_known_at, to_valid_at,

@@ -229,7 +229,7 @@ $$;
 comment on function conetl.state_after is
     'The state of a feature after the delta of a changeset that made or judged its version, as known at known_at, or last.';
 
-create or replace function conetl.changeset_changes(map_name text, changeset_no bigint)
+create or replace function conetl.changeset_changes(map_name text, changeset_no bigint, box geometry default null)
 returns table (
     kind text, changed_at timestamptz, shift_m float8, track_index integer, frames_seen integer, frames_empty integer,
     other_feature_id uuid, version_row_id bigint, old_row_id bigint, cell bigint, feature_id uuid, category text,
@@ -245,7 +245,15 @@ as $$
     from conetl.map m
     join conetl.changeset c using (map_id)
     join conetl.effect e using (changeset_id)
-    join conetl.delta x using (changeset_id)
+    join (
+        select d.* from conetl.delta d where $3 is null
+        union all
+        select d.*
+        from (
+            select distinct f.cell, f.feature_id from conetl.feature_version f where $3 is not null and conetl.is_in_box(f.geom, f.line, $3)
+        ) near
+        join conetl.delta d using (cell, feature_id)
+    ) x using (changeset_id)
     join lateral conetl.state_after(x.cell, x.feature_id, x.new_version, x.changeset_id, e.at) n on true
     left join lateral conetl.state_after(
         case when x.kind = 'moved' then x.cell end, x.feature_id, x.old_version, x.changeset_id, e.at
@@ -255,4 +263,5 @@ $$;
 comment on function conetl.changeset_changes is
     'What a changeset did to each feature that it judged, as committed (or as released, if it was committed on hold). kind missed: '
     'visible but not observed, and still standing. track_index: null where not seen. old_row_id: before a move. version_row_id: the '
-    'state after it, of a removed feature the last one, whose columns follow; conetl.feature_state has the others.';
+    'state after it, of a removed feature the last one, whose columns follow; conetl.feature_state has the others. box: only features '
+    'that ever were in it.';
