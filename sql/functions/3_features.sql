@@ -245,15 +245,16 @@ as $$
     from conetl.map m
     join conetl.changeset c using (map_id)
     join conetl.effect e using (changeset_id)
-    join (
-        select d.* from conetl.delta d where $3 is null
+    cross join lateral (
+        select d.* from conetl.delta d where $3 is null and d.changeset_id = c.changeset_id
         union all
         select d.*
         from (
             select distinct f.cell, f.feature_id from conetl.feature_version f where $3 is not null and conetl.is_in_box(f.geom, f.line, $3)
         ) near
         join conetl.delta d using (cell, feature_id)
-    ) x using (changeset_id)
+        where d.changeset_id = c.changeset_id
+    ) x
     join lateral conetl.state_after(x.cell, x.feature_id, x.new_version, x.changeset_id, e.at) n on true
     left join lateral conetl.state_after(
         case when x.kind = 'moved' then x.cell end, x.feature_id, x.old_version, x.changeset_id, e.at
