@@ -3,19 +3,21 @@ import { api, type ChangeCluster, type Query, type Vec3 } from "./api";
 import { isGone, type Cone, type Kind } from "./kinds";
 import { changedIn } from "./query";
 import type { Stage } from "./scene";
-import { cellZoom, seenArea } from "./tiles";
+import { cellZoom, seenBox, type Box } from "./tiles";
 
 /** As many as the server lists one by one. */
 const WHOLE = 2_000;
 
 export interface Changes {
   cones: Map<string, Cone>;
-  /** Kinds of which all that are in view are among them. */
-  listed: ReadonlySet<string>;
+  /** Whether confirmed ones are not among them. */
+  withoutConfirmed: boolean;
   clusters: ChangeCluster[];
+  /** Where they were read, as offsets from the map's origin; null: everywhere. */
+  box: Box | null;
 }
 
-const NONE: Changes = { cones: new Map(), listed: new Set(), clusters: [] };
+const NONE: Changes = { cones: new Map(), withoutConfirmed: false, clusters: [], box: null };
 
 export function createChanges(stage: Stage) {
   let map = "";
@@ -24,7 +26,7 @@ export function createChanges(stage: Stage) {
   let kinds = new Map<Kind, number>();
   let shown: Changes = NONE;
   let [opening, loading] = [0, 0];
-  /** Area of what is shown. */
+  /** What was read: the box as text. */
   let read: string | null = null;
 
   const total = () => [...kinds.values()].reduce((sum, n) => sum + n, 0);
@@ -41,13 +43,14 @@ export function createChanges(stage: Stage) {
     /** Read what is in view. True if it is something else than before. */
     async load(): Promise<boolean> {
       const mine = ++loading;
-      const area = total() > WHOLE ? seenArea(stage, origin) : null;
-      const key = `${area?.join() ?? ""}`;
+      const box = total() > WHOLE ? seenBox(stage) : null;
+      const key = String(box);
       if (key === read) return false;
-      const answer = source && total() && (area === null || area.length) ? await api.changesInView(map, { ...source, area, cell_zoom: String(cellZoom(area)) }) : null;
+      const corners = box && ([0, 1, 2, 1, 2, 3, 0, 3] as const).map((edge, i) => String(box[edge] + origin[i % 2 === 0 ? 0 : 1]));
+      const answer = source && total() ? await api.changesInView(map, { ...source, area: corners, cell_zoom: String(cellZoom(box)) }) : null;
       if (mine !== loading) return false;
       read = key;
-      shown = answer ? { cones: new Map(changedIn(answer).map((c) => [c.id, c])), listed: new Set(answer.listed), clusters: answer.clusters } : NONE;
+      shown = answer ? { cones: new Map(changedIn(answer).map((c) => [c.id, c])), withoutConfirmed: "confirmed" in answer.kinds && !answer.listed.includes("confirmed"), clusters: answer.clusters, box } : NONE;
       return true;
     },
     shown: () => shown,

@@ -189,6 +189,15 @@ function change(values: Partial<State>, refetch = true): void {
 }
 
 let movedTimer = 0;
+/** Other things may be in view. */
+function moved(): void {
+  window.clearTimeout(movedTimer);
+  movedTimer = window.setTimeout(() => {
+    lists.moved();
+    tools.moved();
+    if (drawn) void readView();
+  }, REST_MS);
+}
 
 layout.listPane.onChange((list) => {
   state.list = list;
@@ -197,13 +206,9 @@ layout.listPane.onChange((list) => {
 stage.onCamera((camera) => {
   state.camera = camera;
   address.writeAtRest();
-  window.clearTimeout(movedTimer);
-  movedTimer = window.setTimeout(() => {
-    lists.moved();
-    tools.moved();
-    if (drawn) void readView();
-  }, REST_MS);
+  moved();
 });
+new ResizeObserver(moved).observe(layout.view);
 window.addEventListener("hashchange", () => {
   const next = address.read();
   const other = next.map !== state.map;

@@ -68,14 +68,16 @@ export function withChanges(there: Cone[], changes: Changes, state: State, items
   return [...(isAfter ? after() : cones.values()), ...rest];
 }
 
-/** The kind of a cone that is not among the changes that were listed. The drive that wrote its version confirmed it, if that is all
- * that is not listed; where other changes are not listed either, it is unknown. */
-function restKinds({ listed, clusters }: Changes, state: State, items: TimelineItem[]): (cone: Cone) => Kind {
-  if (clusters.length) return () => "standing";
-  if (!listed.size || listed.has("confirmed")) return () => "unchanged";
-  const begin = state.mode === "drive" ? changesetOf(items, state.changeset)?.changeset_no ?? 0 : Date.parse(comparedInstants(state, items)[0].valid ?? "");
-  const later = new Set(items.filter((t) => (state.mode === "drive" ? t.changeset_no === begin : Date.parse(t.captured_from) > begin)).map((t) => t.changeset_no));
-  return (cone) => (later.has(cone.changeset) ? "confirmed" : "unchanged");
+/** The kind of a cone that is not among the changes that were listed: what the drives in question left as it was is unchanged; the
+ * rest was confirmed, if other changes would be listed there, else it is unknown. */
+function restKinds({ withoutConfirmed, clusters, box }: Changes, state: State, items: TimelineItem[]): (cone: Cone) => Kind {
+  if (!box && !clusters.length && !withoutConfirmed) return () => "unchanged";
+  const from = state.mode === "drive" ? "" : comparedInstants(state, items)[0].valid ?? "";
+  const ours = state.mode === "drive" ? [changesetOf(items, state.changeset)] : items.filter((t) => Date.parse(t.captured_from) > Date.parse(from));
+  const changesets = new Set(ours.map((t) => t?.changeset_no));
+  const isInside = ([x, y]: Cone["xyz"]) => !box || (x >= box[0] && y >= box[1] && x <= box[2] && y <= box[3]);
+  const inside: Kind = clusters.length ? "standing" : withoutConfirmed ? "confirmed" : "unchanged";
+  return ({ changeset, xyz }) => (!changesets.has(changeset) ? "unchanged" : isInside(xyz) ? inside : "standing");
 }
 
 /** Whether a change had happened in the state that is shown; `known` is the instant of the database, null now. */

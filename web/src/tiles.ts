@@ -5,7 +5,7 @@ import type { Cone } from "./kinds";
 import { standingIn } from "./query";
 import type { Stage } from "./scene";
 
-type Box = [number, number, number, number];
+export type Box = [number, number, number, number];
 
 interface Tile {
   zoom: number;
@@ -42,11 +42,18 @@ export function seenArea(stage: Stage, origin: Vec3): string[] {
   return places.length < 3 ? [] : places.flatMap(([x, y]) => [(x + origin[0]).toFixed(2), (y + origin[1]).toFixed(2)]);
 }
 
-/** Zoom of cells of which about CELLS are beside each other in an area. */
-export function cellZoom(area: string[] | null): number {
-  const east = (area ?? []).filter((_, i) => i % 2 === 0).map(Number);
-  const size = east.length ? Math.max(...east) - Math.min(...east) : SIDE_M;
-  return Math.min(Math.max(Math.round(Math.log2((CELLS * SIDE_M) / Math.max(size, 1))), 0), 30);
+/** A box around what is seen and half as much beside it, the same after small movements; offsets from the map's origin. */
+export function seenBox(stage: Stage): Box {
+  const places = footprint(stage);
+  const [xs, ys] = [places.map((p) => p[0]), places.map((p) => p[1])];
+  const [w, s, e, n] = places.length ? [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)] : [0, 0, 0, 0];
+  const step = 2 ** Math.ceil(Math.log2(Math.max(e - w, n - s, 1))) / 4;
+  return [Math.floor(w / step - 1) * step, Math.floor(s / step - 1) * step, Math.ceil(e / step + 1) * step, Math.ceil(n / step + 1) * step];
+}
+
+/** Zoom of cells of which about CELLS are beside each other in a box. */
+export function cellZoom(box: Box | null): number {
+  return Math.min(Math.max(Math.round(Math.log2((CELLS * SIDE_M) / (box ? box[2] - box[0] : SIDE_M))), 0), 30);
 }
 
 export function createTiles(stage: Stage) {
