@@ -16,7 +16,7 @@ import pytest
 
 from conetl.db import serve_store as store
 from conetl.db.connection import Connection, connect, execute, query
-from conetl.db.list_store import Listed, Order
+from conetl.db.list_store import Listed, ListOrder
 from conetl.db.map.commit import path_wkt
 from conetl.db.map.drive_store import drives_at_the_same_time, drives_with_boxes
 from conetl.db.map.map_store import feature_log, list_changesets, require_map
@@ -131,8 +131,8 @@ def serve(map_: Planted) -> None:
         for filters in ({}, {"box": everywhere}):
             rows = Listed(source, state, filters)
             for by in ("id", "existence", "shift", "north"):
-                rows.page(conn, Order(by, descending=True), rows=10, origin_m=[*origin])
-            rows.count(conn, Order("north"), map_.feature_id)
+                rows.page(conn, ListOrder(by, descending=True), rows=10, origin_m=[*origin])
+            rows.count(conn, ListOrder("north"), map_.feature_id)
             rows.read(conn, "summary")
             rows.read(conn, "cells", cell_zoom=10)
             rows.read(conn, "drawn", origin_m=[*origin])

@@ -54,7 +54,7 @@ CONDITIONS = {
 }
 
 
-class Order(NamedTuple):
+class ListOrder(NamedTuple):
     """An order of a list. Of equal keys, the row that was written first comes first."""
 
     by: str
@@ -103,7 +103,7 @@ class Listed:
             return execute(conn, self.sql(statement, where=where, texts=texts), self.values(**more))
 
     def page(
-        self, conn: Connection, order: Order, *, rows: int, offset: int = 0, after: tuple[str, int] | None = None,
+        self, conn: Connection, order: ListOrder, *, rows: int, offset: int = 0, after: tuple[str, int] | None = None,
         origin_m: list[float],
     ) -> list[Row]:  # fmt: skip
         """A page from a number of rows on, or after a row (text of its key, row_id), with these two columns besides those of
@@ -115,7 +115,7 @@ class Listed:
             last_key=key, last_row=row_id, page_rows=rows, offset_rows=offset, origin_m=origin_m,
         )  # fmt: skip
 
-    def count(self, conn: Connection, order: Order, feature_id: UUID | None = None) -> tuple[int, int | None]:
+    def count(self, conn: Connection, order: ListOrder, feature_id: UUID | None = None) -> tuple[int, int | None]:
         """Number of rows, and the index of one feature in an order; None: it is not among them."""
         found = self.read(conn, "sorted_by", texts={"key": order.key}, feature_id=feature_id) if feature_id else []
         at = found[0] if found else {"key": None, "row_id": None}

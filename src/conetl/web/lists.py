@@ -18,7 +18,7 @@ from fastapi import APIRouter, Depends, HTTPException, Query, Response
 from pydantic import FiniteFloat
 
 from conetl.db.connection import or_infinity
-from conetl.db.list_store import KINDS, ORDERS, Listed, Order
+from conetl.db.list_store import KINDS, ORDERS, Listed, ListOrder
 from conetl.db.map.map_store import require_map
 from conetl.db.serve_store import read_rows
 from conetl.web import models as m
@@ -112,15 +112,15 @@ def read_order(
     sort: Annotated[
         str, Query(pattern=f"^({'|'.join(ORDERS)})-?$", description="A column; - after it: descending.")
     ] = "id",
-) -> Order:
+) -> ListOrder:
     """The order of a list."""
-    return Order(sort.removesuffix("-"), sort.endswith("-"))
+    return ListOrder(sort.removesuffix("-"), sort.endswith("-"))
 
 
 class Slice(NamedTuple):
     """Which rows of a list are asked for."""
 
-    order: Order
+    order: ListOrder
     limit: int
     offset: int
     after: tuple[str, int] | None
@@ -135,7 +135,7 @@ class Slice(NamedTuple):
 
 
 def read_slice(
-    order: Annotated[Order, Depends(read_order)],
+    order: Annotated[ListOrder, Depends(read_order)],
     limit: Annotated[int, Query(ge=1, le=_MAX_ROWS)] = 100,
     offset: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0,
     after: Annotated[str | None, Query(max_length=100, description="`next` of another page of this order.")] = None,
