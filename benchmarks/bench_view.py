@@ -4,8 +4,8 @@ A private cluster in a temporary folder gets two drives past `--cones` cones, `-
 points, all along one road. Each run opens the page in a new browser; the first image is complete when all cones, all lines and
 points are drawn. Processor time is that of Chromium's processes until then. Then the number of drawn points, the time to find
 the cone under a click, and the frame time while the camera turns are measured. Last, the list of another map with `--rows` cones
-is scrolled from its top to its end (at most 2,000 cones are listed from afar). Maps of `--sizes` features are opened last: time
-to the first image with cones or clusters, and of tiles.
+is scrolled from its top to its end. Maps of `--sizes` features are opened last: time to the first image with cones or clusters,
+of tiles, and of the lists' requests.
 
     python benchmarks/bench_view.py [--points 100000] [--cones 500] [--lines 200] [--runs 3] [--rows 2000] [--sizes 60000 1000000]
 """
@@ -77,6 +77,18 @@ SCROLL = """async () => {
   }
   return { frames: 2 * steps, ms, gaps, cellPerS: 1000 * steps / (performance.now() - again) };
 }"""
+
+
+#: Requests of lists and of what is selected.
+LISTS = {
+    "first page": "features?sort=existence",
+    "sorted": "features?sort=north-",
+    "at row 50,000": "features?sort=north-&offset=50000",
+    "filtered, counted": "features/count?least_existence=0.5",
+    "search": "search?text=00f",
+    "changes of a drive": "changes?changeset_no=2&sort=shift-",
+    "changes in view": "changes/view?changeset_no=2&area=420000&area=5400000&area=421000&area=5400000&area=421000&area=5401000",
+}
 
 
 def two_days(conn: Any, count: int, map_name: str = MAP_NAME) -> None:
@@ -198,8 +210,18 @@ def measure(playwright: Any, address: str, options: argparse.Namespace) -> dict[
     return {"runs": runs, **figures}
 
 
+def answer_s(url: str) -> float:
+    """Time to the answer of a request: the shorter of two."""
+    times = []
+    for _ in range(2):
+        started = time.monotonic()
+        urllib.request.urlopen(url, timeout=60).read()
+        times.append(time.monotonic() - started)
+    return min(times)
+
+
 def large(playwright: Any, size: int) -> dict[str, float]:
-    """First image and slowest tile of a map of `size` features."""
+    """First image, slowest tile and lists of a map of `size` features."""
     with own_cluster() as (home, url):
         with closing(connect(url)) as conn:
             load_roads(conn, size)
@@ -208,9 +230,8 @@ def large(playwright: Any, size: int) -> dict[str, float]:
             for zoom in range(13):
                 at = position_of(np.array([size // 2]))[0]
                 x, y = (int(value // 2 ** (20 - zoom)) for value in at[:2])
-                started = time.monotonic()
-                urllib.request.urlopen(f"{address}/api/maps/{MAP_NAME}/tiles/{zoom}/{x}/{y}", timeout=60).close()
-                slowest_s = max(slowest_s, time.monotonic() - started)
+                slowest_s = max(slowest_s, answer_s(f"{address}/api/maps/{MAP_NAME}/tiles/{zoom}/{x}/{y}"))
+            lists = {name: answer_s(f"{address}/api/maps/{MAP_NAME}/{path}") for name, path in LISTS.items()}
             browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
             tab = browser.new_page(viewport={"width": 1280, "height": 800})
             tab.add_init_script(WATCH)
@@ -218,8 +239,11 @@ def large(playwright: Any, size: int) -> dict[str, float]:
             tab.wait_for_function("() => window.marks.cones && window.marks.frame", timeout=120_000)
             first_s = max(tab.evaluate("[window.marks.cones, window.marks.frame]")) / 1000
             browser.close()
-    print(f"{size:,} features: first image {first_s:.2f} s, slowest tile {slowest_s:.2f} s; load {load()}")
-    return {"size": size, "first_image_s": first_s, "slowest_tile_s": slowest_s}
+    said = ", ".join(f"{name} {s:.2f}" for name, s in lists.items())
+    print(
+        f"{size:,} features: first image {first_s:.2f} s, slowest tile {slowest_s:.2f} s; lists (s): {said}; load {load()}"
+    )
+    return {"size": size, "first_image_s": first_s, "slowest_tile_s": slowest_s, **lists}
 
 
 def use(tab: Any, folder: Path | None) -> dict[str, float]:

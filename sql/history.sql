@@ -39,20 +39,14 @@ order by c.changeset_no desc;
 -- Columns: kind 'missed': visible but not observed, and still standing; track_index: null where not seen; old_*: before
 -- the move, null for other kinds; the others of conetl.feature_state after the change, of a removed feature the last position.
 select
-    x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id, c.changeset_no,
-    conetl.offset_m(o.geom, %(origin_m)s::float8[]) as old_xyz_m, n.feature_id, n.version, n.category,
+    x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id, x.feature_id, x.category,
     n.easting_m, n.northing_m, n.ellipsoidal_height_m, conetl.offset_m(n.geom, %(origin_m)s::float8[]) as xyz_m,
-    n.sigma_m, n.sigma_u_m, n.object_height_m, coalesce(x.existence_after, n.existence_probability) as existence_probability,
-    n.observation_count, n.last_seen_at, {{marking columns of n}} as marking, {{marking columns of o}} as old_marking
-from conetl.changeset c
-join conetl.map m using (map_id)
-join conetl.delta x using (changeset_id)
-join conetl.effect e using (changeset_id)
-join lateral conetl.state_after(x.cell, x.feature_id, x.new_version, x.changeset_id, e.at) n on true
-left join lateral conetl.state_after(
-    case when x.kind = 'moved' then x.cell end, x.feature_id, x.old_version, x.changeset_id, e.at
-) o on true
-where m.map_name = %(map_name)s and c.changeset_no = %(changeset_no)s and x.system_period @> e.at
+    conetl.offset_m(o.geom, %(origin_m)s::float8[]) as old_xyz_m, x.sigma_m, n.sigma_u_m, x.object_height_m,
+    x.existence_probability, x.observation_count,
+    {{marking columns of n}} as marking, {{marking columns of o}} as old_marking
+from conetl.changeset_changes(%(map_name)s, %(changeset_no)s) x
+join conetl.feature_state n using (version_row_id)
+left join conetl.feature_state o on o.version_row_id = x.old_row_id
 order by x.feature_id;
 
 -- name: feature_log

@@ -65,9 +65,10 @@ where s.line is not null and {{where}};
 
 -- name: changes
 -- Rows of a collection of changes of point objects. Placeholders: {{arguments}} (of conetl.feature_changes), {{where}} (about s).
+-- offset 0: the planner expects few changes, and would read all features of a box anew for each.
 select {{ogc_changes columns of s}}, {{of_changes columns of c}}, ST_Transform(s.geom, 4326) as geom, s.version_row_id
 from conetl.feature_changes({{arguments}}) c
-join conetl.feature_state s using (version_row_id)
+cross join lateral (select f.* from conetl.feature_state f where f.version_row_id = c.version_row_id offset 0) s
 where not c.is_line and {{where}};
 
 -- name: point_in_box
@@ -139,3 +140,55 @@ limit $1 offset $2;
 select count(*) as matched
 from {{source}}
 {{where}};
+
+-- name: stored_clusters
+-- The clusters of a vector tile of the map now: the cells of conetl.feature_cell, each in the tile that its mean position is in.
+-- Parameters: $1 map name; $2, $3 valid_at, known_at (timestamptz; null: latest); $4 zoom of the cells; $5 to $8 smallest and largest
+-- easting and northing (a box around the tile); $9 to $12 the same of the tile in Web Mercator.
+-- Columns: tile; feature_count (of the cells in the box, at least as many as in the tile); is_now (whether the state is that of now, which
+-- the cells are of).
+with cells as materialized (
+    select c.category, c.feature_count, ST_Transform(ST_SetSRID(
+        ST_MakePoint(c.sum_cm[1] / c.feature_count / 100.0, c.sum_cm[2] / c.feature_count / 100.0), m.srid
+    ), 3857) as at
+    from conetl.map m
+    join conetl.feature_cell c using (map_id)
+    where m.map_name = $1 and c.zoom = $4::integer and not c.is_line and c.feature_count > 0
+    and (c.x + 1) * 2 ^ (20 - c.zoom) >= $5::float8 and (c.y + 1) * 2 ^ (20 - c.zoom) >= $6::float8
+    and c.x * 2 ^ (20 - c.zoom) <= $7::float8 and c.y * 2 ^ (20 - c.zoom) <= $8::float8
+)
+select
+    (
+        select ST_AsMVT(t.*, 'default')
+        from (
+            select
+                c.category, c.feature_count,
+                ST_AsMVTGeom(c.at, ST_MakeEnvelope($9::float8, $10::float8, $11::float8, $12::float8, 3857)::box2d, 4096, 0) as geom
+            from cells c
+        ) t
+        where t.geom is not null
+    ) as tile,
+    (select coalesce(sum(c.feature_count), 0)::bigint from cells c) as feature_count,
+    conetl.is_now($1, coalesce($2::timestamptz, 'infinity'), coalesce($3::timestamptz, 'infinity')) as is_now;
+
+-- name: counted_clusters
+-- The clusters of a vector tile of any rows, in squares of a 32nd of the tile. Parameters: $1 to $4 smallest and largest easting and
+-- northing of the tile in Web Mercator; then those of the source. Placeholders: as page; {{columns}} (that clusters have besides their
+-- number). Columns: tile; feature_count (of all clusters).
+with clusters as materialized (
+    select {{columns}}, count(*)::integer as feature_count, ST_SetSRID(ST_MakePoint(avg(ST_X(p.at)), avg(ST_Y(p.at))), 3857) as at
+    from (select items.*, ST_Transform(ST_Centroid(items.geom), 3857) as at from {{source}} {{where}}) p
+    group by {{columns}}, floor((ST_X(p.at) - $1::float8) / ($3::float8 - $1::float8) * 32), floor((ST_Y(p.at) - $2::float8) / ($4::float8 - $2::float8) * 32)
+)
+select
+    (
+        select ST_AsMVT(t.*, 'default')
+        from (
+            select
+                {{columns}}, c.feature_count,
+                ST_AsMVTGeom(c.at, ST_MakeEnvelope($1::float8, $2::float8, $3::float8, $4::float8, 3857)::box2d, 4096, 0) as geom
+            from clusters c
+        ) t
+        where t.geom is not null
+    ) as tile,
+    (select coalesce(sum(c.feature_count), 0)::bigint from clusters c) as feature_count;

@@ -91,23 +91,6 @@ select
 from conetl.feature_states(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) s
 group by s.category;
 
--- name: changes_between
--- Difference between the map at two instants, each as known at its own instant.
--- Parameters: map_name; from_valid_at, from_known_at, to_valid_at, to_known_at (timestamptz; 'infinity' = latest); max_rows;
--- origin_m, from which positions count. Columns: as history.changes_of_changeset, of conetl.feature_changes.
-select
-    c.change as kind, c.changed_at, c.shift_m, conetl.offset_m(o.geom, %(origin_m)s::float8[]) as old_xyz_m,
-    {{listed columns of s}}, conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m,
-    {{marking columns of s}} as marking, {{marking columns of o}} as old_marking
-from conetl.feature_changes(
-    %(map_name)s, %(from_valid_at)s::timestamptz, %(to_valid_at)s::timestamptz, %(to_known_at)s::timestamptz,
-    %(from_known_at)s::timestamptz
-) c
-join conetl.feature_state s using (version_row_id)
-left join conetl.feature_state o on o.version_row_id = case when c.change = 'moved' then c.old_row_id end
-order by c.feature_id
-limit %(max_rows)s;
-
 -- name: feature_history
 -- What every drive did to one feature of a map, in the order of the drives on the road.
 -- Parameters: map_name; feature_id; known_at (timestamptz; 'infinity' = latest): as known then; origin_m, from which xyz_m counts.

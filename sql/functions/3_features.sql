@@ -102,6 +102,19 @@ comment on function conetl.comparison is
     'From which difference on a feature counts as moved (a lane marking: across its line) or as one of another height: parameters of '
     'the newest changeset at known_at.';
 
+create or replace function conetl.either_state(
+    map_name text, from_at timestamptz, to_at timestamptz, known_at timestamptz, known_from timestamptz
+)
+returns table (cell bigint, feature_id uuid, version_row_id bigint, is_later boolean)
+language sql stable
+as $$
+    select v.cell, v.feature_id, v.version_row_id, v.valid_period @> $3 and v.system_period @> $4
+    from conetl.feature_version v
+    where v.map_id = (select m.map_id from conetl.map m where m.map_name = $1) and v.present
+    and (v.valid_period @> $3 and v.system_period @> $4) <> (v.valid_period @> $2 and v.system_period @> coalesce($5, $4))
+$$;
+comment on function conetl.either_state is 'Rows of the features of a map that were true at one of two instants only; is_later: at to_at.';
+
 create or replace function conetl.feature_changes(
     map_name text, from_at timestamptz default '-infinity', to_at timestamptz default 'infinity',
     known_at timestamptz default 'infinity', known_from timestamptz default null, box geometry default null
@@ -138,10 +151,19 @@ as $$
         coalesce(p.new_row_id, g.version_row_id, p.old_row_id), p.new_row_id, p.old_row_id
     from (
         select
-            coalesce(a.feature_id, b.feature_id) as feature_id, a.version_row_id as new_row_id, b.version_row_id as old_row_id
-        from (select s.feature_id, s.version_row_id from conetl.feature_states($1, $2, coalesce($5, $4)) s) b
-        full join (select s.feature_id, s.version_row_id from conetl.feature_states($1, $3, $4) s) a using (feature_id)
-        where a.version_row_id is distinct from b.version_row_id
+            w.cell, w.feature_id, max(w.version_row_id) filter (where w.is_later) as new_row_id,
+            max(w.version_row_id) filter (where not w.is_later) as old_row_id
+        from conetl.either_state($1, $2, $3, $4, $5) w
+        where $6 is null
+        group by w.cell, w.feature_id
+        union all
+        -- Of the features that ever were in the box: the other state may be outside.
+        select w.cell, w.feature_id, max(w.version_row_id) filter (where w.is_later), max(w.version_row_id) filter (where not w.is_later)
+        from (
+            select distinct f.cell, f.feature_id from conetl.feature_version f where $6 is not null and conetl.is_in_box(f.geom, f.line, $6)
+        ) near
+        join conetl.either_state($1, $2, $3, $4, $5) w using (cell, feature_id)
+        group by w.cell, w.feature_id
     ) p
     left join conetl.feature_version n on n.version_row_id = p.new_row_id
     left join conetl.feature_version o on o.version_row_id = p.old_row_id
@@ -206,3 +228,41 @@ as $$
 $$;
 comment on function conetl.state_after is
     'The state of a feature after the delta of a changeset that made or judged its version, as known at known_at, or last.';
+
+create or replace function conetl.changeset_changes(map_name text, changeset_no bigint, box geometry default null)
+returns table (
+    kind text, changed_at timestamptz, shift_m float8, track_index integer, frames_seen integer, frames_empty integer,
+    other_feature_id uuid, version_row_id bigint, old_row_id bigint, cell bigint, feature_id uuid, category text,
+    existence_probability float8, sigma_m float8, object_height_m float8, last_seen_at timestamptz, observation_count integer,
+    geom geometry
+)
+language sql stable
+as $$
+    select
+        x.kind, x.changed_at, x.shift_m, x.track_index, x.frames_seen, x.frames_empty, x.other_feature_id,
+        n.version_row_id, o.version_row_id, n.cell, n.feature_id, n.category, coalesce(x.existence_after, n.existence_probability),
+        n.sigma_m, n.object_height_m, n.last_seen_at, n.observation_count, n.geom
+    from conetl.map m
+    join conetl.changeset c using (map_id)
+    join conetl.effect e using (changeset_id)
+    cross join lateral (
+        select d.* from conetl.delta d where $3 is null and d.changeset_id = c.changeset_id
+        union all
+        select d.*
+        from (
+            select distinct f.cell, f.feature_id from conetl.feature_version f where $3 is not null and conetl.is_in_box(f.geom, f.line, $3)
+        ) near
+        join conetl.delta d using (cell, feature_id)
+        where d.changeset_id = c.changeset_id
+    ) x
+    join lateral conetl.state_after(x.cell, x.feature_id, x.new_version, x.changeset_id, e.at) n on true
+    left join lateral conetl.state_after(
+        case when x.kind = 'moved' then x.cell end, x.feature_id, x.old_version, x.changeset_id, e.at
+    ) o on true
+    where m.map_name = $1 and c.changeset_no = $2 and x.system_period @> e.at
+$$;
+comment on function conetl.changeset_changes is
+    'What a changeset did to each feature that it judged, as committed (or as released, if it was committed on hold). kind missed: '
+    'visible but not observed, and still standing. track_index: null where not seen. old_row_id: before a move. version_row_id: the '
+    'state after it, of a removed feature the last one, whose columns follow; conetl.feature_state has the others. box: only features '
+    'that ever were in it.';

@@ -46,7 +46,7 @@ def address(module_database_url: str, conn: Any, images: Path, settings: Setting
 def changed(address: str, browser: Any) -> dict[str, str]:
     """Ids of features by what the second drive did to them."""
     tab = browser.new_page()
-    tab.goto(f"{address}api/maps/default/changes/2")
+    tab.goto(f"{address}api/maps/default/changes/view?changeset_no=2")
     found = tab.evaluate("() => JSON.parse(document.body.innerText).changes.map(c => [c.kind, c.feature_id])")
     tab.close()
     return dict(found)

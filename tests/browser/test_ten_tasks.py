@@ -80,7 +80,7 @@ class Hand:
 def changed(address: str, browser: Any, size: str) -> dict[str, list[str]]:
     """Ids of features by what the second drive did to them."""
     tab = browser.new_page()
-    tab.goto(f"{address}api/maps/{size}/changes/2")
+    tab.goto(f"{address}api/maps/{size}/changes/view?changeset_no=2")
     found: dict[str, list[str]] = {}
     for kind, feature_id in tab.evaluate(
         "() => JSON.parse(document.body.innerText).changes.map(c => [c.kind, c.feature_id])"

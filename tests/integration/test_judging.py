@@ -52,7 +52,7 @@ def decide(client, request, status=201):
 
 
 def changes(client, kind):
-    return [c for c in get(client, "changes/2")["changes"] if c["kind"] == kind]
+    return [c for c in get(client, "changes/view?changeset_no=2")["changes"] if c["kind"] == kind]
 
 
 def test_the_empty_frame_pairs_are_those_that_removed_the_cone(client):
@@ -136,7 +136,7 @@ def test_the_queue_is_paged_and_what_is_decided_leaves_it(client, module_conn, h
     assert "is on hold" not in report.read_text() and "accepted by Ada" in report.read_text()
     assert get(client, "review")["counts"]["held"] == 0
     accepted = get(client, "timeline")["changesets"][-1]
-    made = get(client, f"changes/{held['changeset_no']}")["changes"]
+    made = get(client, f"changes/view?changeset_no={held['changeset_no']}")["changes"]
     assert accepted["change_counts"]["points"] == Counter(c["kind"] for c in made) != {}, (
         "its changes are those of its release"
     )

@@ -21,6 +21,7 @@ from conetl.model.base import utc_from_ns
 from conetl.model.columns import BY_NAME
 from conetl.pipeline.maps.decisions import SUPPRESS, decide_location, revert
 from conetl.web.app import create_app
+from conetl.web.ogc import collections
 from tests import ogc_schemas as standard
 from tests.integration.drives_of_days import merge, survey
 from tests.integration.test_exports import OFFSCREEN, PYTHON, has_qgis
@@ -603,6 +604,27 @@ def test_the_definition_states_the_values_of_filters(client):
     assert schemas["change"] == {"type": "string", "enum": list(BY_NAME["change"].words)}
     assert schemas["version"] == {"type": "integer"} and schemas["shift_m"] == {"type": "number"}
     assert schemas["valid_from"] == {"type": "string", "format": "date-time"}
+
+
+@pytest.mark.parametrize("asked", [{}, {"category": "traffic_cone"}, {"at": "2026-03-01T12:00:00Z"}])
+@pytest.mark.parametrize("collection", [FEATURES, CHANGES])
+def test_a_tile_of_many_items_has_their_numbers(client, features, monkeypatch, collection, asked):
+    """Nothing is left out: a tile has all of its items, or clusters of them."""
+    asked = asked if collection == FEATURES or "at" not in asked else {"from": "2026-03-01T12:00:00Z"}
+    page = get(client, f"{collection}/items", limit=1, **asked)
+    [first] = page["features"]
+    lon, lat, _ = first["geometry"]["coordinates"]
+    for zoom in (0, 9, 16):
+        tile = morecantile.tms.get("WebMercatorQuad").tile(lon, lat, zoom)
+        path = f"{collection}/tiles/WebMercatorQuad/{tile.z}/{tile.x}/{tile.y}"
+        monkeypatch.setattr(collections, "MAX_IN_TILE", page["numberMatched"])
+        assert first["id"].encode() in client.get(path, params=asked).content
+        monkeypatch.setattr(collections, "MAX_IN_TILE", page["numberMatched"] - 1)
+        clusters = client.get(path, params=asked).content
+        assert first["id"].encode() not in clusters and b"feature_count" in clusters and b"traffic_cone" in clusters
+        assert (b"change" in clusters) == (collection == CHANGES)
+        one = client.get(path, params={"limit": 1, **asked}).content
+        assert b"feature_count" not in one  # as many as were asked for
 
 
 @pytest.mark.parametrize("query", ["minzoom=45972386495384092934144", "maxzoom=25", "minzoom=-1"])

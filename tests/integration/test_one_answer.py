@@ -291,7 +291,7 @@ class Faces:
             "to_known_at": end.known,
         }
         asked = {name: instant.isoformat() for name, instant in instants.items() if instant}
-        answer = self.client.get(f"/api/maps/{self.map_name}/changes", params=asked).json()
+        answer = self.client.get(f"/api/maps/{self.map_name}/changes/view", params=asked).json()
         page = {
             c["feature_id"]: self._on_page(c, answer) | {"change": c["kind"]}
             for c in (*answer["changes"], *answer["markings"])

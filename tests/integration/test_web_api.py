@@ -18,7 +18,7 @@ from conetl.geometry.geodesy import to_geodetic
 from conetl.model.base import utc_from_ns
 from conetl.model.map_records import DeltaKind
 from conetl.web.live import MAX_STREAMS, HeadWatcher
-from conetl.web.models import Changes, FeatureTile
+from conetl.web.models import ChangesInView, FeatureTile
 from tests.view_map import commit, cone, missed, shown, view_of
 
 DAY = timedelta(days=1)
@@ -80,18 +80,18 @@ def test_before_and_after_of_a_changeset_are_what_it_changed(client, features):
     assert names_at(client, features, **at, known_at=second["known_before"]) == {"stays", "goes", "wanders"}
     assert names_at(client, features, **at, known_at=second["committed_at"]) == {"stays", "wanders", "comes"}
     wanted = {"stays": "confirmed", "goes": "removed", "wanders": "moved", "comes": "added"}
-    assert kinds(client, features, f"{MAP}/changes/{second['changeset_no']}") == wanted
+    assert kinds(client, features, f"{MAP}/changes/view?changeset_no={second['changeset_no']}") == wanted
 
 
 def test_changes_between_two_instants_and_back(client, features, samples):
     start = utc_from_ns(samples.START_NS)
     early, late = (start + DAY / 2).isoformat(), (start + DAY * 2).isoformat()
-    there = kinds(client, features, f"{MAP}/changes", from_valid_at=early, to_valid_at=late)
+    there = kinds(client, features, f"{MAP}/changes/view", from_valid_at=early, to_valid_at=late)
     assert there == {"stays": "confirmed", "goes": "removed", "wanders": "moved", "comes": "added"}
-    back = kinds(client, features, f"{MAP}/changes", from_valid_at=late, to_valid_at=early)
+    back = kinds(client, features, f"{MAP}/changes/view", from_valid_at=late, to_valid_at=early)
     assert back == {"stays": "confirmed", "goes": "added", "wanders": "moved", "comes": "removed"}
-    assert kinds(client, features, f"{MAP}/changes", from_valid_at=late, to_valid_at=late) == {}
-    [moved] = [c for c in get(client, f"{MAP}/changes", from_valid_at=early)["changes"] if c["kind"] == "moved"]
+    assert kinds(client, features, f"{MAP}/changes/view", from_valid_at=late, to_valid_at=late) == {}
+    [moved] = [c for c in get(client, f"{MAP}/changes/view", from_valid_at=early)["changes"] if c["kind"] == "moved"]
     assert moved["shift_m"] == pytest.approx(1.5)
     assert np.subtract(moved["xyz_m"], moved["old_xyz_m"]) == pytest.approx([1.5, 0, 0])
 
@@ -132,11 +132,11 @@ def test_missed_split_and_merged_features_keep_their_kind(conn, own_view, sample
     features = {**first, "second half": second}
     newest = get(own_view, f"{MAP}/timeline")["changesets"][1]
     assert newest["change_counts"]["points"] == dict.fromkeys(("missed", "split", "height_changed", "merged"), 1)
-    changes = f"{MAP}/changes/{newest['changeset_no']}"
+    changes = f"{MAP}/changes/view?changeset_no={newest['changeset_no']}"
     assert kinds(own_view, features, changes) == {
         "doubted": "missed", "second half": "split", "short": "height_changed", "surplus": "merged",
     }  # fmt: skip
-    between = f"{MAP}/changes?from_valid_at={utc_from_ns(samples.START_NS + samples.DAY_NS):%Y-%m-%dT00:00:00Z}"
+    between = f"{MAP}/changes/view?from_valid_at={utc_from_ns(samples.START_NS + samples.DAY_NS):%Y-%m-%dT00:00:00Z}"
     assert kinds(own_view, features, between) == {
         "doubted": "missed", "second half": "added", "short": "height_changed", "surplus": "removed",
     }  # fmt: skip
@@ -171,17 +171,20 @@ def test_long_answers_are_what_their_models_say(conn, own_view, samples):
     samples.commit(conn, *moves, key="2", start_ns=next_ns, markings=[samples.marking_track(beside)])
     for path, model in (
         ("tiles/0/0/5", FeatureTile),
-        ("changes", Changes),
-        ("changes/1", Changes),
-        ("changes/2", Changes),
+        ("changes/view", ChangesInView),
+        ("changes/view?changeset_no=1", ChangesInView),
+        ("changes/view?changeset_no=2", ChangesInView),
     ):
         model.model_validate(get(own_view, f"{MAP}/{path}"))  # its models are closed
-    changes = Changes.model_validate(get(own_view, f"{MAP}/changes/2"))
+    changes = ChangesInView.model_validate(get(own_view, f"{MAP}/changes/view?changeset_no=2"))
     [cone], [stretch] = changes.changes, changes.markings
     assert np.subtract(cone.xyz_m, cone.old_xyz_m) == pytest.approx((1.5, 0.0, 0.0))
     assert np.add(stretch.marking.line_m, changes.origin_m) == pytest.approx(np.array(beside.vertices_m), abs=1e-4)
     assert np.add(stretch.old_marking.line_m, changes.origin_m) == pytest.approx(vertices_m, abs=1e-4)
-    assert all(c.old_xyz_m is None for c in Changes.model_validate(get(own_view, f"{MAP}/changes/1")).changes)
+    assert all(
+        c.old_xyz_m is None
+        for c in ChangesInView.model_validate(get(own_view, f"{MAP}/changes/view?changeset_no=1")).changes
+    )
 
 
 def test_trajectory(client):
@@ -249,7 +252,7 @@ def test_only_images_inside_the_drive_are_served(client, features, module_databa
     "path",
     [
         "summary?valid_at=yesterday", "summary?valid_at=2026", "summary?known_at=1772352000", "changes?to_valid_at=20260302",
-        "changes/0", "changes/99999999999999999999999",
+        "changes?changeset_no=0", "changes/view?changeset_no=99999999999999999999999",
         "features/not-an-id", "search?text=", "downloads/exe", "downloads/csv?box=1,2,3",
         "downloads/csv?box=3,2,1,4", "downloads/csv?valid_at=0001-01-01T00:00:00Z", "x';drop table conetl.map--/summary",
         "summary?valid_at=0001-01-01T00:00:00%2B21:55",

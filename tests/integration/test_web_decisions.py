@@ -85,14 +85,18 @@ def test_pin_and_unpin_every_cone_that_stands_by_the_version_of_its_history(clie
 def test_a_pinned_cone_is_drawn_as_it_is_counted(client):
     """The counts of a drive and its changes are as known then, also after a pin has put back what it removed."""
 
+    changes_of_second = "/api/maps/default/changes/view?changeset_no=2"
+
     def shown():
         second = client.get("/api/maps/default/timeline").json()["changesets"][1]
-        drawn = Counter(change["kind"] for change in client.get("/api/maps/default/changes/2").json()["changes"])
+        drawn = Counter(
+            change["kind"] for change in client.get("/api/maps/default/changes/view?changeset_no=2").json()["changes"]
+        )
         return second["change_counts"]["points"], dict(drawn)
 
     counted, drawn = shown()
     assert counted == drawn and drawn["removed"] > 0
-    changes = client.get("/api/maps/default/changes/2").json()["changes"]
+    changes = client.get(changes_of_second).json()["changes"]
     gone = next(change for change in changes if change["kind"] == "removed")
     done = post(client, request_for(gone, "pin"))
     assert gone["feature_id"] in {feature["feature_id"] for feature in standing(client)}

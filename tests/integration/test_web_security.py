@@ -113,7 +113,10 @@ PARAMETERS = {
     "/ogc/collections/default.features/tiles/WebMercatorQuad/0/0/0": ["ids", "sortby", "properties", "category", "limit"],
     f"{MAP}/tiles/0/0/5": ["valid_at", "known_at"],
     f"{MAP}/summary": ["valid_at", "known_at"],
-    f"{MAP}/changes": ["from_valid_at", "to_known_at"],
+    f"{MAP}/changes": ["from_valid_at", "to_known_at", "changeset_no", "sort", "after", "offset", "limit", "kinds", "area"],
+    f"{MAP}/features": ["valid_at", "sort", "after", "hidden_classes", "least_existence", "seen_before", "of_changeset", "area"],
+    f"{MAP}/features/count": ["feature", "sort"],
+    f"{MAP}/changes/view": ["cell_zoom", "area"],
     f"{MAP}/search": ["text"],
     f"{MAP}/downloads/csv": ["valid_at", "box"],
 }  # fmt: skip

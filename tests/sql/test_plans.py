@@ -16,6 +16,7 @@ import pytest
 
 from conetl.db import serve_store as store
 from conetl.db.connection import Connection, connect, execute, query
+from conetl.db.list_store import Listed, ListOrder
 from conetl.db.map.commit import path_wkt
 from conetl.db.map.drive_store import drives_at_the_same_time, drives_with_boxes
 from conetl.db.map.map_store import feature_log, list_changesets, require_map
@@ -124,8 +125,20 @@ def serve(map_: Planted) -> None:
         for zoom in (0, 10):
             x, y = (int(value // 2 ** (20 - zoom)) for value in origin[:2])
             tiles.tile("default", zoom, x, y, conn, origin, known_at=known_at)
-    maps.changes_of_changeset("default", 2, conn, origin)
-    maps.changes_between("default", conn, origin)
+    instants = dict.fromkeys(("valid_at", "known_at", "to_valid_at", "to_known_at", "from_known_at"), "infinity")
+    state = {"map_name": "default", "changeset_no": 2, "from_valid_at": "-infinity", **instants}
+    x, y = origin[:2]
+    srid = require_map(conn, "default").srid
+    everywhere = f"SRID={srid};POLYGON(({x - 1e4} {y - 1e4}, {x + 1e4} {y}, {x} {y + 1e4}, {x - 1e4} {y - 1e4}))"
+    for source in ("standing", "stood", "changed_by", "changed_between"):
+        for filters in ({}, {"box": everywhere}):
+            rows = Listed(source, state, filters)
+            for by in ("id", "existence", "shift", "north"):
+                rows.page(conn, ListOrder(by, descending=True), rows=10, origin_m=[*origin])
+            rows.count(conn, ListOrder("north"), map_.feature_id)
+            rows.read(conn, "summary")
+            rows.read(conn, "cells", cell_zoom=10)
+            rows.read(conn, "drawn", origin_m=[*origin])
     maps.feature_history("default", map_.feature_id, conn, origin)
     maps.sightings("default", map_.feature_id, conn, origin)
     maps.trajectory("default", drive_uuid, conn, origin)

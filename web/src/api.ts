@@ -16,7 +16,8 @@ export type Change = Schemas["Change"];
 export type TileAnswer = Schemas["FeatureTile"];
 export type Cluster = Schemas["Cluster"];
 export type Summary = Schemas["Summary"] & { origin_m: Vec3; box_m: [number, number, number, number] | null };
-export type Changes = Schemas["Changes"];
+export type ChangeCluster = Schemas["ChangeCluster"];
+export type ChangesInView = Schemas["ChangesInView"];
 export type HistoryItem = Schemas["HistoryItem"];
 export type Sighting = Schemas["Sighting"];
 export type Trajectory = Schemas["Trajectory"];
@@ -96,8 +97,11 @@ async function askJson<T>(path: string, init: RequestInit = {}): Promise<T> {
 export const mapPath = (map: string, path: string) => `maps/${encodeURIComponent(map)}/${path}`;
 export const askMap = <T>(map: string, path: string, init?: RequestInit) => askJson<T>(mapPath(map, path), init);
 
-export function query(values: Record<string, string | null>): string {
-  const given = Object.entries(values).filter((entry): entry is [string, string] => entry[1] !== null);
+/** Parameters of a request; null is left out, a list is given value by value. */
+export type Query = Record<string, string | string[] | null>;
+
+export function query(values: Query): string {
+  const given = Object.entries(values).flatMap(([name, value]) => (value === null ? [] : [value].flat().map((one) => [name, one])));
   return given.length ? `?${new URLSearchParams(given).toString()}` : "";
 }
 
@@ -125,17 +129,18 @@ export const api = {
   summary: (map: string, at: Instant) => askMap<Summary>(map, `summary${query({ valid_at: at.valid, known_at: at.known })}`),
   /** `key`: zoom/x/y. */
   tile: (map: string, key: string, at: Instant) => askMap<TileAnswer>(map, `tiles/${key}${query({ valid_at: at.valid, known_at: at.known })}`),
-  changes: (map: string, changesetNo: number) => askMap<Changes>(map, `changes/${changesetNo}`),
-  between: (map: string, from: Instant, to: Instant) => {
-    const instants = { from_valid_at: from.valid, from_known_at: from.known, to_valid_at: to.valid, to_known_at: to.known };
-    return askMap<Changes>(map, `changes${query(instants)}`);
-  },
+  featurePage: (map: string, of: Query) => askMap<Schemas["FeaturePage"]>(map, `features${query(of)}`),
+  changePage: (map: string, of: Query) => askMap<Schemas["ChangePage"]>(map, `changes${query(of)}`),
+  /** Number of rows of a list, and the index of one feature in it. */
+  listCount: (map: string, list: "features" | "changes", of: Query) => askMap<Schemas["ListCount"]>(map, `${list}/count${query(of)}`),
+  changeSummary: (map: string, of: Query) => askMap<Schemas["ChangeSummary"]>(map, `changes/summary${query(of)}`),
+  changesInView: (map: string, of: Query) => askMap<ChangesInView>(map, `changes/view${query(of)}`),
   history: (map: string, id: string, known: string | null) => askMap<Schemas["FeatureHistory"]>(map, `features/${id}${query({ known_at: known })}`),
   sightings: (map: string, id: string) => askMap<Schemas["Sightings"]>(map, `features/${id}/sightings`),
   trajectory: (map: string, drive: string) => askMap<Trajectory>(map, `drives/${drive}/trajectory`),
   search: (map: string, text: string) => askMap<Found>(map, `search${query({ text })}`),
   /** Address of a file of the state that is shown; empty values are left out. */
-  download: (map: string, format: string, values: Record<string, string | null>) => `./api/${mapPath(map, `downloads/${format}${query(values)}`)}`,
+  download: (map: string, format: string, values: Query) => `./api/${mapPath(map, `downloads/${format}${query(values)}`)}`,
   report: (map: string, changesetNo: number) => `./api/${mapPath(map, `changesets/${changesetNo}/report`)}`,
   base: (map: string) => askMap<Schemas["BaseLayers"]>(map, "base"),
   baseLines: (map: string) => askMap<Schemas["BaseLines"]>(map, "base/lines"),

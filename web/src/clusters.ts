@@ -1,5 +1,5 @@
 // Where there are too many features to draw each: their number, at their mean position. A click there comes nearer.
-import type { Cluster, Vec3 } from "./api";
+import type { Vec3 } from "./api";
 import { el } from "./dom";
 import type { Stage } from "./scene";
 
@@ -13,8 +13,9 @@ interface Disc {
   pixel: [number, number];
 }
 
-export function createClusters(stage: Stage, host: HTMLElement) {
-  const layer = el("div", { class: "clusters", aria: { hidden: "true" } });
+/** `mark`: before each number. */
+export function createClusters(stage: Stage, host: HTMLElement, name = "", mark = "") {
+  const layer = el("div", { class: `clusters ${name}`, aria: { hidden: "true" } });
   host.append(layer);
   let clusters: { at: Vec3; count: number }[] = [];
   let discs: Disc[] = [];
@@ -35,7 +36,7 @@ export function createClusters(stage: Stage, host: HTMLElement) {
       const disc = discs[i];
       node.hidden = !disc;
       if (!disc) continue;
-      node.textContent = short.format(disc.count);
+      node.textContent = mark + short.format(disc.count);
       node.style.setProperty("--size", `${Math.round(18 + 5 * Math.log10(disc.count))}px`);
       node.style.transform = `translate(${Math.round(disc.pixel[0])}px, ${Math.round(disc.pixel[1])}px)`;
     }
@@ -43,13 +44,8 @@ export function createClusters(stage: Stage, host: HTMLElement) {
   stage.beforeDraw(() => void ((clusters.length || discs.length) && place()));
 
   return {
-    /** Of the classes that `isShown`. */
-    show(next: Cluster[], isShown: (category: string) => boolean): void {
-      clusters = next.flatMap(({ xyz_m, categories }) => {
-        const count = Object.entries(categories).reduce((sum, [category, n]) => sum + (isShown(category) ? n : 0), 0);
-        return count ? [{ at: xyz_m, count }] : [];
-      });
-      document.documentElement.dataset["clustered"] = String(clusters.reduce((sum, { count }) => sum + count, 0));
+    show(next: { xyz_m: Vec3; count: number }[]): void {
+      clusters = next.filter(({ count }) => count > 0).map(({ xyz_m, count }) => ({ at: xyz_m, count }));
       stage.draw();
     },
     /** Where the cluster under a pixel is. */

@@ -1,5 +1,5 @@
 // Which cones are shown, on the map and in the lists: the filter in the address, what it accepts, and its controls.
-import { changesetName, type TimelineItem } from "./api";
+import { changesetName, type Query, type TimelineItem } from "./api";
 import { countOf } from "./classes";
 import { el, fill, utc } from "./dom";
 import { icon, KIND_ORDER, STYLES, type Cone, type Kind } from "./kinds";
@@ -74,6 +74,19 @@ export function acceptedBy(state: State): (cone: Cone) => boolean {
     c.height_m >= low && c.height_m <= high && (f.drive === null || c.changeset === f.drive) && c.seenAt >= from && c.seenAt < to; // prettier-ignore
 }
 
+/** The same for lists of the server. Only changes have kinds. */
+export function listFilter({ hidden, minProbability, filter: f, inView }: State, isOfChanges: boolean, area: () => string[]): Query {
+  const text = (value: number | null) => (value === null ? null : String(value));
+  const shown = KIND_ORDER.filter((kind) => !hidden.has(kind));
+  return {
+    kinds: isOfChanges && hidden.size ? (shown.length ? shown : ["none"]) : null, hidden_classes: f.hiddenClasses,
+    least_existence: text(minProbability || null), most_existence: text(f.maxProbability), most_sigma_m: text(f.maxSigma_m),
+    least_height_m: text(f.minHeight_m), most_height_m: text(f.maxHeight_m), of_changeset: text(f.drive),
+    seen_from: f.seenFrom && `${f.seenFrom}T00:00:00Z`, seen_before: f.seenTo && new Date(Date.parse(f.seenTo) + DAY_MS).toISOString(),
+    area: inView ? area() : null,
+  }; // prettier-ignore
+}
+
 /** Number of filters that are set, kinds as one. */
 export const filterCount = ({ hidden, minProbability, filter }: State): number =>
   Number(hidden.size > 0) + Number(minProbability > 0) + Object.values(filter).filter((v) => v !== null).length;
@@ -145,13 +158,11 @@ export function createFilterBar(actions: FilterActions) {
 
   return {
     node,
-    /** `cones`: all of the list, whatever the filters; `shownCount`: rows that are left; `beyond`: cones of the map that are not listed. */
-    show(next: State, cones: Cone[], shownCount: number, items: TimelineItem[], beyond: number): void {
+    /** `kinds`: number of each, and `total` of all, whatever the filters; `shownCount`: rows that are left. */
+    show(next: State, kinds: ReadonlyMap<Kind, number>, total: number, shownCount: number, items: TimelineItem[]): void {
       state = next;
-      const counts = new Map<Kind, number>();
-      for (const cone of cones) counts.set(cone.kind, (counts.get(cone.kind) ?? 0) + 1);
       const focused = chips.contains(document.activeElement) ? (document.activeElement as HTMLElement).dataset["kind"] : undefined;
-      fill(chips, ...KIND_ORDER.filter((kind) => counts.has(kind)).map((kind) => chip(next, kind, counts.get(kind) ?? 0)));
+      fill(chips, ...KIND_ORDER.filter((kind) => kinds.has(kind)).map((kind) => chip(next, kind, kinds.get(kind) ?? 0)));
       if (focused) chips.querySelector<HTMLElement>(`[data-kind="${focused}"]`)?.focus();
       const set = filterCount(next) - Number(next.hidden.size > 0) - Number(next.filter.hiddenClasses !== null);
       more.textContent = set ? `Filters (${set})` : "Filters";
@@ -163,9 +174,9 @@ export function createFilterBar(actions: FilterActions) {
       }
       drive.value = String(next.filter.drive ?? "");
       for (const field of [minP, maxP, sigma, low, high, from, to]) field.show();
-      const left = cones.length - shownCount;
+      const left = total - shownCount;
       const why = next.inView ? (filterCount(next) ? "by filters or outside the view" : "outside the view") : "by filters";
-      fill(summary, beyond > 0 && `${countOf(beyond)} not listed: zoom in – `, left ? `${countOf(left)} hidden ${why}` : countOf(cones.length), filterCount(next) > 0 && " – ", filterCount(next) > 0 && clear);
+      fill(summary, left ? `${countOf(left)} hidden ${why}` : countOf(total), filterCount(next) > 0 && " – ", filterCount(next) > 0 && clear);
     },
   };
 

@@ -1,9 +1,10 @@
 // State of the page -> requests -> drawing.
-import { api, login, onLoginRequired, requestEarly, type Decisions, type MapItem, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { api, login, onLoginRequired, requestEarly, type Decisions, type MapItem, type Query, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
 import { createAddress, REST_MS } from "./address";
 import { createBase } from "./base";
 import { footprint } from "./basemap";
-import { countClasses, countOf } from "./classes";
+import { countClasses } from "./classes";
+import { createChanges } from "./changes";
 import { createClusters } from "./clusters";
 import { createCones } from "./cones";
 import { aboutFeature, createDecisionList, writer } from "./decisions";
@@ -16,7 +17,7 @@ import { createLayout } from "./layout";
 import { createLists } from "./lists";
 import { listen } from "./live";
 import { createOverlays } from "./overlays";
-import { changesetOf, drivesShown, readChanges, shownInstant, unknownChangeset, withChanges, type Changed } from "./query";
+import { changesetOf, changesOfState, drivesShown, shownInstant, unknownChangeset, withChanges } from "./query";
 import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
 import { createMarker, createSearch } from "./search";
@@ -28,7 +29,7 @@ import "./style.css";
 import "./table.css";
 import { themeSwitch } from "./theme";
 import { changesOf, createTimeline } from "./timeline";
-import { createTiles } from "./tiles";
+import { createTiles, seenArea } from "./tiles";
 import { createTools } from "./tools";
 import { createViewer } from "./viewer";
 
@@ -54,7 +55,9 @@ try {
 }
 const cones = createCones(stage);
 const tiles = createTiles(stage);
+const changes = createChanges(stage);
 const clusters = createClusters(stage, layout.view);
+const changeClusters = createClusters(stage, layout.view, "of-changes", "Δ ");
 const overlays = createOverlays(stage, layout.view);
 const base = createBase(stage, (error) => layout.toast(`Base layers: ${messageOf(error)}`, null));
 
@@ -75,9 +78,10 @@ const tools = createTools(stage, layout.view, cones, {
 const REVIEW = "review";
 let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
-/** What changed, and all that is drawn: with what stands in view. */
-let changed: Changed | null = null;
+/** All that is drawn one by one: what changed, and what stands, in view. */
 let all: Cone[] = [];
+/** Number of each kind on the whole map. */
+let counts = new Map<Kind, number>();
 let fitted = false;
 /** Where the whole map is, if it is too large to be read. */
 let overview: Vec3[] = [];
@@ -115,9 +119,13 @@ const showMarker = createMarker(stage, layout.view, () => {
   address.write();
   drawMark();
 });
-const lists = createLists(layout.listPane, { change, select: (id, centre) => void select(id, centre), inView });
+const lists = createLists(layout.listPane, {
+  change, withDecisions, select: (id, centre) => void select(id, centre),
+  area: () => seenArea(stage, timeline?.origin_m ?? [0, 0, 0]),
+  failed: (error) => layout.toast(`The list cannot be read: ${messageOf(error)}`, null),
+}); // prettier-ignore
 createDownloads(layout.tools.download, {
-  shown: () => timeline?.changesets.length && unknownChangeset(state, timeline.changesets) === null ? { map: state.map, drive: state.mode === "drive" ? changeset(state.changeset) ?? null : null, coneCount: all.filter((c) => !isGone(c.kind)).length + beyond(), box: boxInView(), ...shownInstant(state, timeline.changesets) } : null,
+  shown: () => timeline?.changesets.length && unknownChangeset(state, timeline.changesets) === null ? { map: state.map, drive: state.mode === "drive" ? changeset(state.changeset) ?? null : null, coneCount: tiles.count(), box: boxInView(), ...shownInstant(state, timeline.changesets) } : null,
   picture: () => new Promise((done, fail) => {
     stage.draw();
     // In the same frame, after it was drawn: later the canvas is empty.
@@ -142,7 +150,7 @@ const selection = createSelection(layout.panel, stage, overlays, viewer, {
   writeChoice: address.writeChoice,
   chosen: (id) => {
     overlays.showLabels(visible(), id);
-    lists.choose(id);
+    lists.choose();
     layout.panelOpen(id !== null);
   },
   decided: () => void newDecision(),
@@ -191,6 +199,15 @@ function change(values: Partial<State>, refetch = true): void {
 }
 
 let movedTimer = 0;
+/** Other things may be in view. */
+function moved(): void {
+  window.clearTimeout(movedTimer);
+  movedTimer = window.setTimeout(() => {
+    lists.moved();
+    tools.moved();
+    if (drawn) void readView();
+  }, REST_MS);
+}
 
 layout.listPane.onChange((list) => {
   state.list = list;
@@ -199,13 +216,9 @@ layout.listPane.onChange((list) => {
 stage.onCamera((camera) => {
   state.camera = camera;
   address.writeAtRest();
-  window.clearTimeout(movedTimer);
-  movedTimer = window.setTimeout(() => {
-    lists.moved();
-    tools.moved();
-    if (drawn && !tiles.isWhole()) void readView();
-  }, REST_MS);
+  moved();
 });
+new ResizeObserver(moved).observe(layout.view);
 window.addEventListener("hashchange", () => {
   const next = address.read();
   const other = next.map !== state.map;
@@ -232,9 +245,10 @@ function nameOf(answer: { maps: MapItem[]; chosen: string }): string {
 async function openMap(): Promise<void> {
   closeStream?.();
   selection.clear();
-  timeline = drawn = changed = null;
+  timeline = drawn = null;
   all = [];
   tiles.close();
+  changes.close();
   paths.clear();
   decisions = null;
   showDecisionList(null);
@@ -377,9 +391,9 @@ async function refresh(): Promise<void> {
   const asked = state;
   showTimeline(state, timeline.changesets); // the controls react at once, the scene when the data is there
   try {
-    const [next, drives] = await Promise.all([
-      readChanges(state, timeline.changesets), readPaths(drivesShown(state, timeline.changesets)),
-      tiles.open(state.map, shownInstant(state, timeline.changesets).at),
+    const [drives] = await Promise.all([
+      readPaths(drivesShown(state, timeline.changesets)), tiles.open(state.map, shownInstant(state, timeline.changesets).at),
+      changes.open(state.map, timeline.origin_m, changesOfState(state, timeline.changesets)),
     ]); // prettier-ignore
     if (mine !== refreshNo) return;
     if (!fitted && !tiles.isWhole()) {
@@ -387,13 +401,11 @@ async function refresh(): Promise<void> {
       all = [];
       fit();
     }
-    const [places] = await Promise.all([tiles.isWhole() ? [] : tiles.overview(), tiles.load()]);
+    const [places] = await Promise.all([tiles.isWhole() ? [] : tiles.overview(), tiles.load(), changes.load()]);
     if (mine !== refreshNo) return;
     overview = places;
-    changed = next;
     layout.card(null);
     selection.follow();
-    if (next?.truncated) layout.toast(`Only the first ${countOf(next.changes.size)} changes are shown: this map is too large for one view.`, null);
     show(drives);
     drawn = asked;
   } catch (error) {
@@ -428,7 +440,8 @@ function withDecisions(cones: Cone[]): Cone[] {
 async function readView(): Promise<void> {
   const mine = refreshNo;
   try {
-    if ((await tiles.load()) && mine === refreshNo) merge();
+    const news = await Promise.all([tiles.load(), changes.load()]);
+    if (news.some(Boolean) && mine === refreshNo) merge();
   } catch (error) {
     fail(error, readView);
   }
@@ -436,25 +449,39 @@ async function readView(): Promise<void> {
 
 function clear(): void {
   tiles.close();
-  changed = null;
+  changes.close();
   show([]);
 }
 
-/** Number of features that stand in the state that is shown, and are not drawn one by one. */
-const beyond = (): number => [...beyondByClass().values()].reduce((sum, n) => sum + n, 0);
-
+/** Numbers of the classes that stand in the state that is shown, and are not drawn one by one. */
 function beyondByClass(): Map<string, number> {
   const rest = new Map(tiles.isWhole() ? [] : Object.entries(tiles.summary()?.categories ?? {}));
   if (rest.size) for (const { category } of tiles.shown().cones) rest.set(category, (rest.get(category) ?? 0) - 1);
   return rest;
 }
 
+const showsChanges = () => changes.isOpen() && !(state.mode === "drive" && state.side === "before");
+
 /** Draw what changed with what is in view. */
 function merge(): void {
-  const next = withChanges(tiles.shown().cones, changed, state);
-  all = state.mode === "drive" ? withDecisions(next) : next;
+  const there = tiles.shown().cones;
+  const found = showsChanges() ? withChanges(there, changes.shown(), state, timeline?.changesets ?? []) : there;
+  all = state.mode === "drive" ? withDecisions(found) : found;
+  countKinds(found);
   countClasses(all, beyondByClass());
   draw();
+}
+
+/** `found`: what is drawn, as the drive left it. */
+function countKinds(found: Cone[]): void {
+  counts = new Map(showsChanges() ? changes.kinds() : []);
+  if (state.mode === "drive" && state.side === "after") for (const kind of counts.keys()) if (isGone(kind)) counts.delete(kind);
+  counts.set(restKind(), Math.max(tiles.count() - (showsChanges() ? changes.standing() : 0), 0));
+  for (const [i, { kind }] of found.entries()) {
+    if (all[i]?.kind !== "suppressed") continue;
+    counts.set(kind, (counts.get(kind) ?? 0) - 1);
+    counts.set("suppressed", (counts.get("suppressed") ?? 0) + 1);
+  }
 }
 
 function show(drives: Trajectory[]): void {
@@ -506,26 +533,45 @@ function drawMark(): void {
 }
 
 /** What is neither drawn one by one nor changed. */
-const restKind = (): Kind => (changed ? "unchanged" : "standing");
+const restKind = (): Kind => (showsChanges() ? "unchanged" : "standing");
 
 function draw(): void {
   const shown = visible();
-  const rest = beyond();
   cones.show(shown);
   input.shown(shown);
   layout.listPane.open(state.list === REVIEW ? null : state.list);
-  lists.show(state, all, timeline, rest);
+  lists.show(state, {
+    map: state.map, timeline, features: shownQuery(), changes: changesOfState(state, timeline?.changesets ?? []), featureCount: tiles.count(),
+    kinds: changes.kinds(), version: refreshNo,
+  }); // prettier-ignore
   showSites(tiles.isWhole() ? all.filter((c) => !c.marking) : null);
-  clusters.show(tiles.shown().clusters, (category) => !state.filter.hiddenClasses?.includes(category) && !state.hidden.has(restKind()));
+  showClusters();
   drawMark();
   base.apply(state);
   tools.show(tiles.isWhole() ? all : overview.map((xyz) => ({ xyz, kind: restKind() })));
   tools.apply(state);
   overlays.showLabels(shown, state.feature);
-  sidebar.show(state, all, shown.length, { kind: restKind(), count: rest });
+  sidebar.show(state, all, shown.length, counts, tiles.isWhole() ? 0 : [...counts.values()].reduce((sum, n) => sum + n, 0) - all.length);
   showTimeline(state, timeline?.changesets ?? []);
   selection.draw();
   document.documentElement.dataset["cones"] = String(shown.length);
+}
+
+/** What stands in the state that is shown, as parameters of a request. */
+function shownQuery(): Query {
+  const { at } = shownInstant(state, timeline?.changesets ?? []);
+  return { valid_at: at.valid, known_at: at.known };
+}
+
+function showClusters(): void {
+  const isShown = (category: string) => !state.filter.hiddenClasses?.includes(category) && !state.hidden.has(restKind());
+  const sum = (numbers: Record<string, number>, accepts: (name: string) => boolean) => Object.entries(numbers).reduce((n, [name, more]) => n + (accepts(name) ? more : 0), 0);
+  const standing = tiles.shown().clusters.map(({ xyz_m, categories }) => ({ xyz_m, count: sum(categories, isShown) }));
+  clusters.show(standing);
+  document.documentElement.dataset["clustered"] = String(standing.reduce((n, { count }) => n + count, 0));
+  // Confirmed ones are among those that stand.
+  const changed = showsChanges() ? changes.shown().clusters : [];
+  changeClusters.show(changed.map(({ xyz_m, kinds }) => ({ xyz_m, count: sum(kinds, (kind) => kind !== "confirmed" && !state.hidden.has(kind as Kind)) })));
 }
 
 /** Show everything from above and behind the drive. */
@@ -566,7 +612,7 @@ const input = listenToInput(stage, layout, tools, { select: (id) => void select(
   covering: (event, typing) => (review.isOpen ? review.key(event, typing) : null) }); // prettier-ignore
 
 function comeNearer(x: number, y: number): boolean {
-  const at = clusters.pick(x, y);
+  const at = clusters.pick(x, y) ?? changeClusters.pick(x, y);
   if (at) stage.lookAt(at, stage.pose()[5] / 4);
   return at !== null;
 }
@@ -592,8 +638,7 @@ function handleKey(event: KeyboardEvent): boolean {
     case "r": case "R": review.set(true); return true;
     case "l": case "L": layout.listPane.toggle(); return true;
     case "]": case "j": case "J": case "[": case "k": case "K": {
-      const cone = lists.next(event.key === "]" || event.key.toLowerCase() === "j" ? 1 : -1);
-      if (cone) void select(cone.id, true);
+      void lists.next(event.key === "]" || event.key.toLowerCase() === "j" ? 1 : -1).then((cone) => cone && select(cone.id, true), (error: unknown) => layout.toast(messageOf(error), null));
       return true;
     }
     case "/": search.focus(); return true;

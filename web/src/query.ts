@@ -1,7 +1,8 @@
 // From the state of the page to the cones and drives that show it.
-import { api, type Change, type Changes, type Feature, type HistoryItem, type Instant, type Marking, type TileAnswer, type TimelineItem } from "./api";
+import type { Change, ChangesInView, Feature, HistoryItem, Instant, Marking, Query, TileAnswer, TimelineItem } from "./api";
+import type { Changes } from "./changes";
 import { knownText, utc } from "./dom";
-import { isGone, type Cone } from "./kinds";
+import { isGone, type Cone, type Kind } from "./kinds";
 import type { State } from "./state";
 
 /** The changeset of this number; the newest one for null or a number that the map does not have. */
@@ -9,20 +10,20 @@ export function changesetOf(items: TimelineItem[], no: number | null): TimelineI
   return no === null ? items.at(-1) : items.find((t) => t.changeset_no === no) ?? items.at(-1);
 }
 
-const standing = (f: Feature & { marking?: Marking }): Cone => ({
+export const standing = (f: Feature & { marking?: Marking }): Cone => ({
   id: f.feature_id, category: f.category, kind: "standing", xyz: f.xyz_m, old: null, shift_m: null, height_m: f.object_height_m ?? 0,
   probability: f.existence_probability, observations: f.observation_count, sigma_m: f.marking?.sigma_lateral_m ?? f.sigma_m, seenAt: Date.parse(f.last_seen_at),
   changeset: f.changeset_no, marking: f.marking ?? null, oldLine: null,
 });
 
-const changed = (c: Change & { marking?: Marking; old_marking?: Marking | null }): Cone => {
+export const changed = (c: Change & { marking?: Marking; old_marking?: Marking | null }): Cone => {
   const moved = c.kind === "moved";
   return { ...standing(c), kind: c.kind, old: moved ? c.old_xyz_m : null, shift_m: c.shift_m, oldLine: (moved && c.old_marking?.line_m) || null };
 };
 
 /** Point objects and lane markings. */
 export const standingIn = ({ features, markings }: TileAnswer): Cone[] => [...features, ...markings].map(standing);
-const allChanged = ({ changes, markings }: Changes): Cone[] => [...changes, ...markings].map(changed);
+export const changedIn = ({ changes, markings }: ChangesInView): Cone[] => [...changes, ...markings].map(changed);
 
 /** The first changeset number of the address that the map does not have; null if it has them all. */
 export function unknownChangeset(state: State, items: TimelineItem[]): number | null {
@@ -48,27 +49,35 @@ export function shownInstant(state: State, items: TimelineItem[]): { at: Instant
   return { at, since: null, title: `${before ? "before" : "after"} ${item ? `${item.drive_id} of ${utc(item.captured_from, false)} UTC` : ""}, as known then` };
 }
 
-/** What changed in a state; null where it shows none. */
-export interface Changed {
-  changes: Map<string, Cone>;
-  /** Whether the answer was cut short. */
-  truncated: boolean;
-}
-
-export async function readChanges(state: State, items: TimelineItem[]): Promise<Changed | null> {
+/** The changes of a state, as parameters of a request; null where it shows none. */
+export function changesOfState(state: State, items: TimelineItem[]): Query | null {
   const item = state.mode === "drive" ? changesetOf(items, state.changeset) : undefined;
-  if (state.mode === "instant" || (item && state.side === "before")) return null;
-  const answer = await (item ? api.changes(state.map, item.changeset_no) : api.between(state.map, ...comparedInstants(state, items)));
-  return { changes: new Map(allChanged(answer).map((c) => [c.id, c])), truncated: answer.truncated };
+  if (state.mode === "instant" || (state.mode === "drive" && !item)) return null;
+  if (item) return { changeset_no: String(item.changeset_no) };
+  const [from, to] = comparedInstants(state, items);
+  return { from_valid_at: from.valid, from_known_at: from.known, to_valid_at: to.valid, to_known_at: to.known };
 }
 
 /** The cones to draw: what changed, and the rest of what stood there. */
-export function withChanges(there: Cone[], changed: Changed | null, state: State): Cone[] {
-  if (!changed) return there;
-  const { changes } = changed;
-  const rest = there.filter((c) => !changes.has(c.id)).map((c): Cone => ({ ...c, kind: "unchanged" }));
-  const after = () => [...changes.values()].filter((c) => !isGone(c.kind)).map((c): Cone => ({ ...c, old: null, oldLine: null, shift_m: null }));
-  return [...(state.mode === "drive" && state.side === "after" ? after() : changes.values()), ...rest];
+export function withChanges(there: Cone[], changes: Changes, state: State, items: TimelineItem[]): Cone[] {
+  const { cones } = changes;
+  const kindOf = restKinds(changes, state, items);
+  const rest = there.filter((c) => !cones.has(c.id)).map((c): Cone => ({ ...c, kind: kindOf(c) }));
+  const isAfter = state.mode === "drive" && state.side === "after";
+  const after = () => [...cones.values()].filter((c) => !isGone(c.kind)).map((c): Cone => ({ ...c, old: null, oldLine: null, shift_m: null }));
+  return [...(isAfter ? after() : cones.values()), ...rest];
+}
+
+/** The kind of a cone that is not among the changes that were listed: what the drives in question left as it was is unchanged; the
+ * rest was confirmed, if other changes would be listed there, else it is unknown. */
+function restKinds({ withoutConfirmed, clusters, box }: Changes, state: State, items: TimelineItem[]): (cone: Cone) => Kind {
+  if (!box && !clusters.length && !withoutConfirmed) return () => "unchanged";
+  const from = state.mode === "drive" ? "" : comparedInstants(state, items)[0].valid ?? "";
+  const ours = state.mode === "drive" ? [changesetOf(items, state.changeset)] : items.filter((t) => Date.parse(t.captured_from) > Date.parse(from));
+  const changesets = new Set(ours.map((t) => t?.changeset_no));
+  const isInside = ([x, y]: Cone["xyz"]) => !box || (x >= box[0] && y >= box[1] && x <= box[2] && y <= box[3]);
+  const inside: Kind = clusters.length ? "standing" : withoutConfirmed ? "confirmed" : "unchanged";
+  return ({ changeset, xyz }) => (!changesets.has(changeset) ? "unchanged" : isInside(xyz) ? inside : "standing");
 }
 
 /** Whether a change had happened in the state that is shown; `known` is the instant of the database, null now. */

@@ -78,14 +78,11 @@ export function createSidebar(host: HTMLElement, actions: SidebarActions) {
       }
       baseSection.hidden = !layers.length;
     },
-    /** `rest`: what the map has besides these cones. */
-    show(state: State, cones: Cone[], shownCount: number, rest: { kind: Kind; count: number }): void {
-      const counts = new Map<Kind, number>();
-      for (const cone of cones) counts.set(cone.kind, (counts.get(cone.kind) ?? 0) + 1);
-      if (rest.count > 0) counts.set(rest.kind, (counts.get(rest.kind) ?? 0) + rest.count);
-      const rows = KIND_ORDER.filter((kind) => counts.has(kind)).map((kind) => legendRow(state, kind, counts.get(kind) ?? 0));
+    /** `counts`: of each kind on the whole map; `beyond`: how many of these are not among the cones. */
+    show(state: State, cones: Cone[], shownCount: number, counts: ReadonlyMap<Kind, number>, beyond: number): void {
+      const rows = KIND_ORDER.filter((kind) => counts.get(kind)).map((kind) => legendRow(state, kind, counts.get(kind) ?? 0));
       const hint = !rows.length ? "No cones on the map at this time." : shownCount < cones.length ? `${countOf(cones.length - shownCount)} hidden by filters` : "";
-      const clustered = rest.count > 0 && `${countOf(rest.count)} in clusters or outside the view. Filters other than kind and class apply to what is drawn one by one: zoom in.`;
+      const clustered = beyond > 0 && `${countOf(beyond)} in clusters or outside the view. Filters other than kind and class apply to what is drawn one by one: zoom in.`;
       const focused = document.activeElement?.id ?? "";
       heading.textContent = onlyCones() ? "Cones shown" : "Objects shown";
       classSection.hidden = classCounts().size < 2 && state.filter.hiddenClasses === null;

@@ -1,4 +1,5 @@
-// A table of any number of rows: only the visible ones are in the document, and those are recycled while it scrolls.
+// A table of any number of rows: only the visible ones are in the document, and those are recycled while it scrolls. Rows that are not
+// there yet are empty.
 import { el, fill } from "./dom";
 
 export interface Column<T> {
@@ -9,8 +10,6 @@ export interface Column<T> {
   width: string;
   /** Right-aligned, in digits of equal width. */
   number?: boolean;
-  /** What it sorts by; null comes last in both directions. */
-  value(row: T): number | string | null;
   text(row: T): string;
   icon?(row: T): Node;
   /** Shown when the mouse rests on the cell. */
@@ -24,20 +23,28 @@ export type Sort = string;
 
 export interface Table<T> {
   node: HTMLElement;
-  show(rows: T[], sort: Sort, columns: Column<T>[]): void;
-  /** Highlight a row; with `scroll` it is scrolled into view. */
-  choose(id: string | null, scroll: boolean): void;
+  /** `none`: shown instead of no rows. */
+  show(count: number, sort: Sort, columns: Column<T>[], none: string): void;
+  /** Highlight the row of this index; with `scroll` it is scrolled into view. */
+  choose(index: number | null, scroll: boolean): void;
+  /** Rows have arrived. */
+  draw(): void;
 }
 
 export interface TableOptions<T> {
   label: string;
-  id(row: T): string;
+  /** Undefined: not there yet. */
+  row(index: number): T | undefined;
+  /** These rows are visible. */
+  wanted(from: number, to: number): void;
   sort(sort: Sort): void;
   /** A row was clicked, or reached by key. */
-  chosen(row: T): void;
+  chosen(index: number): void;
 }
 
 const ROW_PX = 26;
+/** Browsers draw no higher elements: the scroll bar of more rows is a scale. */
+const MOST_PX = 16_000_000;
 /** Rows above and below the visible ones, so that fast scrolling shows no gaps. */
 const SPARE = 3;
 /** A held key goes on to the next rows without asking the server for each. */
@@ -48,9 +55,9 @@ export function createTable<T>(options: TableOptions<T>): Table<T> {
   const name = `table-${++tables}`;
   let columns: Column<T>[] = [];
   let heads: HTMLElement[] = [];
-  let rows: T[] = [];
+  let total = 0;
   let sorted: Sort = "";
-  let chosenId: string | null = null;
+  let chosen: number | null = null;
   let slots: Slot<T>[] = [];
   let pending = false;
   let timer = 0;
@@ -62,8 +69,10 @@ export function createTable<T>(options: TableOptions<T>): Table<T> {
     el("div", { class: "table-head", role: "rowgroup" }, headRow), space); // prettier-ignore
   const wrap = el("div", { class: "table-wrap" }, node, none);
 
-  const first = () => Math.max(0, Math.floor(node.scrollTop / ROW_PX) - SPARE);
-  const indexOf = (id: string | null) => (id === null ? -1 : rows.findIndex((row) => options.id(row) === id));
+  /** Pixels of rows above the visible ones, and how much more of them there are than of the scroll bar. */
+  const room = () => Math.max(node.clientHeight - ROW_PX, 1);
+  const scale = () => (total * ROW_PX <= MOST_PX ? 1 : (total * ROW_PX - room()) / (MOST_PX - room()));
+  const top = () => node.scrollTop * scale();
 
   function setColumns(next: Column<T>[]): void {
     columns = next;
@@ -80,19 +89,17 @@ export function createTable<T>(options: TableOptions<T>): Table<T> {
   }
 
   function draw(): void {
-    const count = Math.min(rows.length, Math.ceil(node.clientHeight / ROW_PX) + 2 * SPARE);
+    const count = Math.min(total, Math.ceil(node.clientHeight / ROW_PX) + 2 * SPARE);
     while (slots.length < count) {
       const slot = makeSlot(columns, name, slots.length);
       slots.push(slot);
       space.append(slot.node);
     }
     for (const slot of slots.splice(count)) slot.node.remove();
-    const from = Math.max(0, Math.min(first(), rows.length - count));
-    for (let i = from; i < from + count; i++) {
-      const slot = slots[i % count];
-      const row = rows[i];
-      if (slot && row !== undefined) slot.set(row, i, options.id(row) === chosenId);
-    }
+    const first = Math.max(0, Math.floor(top() / ROW_PX) - SPARE);
+    const from = Math.max(0, Math.min(first, total - count));
+    for (let i = from; i < from + count; i++) slots[i % count]?.set(options.row(i), i, i * ROW_PX - top() + node.scrollTop, i === chosen);
+    if (count) options.wanted(from, from + count);
     const active = slots.find((slot) => slot.chosen);
     if (active) node.setAttribute("aria-activedescendant", active.node.id);
     else node.removeAttribute("aria-activedescendant");
@@ -108,64 +115,59 @@ export function createTable<T>(options: TableOptions<T>): Table<T> {
   }
 
   function reveal(index: number): void {
-    const top = index * ROW_PX;
-    const height = node.clientHeight - ROW_PX; // without the header
-    if (top < node.scrollTop) node.scrollTop = top;
-    else if (top + ROW_PX > node.scrollTop + height) node.scrollTop = top + ROW_PX - height;
+    const at = index * ROW_PX;
+    if (at < top()) node.scrollTop = at / scale();
+    else if (at + ROW_PX > top() + room()) node.scrollTop = (at + ROW_PX - room()) / scale();
   }
 
   node.addEventListener("scroll", drawSoon, { passive: true });
   new ResizeObserver(drawSoon).observe(node);
   space.addEventListener("click", (event) => {
     const clicked = event.target instanceof Element ? event.target.closest<HTMLElement>("[data-index]") : null;
-    const row = rows[Number(clicked?.dataset["index"])];
-    if (row === undefined) return;
-    chosenId = options.id(row);
+    if (!clicked) return;
+    chosen = Number(clicked.dataset["index"]);
     draw();
-    options.chosen(row);
+    options.chosen(chosen);
   });
   node.addEventListener("keydown", (event) => {
-    if (event.target !== node || event.ctrlKey || event.metaKey || event.altKey || !rows.length) return;
+    if (event.target !== node || event.ctrlKey || event.metaKey || event.altKey || !total) return;
     const page = Math.max(1, Math.floor(node.clientHeight / ROW_PX) - 2);
-    const steps: Record<string, number> = { ArrowDown: 1, ArrowUp: -1, PageDown: page, PageUp: -page, Home: -rows.length, End: rows.length };
-    const at = indexOf(chosenId);
+    const steps: Record<string, number> = { ArrowDown: 1, ArrowUp: -1, PageDown: page, PageUp: -page, Home: -total, End: total };
     const by = steps[event.key];
     if (by === undefined && event.key !== "Enter") return;
     event.preventDefault();
     event.stopPropagation();
-    const next = Math.max(0, Math.min(rows.length - 1, (at < 0 && by === 1 ? -1 : at) + (by ?? 0)));
-    const row = rows[next];
-    if (row === undefined) return;
-    chosenId = options.id(row);
+    const next = Math.max(0, Math.min(total - 1, chosen === null ? (by === 1 ? 0 : by ?? 0) : chosen + (by ?? 0)));
+    chosen = next;
     reveal(next);
     draw();
     window.clearTimeout(timer);
-    timer = window.setTimeout(() => options.chosen(row), REST_MS);
+    timer = window.setTimeout(() => options.chosen(next), REST_MS);
   });
 
   return {
     node: wrap,
-    show(next, sort, shown) {
+    show(count, sort, shown, noneText) {
       if (shown !== columns) setColumns(shown);
-      rows = next;
+      total = count;
       sorted = sort;
-      space.style.height = `${rows.length * ROW_PX}px`;
-      node.setAttribute("aria-rowcount", String(rows.length + 1));
-      none.hidden = rows.length > 0;
+      space.style.height = `${Math.min(total * ROW_PX, MOST_PX)}px`;
+      node.setAttribute("aria-rowcount", String(total + 1));
+      none.hidden = total > 0;
+      none.textContent = noneText;
       columns.forEach((column, i) => {
         const direction = sort === column.id ? "ascending" : sort === `${column.id}-` ? "descending" : "none";
         heads[i]?.setAttribute("aria-sort", direction);
       });
       for (const slot of slots) slot.forget();
       draw();
-      fill(none, "Nothing matches the filters, or nothing changed.");
     },
-    choose(id, scroll) {
-      chosenId = id;
-      const index = scroll ? indexOf(id) : -1;
-      if (index >= 0) reveal(index);
+    choose(index, scroll) {
+      chosen = index;
+      if (index !== null && scroll) reveal(index);
       draw();
     },
+    draw,
   };
 }
 
@@ -175,41 +177,27 @@ function nextSort<T>(column: Column<T>, now: Sort): Sort {
   return column.descending ? `${column.id}-` : column.id;
 }
 
-/** A copy in the order of a column. Equal rows keep their order. */
-export function inOrder<T>(rows: T[], columns: Column<T>[], sort: Sort): T[] {
-  const sign = sort.endsWith("-") ? -1 : 1;
-  const column = columns.find((c) => c.id === sort.replace(/-$/, ""));
-  if (!column) return rows;
-  const keys = rows.map((row) => column.value(row));
-  const order = rows.map((_, i) => i).sort((a, b) => {
-    const [x, y] = [keys[a] ?? null, keys[b] ?? null];
-    if (x === null || y === null) return x === y ? a - b : x === null ? 1 : -1;
-    return x < y ? -sign : x > y ? sign : a - b;
-  });
-  return order.map((i) => rows[i] as T);
-}
-
 interface Slot<T> {
   node: HTMLElement;
   readonly chosen: boolean;
-  set(row: T, index: number, isChosen: boolean): void;
+  set(row: T | undefined, index: number, y_px: number, isChosen: boolean): void;
   forget(): void;
 }
 
 function makeSlot<T>(columns: Column<T>[], name: string, number: number): Slot<T> {
   const cells = columns.map((column) => el("div", { class: column.number ? "cell number" : "cell", role: "gridcell" }));
   const node = el("div", { class: "row", role: "row", id: `${name}-${number}` }, ...cells);
-  let [shown, at, isChosen]: [T | null, number, boolean] = [null, -1, false];
+  let [shown, at, y, isChosen]: [T | undefined | null, number, number, boolean] = [null, -1, -1, false];
   return {
     node,
     get chosen() {
       return isChosen;
     },
     forget: () => void (shown = null),
-    set(row, index, choose) {
+    set(row, index, y_px, choose) {
+      if (y_px !== y) node.style.transform = `translateY(${(y = y_px)}px)`;
       if (index !== at) {
         at = index;
-        node.style.transform = `translateY(${index * ROW_PX}px)`;
         node.dataset["index"] = String(index);
         node.setAttribute("aria-rowindex", String(index + 2));
         node.classList.toggle("odd", index % 2 === 1);
@@ -223,9 +211,10 @@ function makeSlot<T>(columns: Column<T>[], name: string, number: number): Slot<T
       columns.forEach((column, i) => {
         const cell = cells[i];
         if (!cell) return;
-        if (column.icon) fill(cell, column.icon(row), column.text(row));
+        if (row === undefined) cell.textContent = "";
+        else if (column.icon) fill(cell, column.icon(row), column.text(row));
         else cell.textContent = column.text(row);
-        if (column.whole) cell.title = column.whole(row);
+        if (column.whole) cell.title = row === undefined ? "" : column.whole(row);
       });
     },
   };

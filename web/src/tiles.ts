@@ -5,7 +5,7 @@ import type { Cone } from "./kinds";
 import { standingIn } from "./query";
 import type { Stage } from "./scene";
 
-type Box = [number, number, number, number];
+export type Box = [number, number, number, number];
 
 interface Tile {
   zoom: number;
@@ -35,6 +35,26 @@ const CLUSTER_PX = 96;
 /** Tiles at the zoom of the whole view, per side. */
 const PER_SIDE = 2;
 const MOST_TILES = 300;
+
+/** Easting, northing of places around what is seen, in the map's CRS; empty: nothing. */
+export function seenArea(stage: Stage, origin: Vec3): string[] {
+  const places = footprint(stage);
+  return places.length < 3 ? [] : places.flatMap(([x, y]) => [(x + origin[0]).toFixed(2), (y + origin[1]).toFixed(2)]);
+}
+
+/** A box around what is seen and half as much beside it, the same after small movements; offsets from the map's origin. */
+export function seenBox(stage: Stage): Box {
+  const places = footprint(stage);
+  const [xs, ys] = [places.map((p) => p[0]), places.map((p) => p[1])];
+  const [w, s, e, n] = places.length ? [Math.min(...xs), Math.min(...ys), Math.max(...xs), Math.max(...ys)] : [0, 0, 0, 0];
+  const step = 2 ** Math.ceil(Math.log2(Math.max(e - w, n - s, 1))) / 4;
+  return [Math.floor(w / step - 1) * step, Math.floor(s / step - 1) * step, Math.ceil(e / step + 1) * step, Math.ceil(n / step + 1) * step];
+}
+
+/** Zoom of cells of which about CELLS are beside each other in a box. */
+export function cellZoom(box: Box | null): number {
+  return Math.min(Math.max(Math.round(Math.log2((CELLS * SIDE_M) / (box ? box[2] - box[0] : SIDE_M))), 0), 30);
+}
 
 export function createTiles(stage: Stage) {
   let [map, at]: [string, Instant] = ["", { valid: null, known: null }];
@@ -133,6 +153,8 @@ export function createTiles(stage: Stage) {
     /** Whether all features of the map are among those that are shown. */
     isWhole: () => total() <= WHOLE,
     summary: () => found,
+    /** Number of features of the map. */
+    count: total,
     close(): void {
       opening += 1;
       loading += 1;

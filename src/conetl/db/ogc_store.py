@@ -89,6 +89,10 @@ class ItemRows:
         where = ["true"]
         if self.near is not None and self.by_index:
             where.append(f"s.{'line' if self.kind == 'lane_markings' else 'geom'} && {_envelope(self.near, number)}")
+            if (
+                self.kind == "changes"
+            ):  # numbers in the text: the plan of a statement with parameters is the same for any box
+                given.append(f"box => {_envelope(self.near, lambda side, _: f'{side:.3f}')}")
         if self.box is not None:
             test = load_sql(f"ogc.{'line' if self.kind == 'lane_markings' else 'point'}_in_box")
             sides = dict(zip(("west", "south", "east", "north"), self.box, strict=True))

@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Any, NamedTuple
 from uuid import UUID
 
-from conetl.db.connection import Connection, database_errors, execute, load_sql, or_infinity, read
+from conetl.db.connection import Connection, database_errors, execute, or_infinity, read
 
 Row = dict[str, Any]
 
@@ -25,23 +25,19 @@ def read_some(conn: Connection, statement: str, most: int, **parameters: Any) ->
 
 
 def read_listing(
-    conn: Connection, statement: str, fields: Sequence[Sequence[str]], *, most: int | None = None, **parameters: Any
-) -> tuple[str | None, str | None, bool]:
+    conn: Connection, sql: str, fields: Sequence[Sequence[str]], **parameters: Any
+) -> tuple[str | None, str | None]:
     """Point objects and lane markings of a statement with a column `marking`, each with its fields as JSON objects between commas
-    (None: there are none), and whether there are more rows than `most` (None: any number). Raises DatabaseError."""
+    (None: there are none). Raises DatabaseError."""
     points, lines = (
         f"string_agg((select row_to_json(r) from (select {', '.join(names)}) r)::text, ',')" for names in fields
     )
-    shown = "true" if most is None else f"row_no <= {most}"
-    sql = f"""
-        select
-            {points} filter (where marking is null and {shown}) as points,
-            {lines} filter (where marking is not null and {shown}) as lines,
-            not bool_and({shown}) as truncated
-        from (select row_number() over () as row_no, s.* from ({load_sql(statement).rstrip(";")}) s) q"""
+    aggregated = f"""
+        select {points} filter (where marking is null) as points, {lines} filter (where marking is not null) as lines
+        from ({sql.rstrip(";")}) q"""
     with database_errors("The map cannot be read"):
-        [row] = execute(conn, sql, parameters)
-    return row["points"], row["lines"], bool(row["truncated"])
+        [row] = execute(conn, aggregated, parameters)
+    return row["points"], row["lines"]
 
 
 class Head(NamedTuple):

@@ -1,13 +1,12 @@
-"""Routes of maps: changesets, changes, one feature's history and sightings, camera paths."""
+"""Routes of maps: changesets, one feature's history and sightings, camera paths."""
 
 from __future__ import annotations
 
 from uuid import UUID
 
-from fastapi import APIRouter, HTTPException, Request, Response
+from fastapi import APIRouter, HTTPException, Request
 
 from conetl.db import serve_store as store
-from conetl.db.connection import or_infinity
 from conetl.db.map.archive import list_maps
 from conetl.db.map.map_store import list_changesets, require_map
 from conetl.geometry.rig import map_SE3_left
@@ -16,16 +15,12 @@ from conetl.model.rig import Rig
 from conetl.reports.drive_passes import reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
-from conetl.web.listing import listing
-from conetl.web.parameters import ChangesetNo, Instant, MapName, Origin, Reader
+from conetl.web.parameters import Instant, MapName, Origin, Reader
 
 router = APIRouter(tags=["maps"])
 _MAP = "/maps/{map_name}"
 _MAX_SIGHTINGS = 2_000
 _MAX_TRAJECTORY = 50_000
-#: Of a comparison of two instants; the answer, and the page, say whether there are more.
-_MAX_CHANGES = 100_000
-_CHANGES: dict[str, type[m.Change]] = {"changes": m.Change, "markings": m.StretchChange}
 
 
 @router.get("/maps")
@@ -45,30 +40,6 @@ def timeline(map_name: MapName, conn: Reader, origin: Origin) -> m.Timeline:
     srid = require_map(conn, map_name).srid
     items = [to.timeline_item(c) for c in reversed(list_changesets(conn, map_name=map_name))]
     return m.Timeline(map_name=map_name, srid=srid, origin_m=origin, changesets=items)
-
-
-@router.get(f"{_MAP}/changes/{{changeset_no}}", response_model=m.Changes)
-def changes_of_changeset(map_name: MapName, changeset_no: ChangesetNo, conn: Reader, origin: Origin) -> Response:
-    """The decision of one changeset about every feature that its drive could see."""
-    return listing(conn, "history.changes_of_changeset", _CHANGES, origin, map_name=map_name, changeset_no=changeset_no)
-
-
-@router.get(f"{_MAP}/changes", response_model=m.Changes)
-def changes_between(
-    map_name: MapName,
-    conn: Reader,
-    origin: Origin,
-    from_valid_at: Instant = None,
-    from_known_at: Instant = None,
-    to_valid_at: Instant = None,
-    to_known_at: Instant = None,
-) -> Response:
-    """Features that differ between two instants, each as known at its own."""
-    return listing(
-        conn, "serving.changes_between", _CHANGES, origin, most=_MAX_CHANGES, map_name=map_name, max_rows=_MAX_CHANGES + 1,
-        from_valid_at=or_infinity(from_valid_at), from_known_at=or_infinity(from_known_at),
-        to_valid_at=or_infinity(to_valid_at), to_known_at=or_infinity(to_known_at),
-    )  # fmt: skip
 
 
 @router.get(f"{_MAP}/features/{{feature_id}}")

@@ -136,9 +136,10 @@ class Cluster(Record):
     """Number of each class."""
 
 
-class FeatureTile(Listing):
+class FeatureTile(Record):
     """What stands in a square of the map: all features, or clusters."""
 
+    origin_m: Vec3
     count: int
     """Number of features in the tile."""
     clusters: list[Cluster]
@@ -169,7 +170,46 @@ class StretchChange(Change):
     old_marking: MarkingShape | None
 
 
-class Changes(Listing):
+class FeaturePage(Record):
+    origin_m: Vec3
+    features: list[Feature]
+    next: str | None
+    """`after` of the next page; null: this is the last one."""
+
+
+class ChangePage(Record):
+    origin_m: Vec3
+    changes: list[Change]
+    next: str | None
+    """`after` of the next page; null: this is the last one."""
+
+
+class ListCount(Record):
+    count: int
+    index: int | None
+    """At which row of the list `feature` is; null if it is not among them."""
+
+
+class ChangeSummary(Record):
+    kinds: dict[str, int]
+    categories: dict[str, int]
+
+
+class ChangeCluster(Record):
+    """The changes of one cell."""
+
+    xyz_m: Vec3
+    """Their mean position."""
+    kinds: dict[str, int]
+
+
+class ChangesInView(Record):
+    origin_m: Vec3
+    kinds: dict[str, int]
+    """Number of changes of each kind in the area."""
+    listed: list[str]
+    """Kinds whose changes follow one by one: all, or all but `confirmed`; none where there are clusters."""
+    clusters: list[ChangeCluster]
     changes: list[Change]
     markings: list[StretchChange]
 

@@ -112,6 +112,21 @@ def drive_pass(found: DrivePass, origin_m: Vec3) -> DrivePass:
     return found.model_copy(update={"frames": shown})
 
 
+def clusters(cells: Sequence[Row], by: str, origin_m: Vec3) -> list[tuple[Vec3, dict[str, int]]]:
+    """The mean position in each cell, and its numbers by `by`; cells: x, y, feature_count, sum_cm."""
+    found: dict[tuple[int, int], list[Row]] = {}
+    for cell in cells:
+        found.setdefault((cell["x"], cell["y"]), []).append(cell)
+    answers = []
+    for rows in found.values():
+        counts: dict[str, int] = {}
+        for row in rows:
+            counts[row[by]] = counts.get(row[by], 0) + row["feature_count"]
+        mean_m = [sum(row["sum_cm"][axis] for row in rows) / sum(counts.values()) / 100 for axis in range(3)]
+        answers.append((offset(mean_m, origin_m), counts))
+    return answers
+
+
 def pose_of(row: Row, prefix: str = "") -> Pose:
     rotation = np.reshape(row["map_r_body"], (3, 3)).tolist()
     zeros = (0.0, 0.0, 0.0)  # the position of the camera does not depend on sigmas

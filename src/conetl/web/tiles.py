@@ -10,10 +10,9 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Response
 
-from conetl.db.connection import Connection, or_infinity
+from conetl.db.connection import Connection, load_sql, or_infinity
 from conetl.db.map.map_store import require_map
 from conetl.db.serve_store import Row, read_rows
-from conetl.model.base import Vec3
 from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.listing import listing
@@ -26,7 +25,7 @@ MAX_IN_TILE = 2_000
 #: Clusters per side of a tile, as a power of two.
 _CELL_STEPS = 4
 #: Zooms of conetl.feature_cell, see conetl.cell_zooms.
-_STORED_ZOOMS = range(4, 13, 2)
+STORED_ZOOMS = range(4, 13, 2)
 _LISTS: dict[str, type[m.Feature]] = {"features": m.Feature, "markings": m.Stretch}
 Zoom = Annotated[int, Path(ge=0, le=20)]
 Index = Annotated[int, Path(ge=-(2**31), le=2**31 - 1)]
@@ -55,11 +54,14 @@ def tile(
     cells = state.cells(zoom + _CELL_STEPS, edges)
     count = sum(cell["feature_count"] for cell in cells)
     if count > MAX_IN_TILE:
-        return m.FeatureTile(
-            origin_m=origin, truncated=False, count=count, clusters=_clusters(cells, origin), features=[], markings=[]
-        )
+        clusters = [
+            m.Cluster(xyz_m=xyz_m, count=sum(counts.values()), categories=counts)
+            for xyz_m, counts in to.clusters(cells, "category", origin)
+        ]
+        return m.FeatureTile(origin_m=origin, count=count, clusters=clusters, features=[], markings=[])
     head = f'"count":{count},"clusters":[],'
-    return listing(conn, "serving.features_in_tile", _LISTS, origin, head=head, **state.parameters, **edges)
+    sql = load_sql("serving.features_in_tile")
+    return listing(conn, sql, _LISTS, origin, head=head, **state.parameters, **edges)
 
 
 @router.get("/summary")
@@ -91,7 +93,7 @@ class _State:
 
     def cells(self, zoom: int, edges: dict[str, float]) -> list[Row]:
         """Numbers by cell and class within a tile, in cells of about this zoom."""
-        stored = [z for z in _STORED_ZOOMS if z >= zoom]
+        stored = [z for z in STORED_ZOOMS if z >= zoom]
         kind = "stored" if self._is_now and stored else "counted"
         cell_zoom = stored[0] if kind == "stored" else zoom
         return read_rows(self._conn, f"serving.{kind}_cells", cell_zoom=cell_zoom, **edges, **self.parameters)
@@ -99,20 +101,3 @@ class _State:
     def summary(self) -> list[Row]:
         """Number and box of each class."""
         return read_rows(self._conn, f"serving.{'stored' if self._is_now else 'counted'}_summary", **self.parameters)
-
-
-def _clusters(cells: list[Row], origin: Vec3) -> list[m.Cluster]:
-    """A cluster for each cell, at the mean position of its features."""
-    by_cell: dict[tuple[int, int], list[Row]] = {}
-    for cell in cells:
-        by_cell.setdefault((cell["x"], cell["y"]), []).append(cell)
-    found = []
-    for rows in by_cell.values():
-        count = sum(row["feature_count"] for row in rows)
-        east, north, height = (sum(row["sum_cm"][axis] for row in rows) / count / 100 for axis in range(3))
-        categories: dict[str, int] = {}
-        for row in rows:
-            categories[row["category"]] = categories.get(row["category"], 0) + row["feature_count"]
-        xyz_m = to.offset((east, north, height), origin)
-        found.append(m.Cluster(xyz_m=xyz_m, count=count, categories=categories))
-    return found

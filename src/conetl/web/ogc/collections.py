@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -21,8 +22,11 @@ from conetl.db.ogc_store import Degrees, ItemRows, ServedMap
 from conetl.model.base import TICK
 from conetl.model.columns import BY_NAME, Face, names
 from conetl.web.parameters import BadParameterError, Interval, check_value
+from conetl.web.tiles import STORED_ZOOMS
 
 MAX_ZOOM = 24
+#: Vector tiles with more items have clusters instead; tipg would leave out the others without a word.
+MAX_IN_TILE = 10_000
 #: From about this number of versions in a box, one scan of the table finds both a page and the number of all items.
 MANY_VERSIONS = 20_000
 #: From this share of all versions of the database, a scan of the whole table is faster than the spatial index.
@@ -178,9 +182,32 @@ class AsOfCollection(PgCollection):
         if box is None:  # tipg itself tests the edges of the tile
             near = store.rows_near((edges.left, edges.bottom, edges.right, edges.top), self.served)
             rows = replace(rows, near=None if near == store.ALL_ROWS else near)
+        if asked.get("limit") is None and (clusters := await self._clusters(conn, rows, tms, tile, asked)) is not None:
+            return clusters
         asked["function_parameters"] = rows
         tile_bytes: bytes = await super().get_tile(conn, tms=tms, tile=tile, **asked)
         return tile_bytes
+
+    async def _clusters(
+        self, conn: asyncpg.Connection, rows: ItemRows, tms: TileMatrixSet, tile: Tile, asked: Mapping[str, Any]
+    ) -> bytes | None:
+        """A tile with the numbers of its items, if it has more than `MAX_IN_TILE`: by class, and of changes by kind."""
+        edges = tuple(tms.xy_bounds(tile))
+        ids, values = asked.get("ids_filter"), asked.get("properties_filter")
+        if self.table == "features" and not (ids or values or rows.box or "since" in rows.instants):
+            near = rows.near or store.ALL_ROWS
+            latitude = (tms.bounds(tile).top + tms.bounds(tile).bottom) / 2
+            side_m = (edges[2] - edges[0]) * math.cos(math.radians(latitude))
+            zoom = next((z for z in STORED_ZOOMS if 2.0 ** (20 - z) <= side_m / 32), STORED_ZOOMS[-1])
+            times = [rows.instants[name] for name in ("valid_at", "known_at")]
+            [found] = await store.fetch(conn, "stored_clusters", {}, rows.map_name, *times, zoom, *near, *edges)
+            if found["is_now"]:
+                return bytes(found["tile"]) if found["feature_count"] > MAX_IN_TILE else None
+        where = self._where_clause(self.cql_where(ids=ids, properties=values, tms=tms, tile=tile))
+        text = {"where": where, "columns": "category, change" if self.table == "changes" else "category"}
+        sql, arguments = rows.source(5)
+        [found] = await store.fetch(conn, "counted_clusters", {**text, "source": sql}, *edges, *arguments)
+        return bytes(found["tile"]) if found["feature_count"] > MAX_IN_TILE else None
 
     def _from(self, function_parameters: Any, params: list[Any]) -> str:
         """The rows of a tile, in place of tipg's table."""
