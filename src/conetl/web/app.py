@@ -16,7 +16,7 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
 from conetl.model.errors import DatabaseError, InputError, StorageError
 from conetl.perception.images import ImageFileError
-from conetl.web import basemap, decisions, downloads, frames, layers, lists, live, maps, search, tiles
+from conetl.web import basemap, decisions, downloads, frames, layers, lists, live, maps, search, tiles, zones
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.security import Guard
@@ -62,7 +62,7 @@ def create_app(
     app.state.whole_images = whole_images
     app.state.basemap = base_map
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
-    for routes in (lists, maps, tiles, search, frames, layers, basemap, downloads, decisions, live):
+    for routes in (lists, maps, tiles, search, frames, layers, zones, basemap, downloads, decisions, live):
         app.include_router(routes.router, prefix="/api")
     for error, status in _STATUS.items():
         app.add_exception_handler(error, _answer_with(status))
