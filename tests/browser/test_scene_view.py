@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import threading
+from contextlib import closing
 from datetime import UTC, datetime, timedelta
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -15,7 +16,9 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 
+from conetl.db.connection import connect
 from conetl.web.basemap import base_map
+from tests.browser.conftest import page_without_problems
 from tests.browser.test_view import ADDED, MOVED, click_cone, open_view, pixels_of, screenshot, settle
 from tests.pmtiles_file import write_pmtiles
 from tests.view_map import serving
@@ -338,3 +341,16 @@ def test_layers_are_styled_and_the_address_says_so(page, address):
     page.click(".layers-panel >> text=Reset")
     page.wait_for_function("() => !location.hash.includes('grid=')")
     page.keyboard.press("Escape")
+
+
+def test_a_work_zone_is_an_area_with_what_is_closed_on_the_road_now(browser, database_url, samples):
+    """Of the road now; a drive's changes are shown without."""
+    cones = [samples.feature(f"z{k}", xyz_m=(458_000.0 + 6.0 * k, 5_428_010.0, 114.5)) for k in range(6)]
+    with closing(connect(database_url)) as conn:
+        samples.commit(conn, *[samples.added(cone) for cone in cones], key="1")
+    with serving(database_url, "default") as port, page_without_problems(browser, f"http://127.0.0.1:{port}/") as page:
+        page.goto(f"http://127.0.0.1:{port}/")
+        page.wait_for_selector('html[data-zones="1"]', state="attached")
+        page.wait_for_selector(".zone >> text=Work zone", state="visible")
+        page.click("text=Drive by drive")
+        page.wait_for_selector('html[data-zones="0"]', state="attached")

@@ -15,6 +15,7 @@ from conetl.exports.wzdx import schema_faults
 from conetl.model.base import utc_from_ns
 from conetl.pipeline.maps.work_zones import export_zones
 from conetl.readers.plans.datex2 import read_datex2
+from conetl.web import zones
 from tests.integration.drives_of_days import merge, survey
 
 FEED = ("--publisher", "City", "--road-name", "L 605")
@@ -27,7 +28,7 @@ def feed_of(conetl, path, *options, kind="wzdx"):
     return document
 
 
-def test_a_work_zone_that_is_gone_on_the_third_day_ends(conn, samples, conetl, tmp_path):
+def test_a_work_zone_that_is_gone_on_the_third_day_ends(conn, samples, conetl, own_view, tmp_path, monkeypatch):
     cones = [samples.feature(str(k), xyz_m=(458_000.0 + 6.0 * k, 5_428_010.0, 114.5 - 0.1 * k)) for k in range(5)]
     samples.commit(conn, *[samples.added(cone) for cone in cones], key="1")
     day = samples.DAY_NS
@@ -56,6 +57,12 @@ def test_a_work_zone_that_is_gone_on_the_third_day_ends(conn, samples, conetl, t
     assert feed_of(conetl, path, "--as-of", "2026-03-30")["features"] == []
     assert feed_of(conetl, path, "--as-of", times[2], kind="wzdx-devices")["features"] == []
     devices = feed_of(conetl, path, "--as-of", times[1], kind="wzdx-devices")["features"]
+    areas = [own_view.get("/api/maps/default/work-zones", params={"valid_at": f"{time}:00Z"}).json() for time in times]
+    assert [[zone["zone_id"] for zone in area["zones"]] for area in areas] == [[first[0]["id"]], [first[0]["id"]], []]
+    assert [zone["cone_count"] for area in areas for zone in area["zones"]] == [5, 4]
+    monkeypatch.setattr(zones, "MOST_FEATURES", 3)
+    large = own_view.get("/api/maps/default/work-zones", params={"valid_at": f"{times[0]}:00Z"}).json()
+    assert (large["zones"], large["truncated"]) == ([], True)
     marks = sorted(mark["type"] for d in devices for mark in d["properties"]["marked_locations"])
     assert marks == ["delineator", "delineator", "work-zone-end", "work-zone-start"]
     assert "nothing" not in conetl("map", "check-layout", "--as-of", times[2])

@@ -376,7 +376,7 @@ function pointsOf(stage: Stage, group: Group, renderOrder: number, size_px: numb
     vertexShader: VERTEX,
     fragmentShader,
     uniforms: { size: { value: size_px }, lift: { value: 0 }, halo: { value: new Color() }, glyphs: { value: glyphs } },
-    depthTest: false,
+    depthTest: false, transparent: true, // drawn after areas
   });
   const points = new Points(new BufferGeometry(), material);
   group.add(points);

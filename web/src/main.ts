@@ -32,6 +32,7 @@ import { changesOf, createTimeline } from "./timeline";
 import { createTiles, seenArea } from "./tiles";
 import { createTools } from "./tools";
 import { createViewer } from "./viewer";
+import { createZones } from "./zones";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
 onLoginRequired(() => layout.logIn(login));
@@ -58,6 +59,7 @@ const tiles = createTiles(stage);
 const changes = createChanges(stage);
 const clusters = createClusters(stage, layout.view);
 const changeClusters = createClusters(stage, layout.view, "of-changes", "Δ ");
+const zones = createZones(stage, layout.view);
 const overlays = createOverlays(stage, layout.view);
 const base = createBase(stage, (error) => layout.toast(`Base layers: ${messageOf(error)}`, null));
 
@@ -253,6 +255,7 @@ async function openMap(): Promise<void> {
   decisions = null;
   showDecisionList(null);
   base.close();
+  zones.close();
   sidebar.showBase([]);
   fitted = state.camera !== null;
   layout.card("Loading the map …", "", { busy: true });
@@ -404,6 +407,7 @@ async function refresh(): Promise<void> {
     const [places] = await Promise.all([tiles.isWhole() ? [] : tiles.overview(), tiles.load(), changes.load()]);
     if (mine !== refreshNo) return;
     overview = places;
+    void readZones(asked);
     layout.card(null);
     selection.follow();
     show(drives);
@@ -412,6 +416,16 @@ async function refresh(): Promise<void> {
     if (mine === refreshNo) fail(error, () => change(asked));
   } finally {
     if (mine === refreshNo) layout.busy(false);
+  }
+}
+
+/** Work zones of the road as known now; other states, and very large maps, are shown without. */
+async function readZones(of: State): Promise<void> {
+  try {
+    if (of.mode === "instant" && of.known === null) await zones.open(of.map, of.valid);
+    else zones.close();
+  } catch (error) {
+    layout.toast(`Work zones cannot be shown: ${messageOf(error)}`, null);
   }
 }
 

@@ -17,7 +17,7 @@ from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
 from conetl.files.people import Person
 from conetl.model.errors import DatabaseError, InputError, StorageError
 from conetl.perception.images import ImageFileError
-from conetl.web import basemap, decisions, downloads, frames, layers, lists, live, maps, search, tiles
+from conetl.web import basemap, decisions, downloads, frames, layers, lists, live, maps, search, tiles, zones
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
 from conetl.web.security import Guard
@@ -68,7 +68,7 @@ def create_app(
     app.state.image_log = image_log
     app.state.basemap = base_map
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
-    for routes in (lists, maps, tiles, search, frames, layers, basemap, downloads, decisions, live):
+    for routes in (lists, maps, tiles, search, frames, layers, zones, basemap, downloads, decisions, live):
         app.include_router(routes.router, prefix="/api")
     for error, status in _STATUS.items():
         app.add_exception_handler(error, _answer_with(status))

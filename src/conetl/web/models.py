@@ -398,6 +398,24 @@ class BaseLines(Listing):
     lines: list[BaseLine]
 
 
+class WorkZoneArea(Record):
+    """A work zone that stands at the instant asked for."""
+
+    zone_id: UUID
+    start: datetime
+    """When it was first observed."""
+    cone_count: int
+    length_m: float
+    closed_side: Literal["left", "right"] | None
+    closed_lane_count: int | None
+    ring_m: list[float]
+    """x, y, z of the corners of the closed area, one after the other."""
+
+
+class WorkZoneAreas(Listing):
+    zones: list[WorkZoneArea]
+
+
 class ProvisionalFeature(Record):
     """A cone of a drive that is being recorded, or that was recorded and is not ingested yet; not part of the map."""
 

@@ -50,7 +50,7 @@ def tile(
         "east_m": (x + 1) * side_m,
         "north_m": (y + 1) * side_m,
     }
-    state = _State(conn, map_name, valid_at, known_at)
+    state = MapState(conn, map_name, valid_at, known_at)
     cells = state.cells(zoom + _CELL_STEPS, edges)
     count = sum(cell["feature_count"] for cell in cells)
     if count > MAX_IN_TILE:
@@ -69,7 +69,7 @@ def summary(
     map_name: MapName, conn: Reader, origin: Origin, valid_at: Instant = None, known_at: Instant = None
 ) -> m.Summary:
     """How many features of each class stood on a map, and where."""
-    found = _State(conn, map_name, valid_at, known_at).summary()
+    found = MapState(conn, map_name, valid_at, known_at).summary()
     return m.Summary(
         origin_m=list(origin),
         categories={row["category"]: row["feature_count"] for row in found},
@@ -80,7 +80,7 @@ def summary(
     )  # fmt: skip
 
 
-class _State:
+class MapState:
     """One state of a map; numbers of the one of now are stored."""
 
     def __init__(self, conn: Connection, map_name: str, valid_at: Instant, known_at: Instant) -> None:
