@@ -143,10 +143,6 @@ export const api = {
   /** Address of a file of the state that is shown; empty values are left out. */
   download: (map: string, format: string, values: Query) => `./api/${mapPath(map, `downloads/${format}${query(values)}`)}`,
   report: (map: string, changesetNo: number) => `./api/${mapPath(map, `changesets/${changesetNo}/report`)}`,
-  image: async (map: string, s: Sighting, side: "left" | "right", whole: boolean, signal: AbortSignal): Promise<Blob> => {
-    const path = `drives/${s.drive_uuid}/pictures/${s.frame_index}/${s.match_index}/${side}.jpg?context=${whole ? 100 : 3}`;
-    return (await ask(mapPath(map, path), { signal })).blob();
-  },
   zones: (map: string, valid: string | null) => askMap<Schemas["WorkZoneAreas"]>(map, `work-zones${query({ valid_at: valid })}`),
   base: (map: string) => askMap<Schemas["BaseLayers"]>(map, "base"),
   baseLines: (map: string) => askMap<Schemas["BaseLines"]>(map, "base/lines"),
