@@ -276,7 +276,7 @@ def _of_parts(tracks: Sequence[Track], on_map: _Objects, params: ReconcileParams
         parts[-1].append(track)
         end_ns = max(end_ns, track.last_seen_ns)
     search = searches(params)["part" if len(parts) > 1 else "few cones"]
-    for part in map(_objects, parts):
+    for part in (_objects(one) for one in parts if len(one) >= search.least):  # fewer can prove nothing
         found = _displaced(part, on_map, search, params, _count_same(part, on_map, params))
         if found is not None:
             return _only(found, len(part.xyz_m)) if len(parts) > 1 else found
