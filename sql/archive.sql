@@ -40,7 +40,7 @@ from conetl.map m
 where m.map_id = %(map_id)s;
 
 -- name: tables
--- The tables of one map besides conetl.map, parents first. Not among them: provisional features.
+-- The tables of one map besides conetl.map, parents first. Not among them: provisional features, and who got which notice.
 -- Columns: table_name; columns (without identity columns, which the database renumbers, and without map_id or
 -- map_name); map_column (that one of both that it has, or null); condition (parameters map_id, map_name); sorting (by the
 -- identity column, so that the new numbers rise as the old ones did, or null).
