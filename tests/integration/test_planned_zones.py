@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from conetl.db.connection import execute
-from conetl.db.map.plan_store import read_plans
+from conetl.db.map.plan_store import image_path, read_plans
 from conetl.geometry.geodesy import to_geodetic
 from conetl.pipeline.maps.planned_zones import compare_with_plans
 from tests.integration.drives_of_days import merge, survey
@@ -175,3 +175,15 @@ def test_the_dump_of_a_map_has_its_plans_and_verdicts(conn, two_days, conetl, tm
     conetl("map", "restore", tmp_path / "map.zip")
     assert json.loads(conetl("zones", "compare", "--as-of", LAST, "--json")) == before
     assert before["rows"][0]["verdict"] == "accepted"
+
+
+@pytest.mark.parametrize(
+    ("drive", "image", "whole"),
+    [
+        ("/srv/a", "image_02/1.jpg", "/srv/a/image_02/1.jpg"),
+        ("/srv/a", "/srv/a/image_02/1.jpg", "/srv/a/image_02/1.jpg"),
+        ("s3://bucket/a", "s3://bucket/a/1.jpg", "s3://bucket/a/1.jpg"),
+    ],
+)
+def test_an_image_has_one_path(drive, image, whole):
+    assert image_path(drive, image) == whole

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import posixpath
 from collections.abc import Sequence
 from datetime import datetime
 from itertools import groupby
@@ -84,13 +85,18 @@ def read_frames_near(conn: Connection, boxes: Sequence[Any], *, map_name: str, u
 
 
 def read_images(conn: Connection, sights: Sequence[Sight], *, map_name: str) -> dict[Sight, str]:
-    """The left images of passes, of those that have one: path of the drive, and of the image in it."""
+    """The left images of passes, of those that have one."""
     known = {(one.drive_uuid, one.frame_index) for one in sights if one.drive_uuid is not None}
     drives, frames = [key[0] for key in known], [key[1] for key in known]
     what = f"The drives of map {map_name} cannot be read"
     rows = read(conn, what, "plans.images", drive_uuids=drives, frames=frames)
-    paths = {(row["drive_uuid"], row["frame_index"]): f"{row['source_path']}/{row['left_path']}" for row in rows}
+    paths = {(row["drive_uuid"], row["frame_index"]): image_path(row["source_path"], row["left_path"]) for row in rows}
     return {one: paths[key] for one in sights if (key := (one.drive_uuid, one.frame_index)) in paths}
+
+
+def image_path(drive: str, image: str) -> str:
+    """Path of an image, which a drive names by its own path in its folder, by the whole path, or by the address of an object."""
+    return image if "://" in image else posixpath.join(drive, image)
 
 
 def read_verdicts(conn: Connection, *, map_name: str, known_at: datetime | None = None) -> Sequence[Row]:
