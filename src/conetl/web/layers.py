@@ -13,7 +13,7 @@ from fastapi import APIRouter, Depends, HTTPException, Path, Request, Response
 from conetl.db.base_store import list_base_sources
 from conetl.db.live_store import read_provisional
 from conetl.db.serve_store import read_base_tile, read_some
-from conetl.web import models as m
+from conetl.web import layer_models as m
 from conetl.web import rows as to
 from conetl.web.parameters import MapName, Origin, Reader
 

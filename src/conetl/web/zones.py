@@ -9,7 +9,7 @@ from conetl.model.arrays import Floats
 from conetl.model.base import Vec3, utc_from_ns
 from conetl.model.work_zone_params import WorkZoneParams
 from conetl.pipeline.maps.work_zones import read_zones
-from conetl.web import models as m
+from conetl.web import layer_models as m
 from conetl.web.parameters import Instant, MapName, Origin, Reader
 from conetl.web.tiles import MapState
 from conetl.workzones.zone_area import zone_area
