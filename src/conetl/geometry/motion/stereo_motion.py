@@ -189,9 +189,12 @@ def estimate_motion(
 
     if len(chosen) < params.min_points:
         return result(MotionStatus.TOO_FEW_POINTS, expected, np.zeros(len(chosen), dtype=bool))
+    points, second_px, sigma_px = (a[chosen] for a in (points, second_px, sigma_px))
+    d_points = np.ascontiguousarray(d_points[chosen].transpose(1, 2, 0))
     # A residual is expected to grow with the point's own errors: near points magnify them.
-    reach = params.inlier_px * _spread_px(cameras, points, d_points, sigma_px, expected) / np.median(sigma_px) / 2**0.5
-    points, d_points, second_px, sigma_px, reach = (a[chosen] for a in (points, d_points, second_px, sigma_px, reach))
+    _, jacobian, _ = _project_components(cameras, expected[:3, :3] @ points.T + expected[:3, 3:])
+    most = np.nan_to_num(_spread(jacobian, d_points, expected).reshape(9, -1)[::4].max(axis=0), nan=2.0)
+    reach = params.inlier_px * sigma_px * np.sqrt(np.clip(most, 2.0, 50.0)) / np.median(sigma_px) / 2**0.5
 
     def best_of(poses: Floats) -> tuple[Floats, Bools]:
         """The motion near the expected one that most points follow, and which do."""
@@ -250,38 +253,30 @@ def _refine(
     Returns status, motion, inliers and covariance, as `StereoMotion`.
     """
     # Coordinates come first and points last, so that each line below is a few long operations over all points.
-    at, seen, variance = points.T.copy(), second_px.T.copy(), sigma_px**2
-    d_at = np.ascontiguousarray(d_points.transpose(1, 2, 0))
+    at, seen = points.T.copy(), second_px.T.copy()
     inliers = np.ones(len(points), dtype=bool)
     for iteration in range(_MAX_ITERATIONS):
         turned = pose[:3, :3] @ at
-        image, jacobian, valid = _project_components(cameras, turned + pose[:3, 3:])
-        r, spread_of, var = seen - image, d_at, variance
+        x, y, z, xr, zr, valid = _directions(cameras, (turned + pose[:3, 3:]).T)
+        if iteration in (
+            0,
+            _CHOOSING_ITERATIONS,
+        ):  # in between, a motion changes by too little to change the derivatives
+            jacobian = _jacobian(cameras, x, y, z, xr, zr)
+            # A weight only: the covariance comes from the residuals.
+            if not iteration:
+                information = inverse_of_symmetric(sigma_px**2 * _spread(jacobian, d_points, pose))
+            design = _design(jacobian, turned)
+            weighted = np.einsum("ijn,ajn->ain", information, design)  # (6, 3, N): the information is symmetric
+        r = seen - _image(cameras, x, y, xr)
         if iteration < _CHOOSING_ITERATIONS:  # later a point at the bound could alternate
             inliers = valid & (np.abs(r).max(axis=0) <= reach_px)
             good = np.flatnonzero(inliers)
             if len(good) < min_inliers:
                 return MotionStatus.NO_CONSENSUS, pose, inliers, None
-            # `take`, since what an index in brackets gives lies in memory point by point.
-            r, jacobian, turned, spread_of, var = (x.take(good, -1) for x in (r, jacobian, turned, d_at, variance))
-            if iteration == _CHOOSING_ITERATIONS - 1:
-                at, seen, d_at, variance = at.take(good, -1), seen.take(good, -1), spread_of, var
-        # Error of the residual: the second pair's image errors, and the first pair's carried through intersection and motion.
-        carried = np.einsum("ikn,kjn->ijn", np.einsum("ikn,kj->ijn", jacobian, pose[:3, :3]), spread_of)
-        spread = np.einsum("ikn,jkn->ijn", carried, carried)
-        spread.reshape(9, -1)[::4] += 1.0  # the diagonals
-        information = inverse_of_symmetric(var * spread)
         misfit2 = np.einsum("in,ijn,jn->n", r, information, r) / 3
-        factor2 = max(upper_median(misfit2) / 0.7887, 1e-6)  # median of chi-square(3) / 3
-        information *= 1 / (1 + misfit2 / factor2 / _CAUCHY_SIGMAS**2)
-        # By (w, d): the rows' cross products with the turned point, and the rows.
-        design = np.empty((6, 3, turned.shape[1]))
-        rows, at_point = jacobian.transpose(1, 0, 2), turned[:, None]
-        design[:3] = at_point.take((1, 2, 0), 0) * rows.take((2, 0, 1), 0)
-        design[:3] -= at_point.take((2, 0, 1), 0) * rows.take((1, 2, 0), 0)
-        design[3:] = rows
-        weighted = np.einsum("ijn,ajn->ain", information, design)  # (6, 3, N): the information is symmetric
-        wide = weighted.reshape(6, -1)
+        factor2 = max(upper_median(misfit2.take(good)) / 0.7887, 1e-6)  # median of chi-square(3) / 3
+        wide = (weighted * (inliers / (1 + misfit2 / factor2 / _CAUCHY_SIGMAS**2))).reshape(6, -1)
         normal = wide @ design.reshape(6, -1).T
         try:
             inverse = np.linalg.inv(normal)
@@ -291,32 +286,55 @@ def _refine(
         pose = apply_steps(pose, step)
         if iteration >= _CHOOSING_ITERATIONS and float((step**2 * np.diag(normal)).max()) < _CONVERGED:
             # Sandwich of M-estimation: scatter of the weighted scores around the curvature (Huber 1981, ch. 6).
-            scores = np.einsum("in,ain->an", r, weighted)
+            scores = np.einsum("in,ain->an", r, wide.reshape(weighted.shape))
             cov = inverse @ (scores @ scores.T) @ inverse
-            cov = np.maximum(1.0, r.shape[1] / max(r.shape[1] - 6, 1)) * (cov + cov.T) / 2
+            cov = np.maximum(1.0, len(good) / max(len(good) - 6, 1)) * (cov + cov.T) / 2
             sigma = np.sqrt(np.diag(cov))
             known = sigma[:3].max() <= _MAX_SIGMA_RAD and sigma[3:].max() <= _MAX_SIGMA_M
             return MotionStatus.OK if known else MotionStatus.DEGENERATE, pose, inliers, cov
     return MotionStatus.NOT_CONVERGED, pose, inliers, None
 
 
+def _design(jacobian: Floats, turned: Floats) -> Floats:
+    """(6, 3, N) derivatives by (w, d): the rows' cross products with the turned points (3, N), and the rows (3, 3, N)."""
+    rows, at_point = jacobian.transpose(1, 0, 2), turned[:, None]
+    design = np.empty((6, 3, turned.shape[1]))
+    design[:3] = at_point.take((1, 2, 0), 0) * rows.take((2, 0, 1), 0)
+    design[:3] -= at_point.take((2, 0, 1), 0) * rows.take((1, 2, 0), 0)
+    design[3:] = rows
+    return design
+
+
 def _project_components(cameras: StereoCameras, points_m: Floats) -> tuple[Floats, Floats, Bools]:
     """As `project`, with the points last: (3, ...), (3, 3, ...), (...) of points (3, ...)."""
     x, y, z, xr, zr, valid = _directions(cameras, np.moveaxis(points_m, 0, -1))
+    return _image(cameras, x, y, xr), _jacobian(cameras, x, y, z, xr, zr), valid
+
+
+def _image(cameras: StereoCameras, x: Floats, y: Floats, xr: Floats) -> Floats:
+    """(3, ...) image points of directions."""
     fx, fy, cx, cy = cameras.left_px
-    rotation, focal = cameras.right_SE3_left[:3, :3], cameras.right_px[0] / zr
-    image, jacobian = np.empty((3, *z.shape)), np.zeros((3, 3, *z.shape))
+    image = np.empty((3, *x.shape))
     image[0], image[1], image[2] = fx * x + cx, fy * y + cy, cameras.right_px[0] * xr + cameras.right_px[2]
-    jacobian[0, 0], jacobian[1, 1] = fx / z, fy / z
+    return image
+
+
+def _jacobian(cameras: StereoCameras, x: Floats, y: Floats, z: Floats, xr: Floats, zr: Floats) -> Floats:
+    """(3, 3, ...) px/m: derivatives of image points by the point."""
+    rotation, focal = cameras.right_SE3_left[:3, :3], cameras.right_px[0] / zr
+    jacobian = np.zeros((3, 3, *z.shape))
+    jacobian[0, 0], jacobian[1, 1] = cameras.left_px[0] / z, cameras.left_px[1] / z
     jacobian[0, 2], jacobian[1, 2] = -jacobian[0, 0] * x, -jacobian[1, 1] * y
     for axis in range(3):
         jacobian[2, axis] = focal * (rotation[0, axis] - rotation[2, axis] * xr)
-    return image, jacobian, valid
+    return jacobian
 
 
-def _spread_px(cameras: StereoCameras, points: Floats, d_points: Floats, sigma_px: Floats, pose: Floats) -> Floats:
-    """Expected sigma (N,) of a residual, the largest of its three coordinates."""
-    _, jacobian, _ = _project_components(cameras, pose[:3, :3] @ points.T + pose[:3, 3:])
-    carried = np.einsum("ikn,kjn->ijn", np.einsum("ikn,kj->ijn", jacobian, pose[:3, :3]), d_points.transpose(1, 2, 0))
-    variance = 1 + (carried * carried).sum(axis=1).max(axis=0)
-    return np.asarray(sigma_px * np.sqrt(np.clip(np.nan_to_num(variance, nan=2.0), 2.0, 50.0)))
+def _spread(jacobian: Floats, d_points: Floats, pose: Floats) -> Floats:
+    """Covariance (3, 3, N) of residuals in squares of sigma_px: the second pair's image errors, and the first pair's carried
+    through intersection and motion. jacobian (3, 3, N): of image points in the second pair by the point; d_points (3, 3, N): of the
+    point by those in the first."""
+    carried = np.einsum("ikn,kjn->ijn", np.einsum("ikn,kj->ijn", jacobian, pose[:3, :3]), d_points)
+    spread = np.einsum("ikn,jkn->ijn", carried, carried)
+    spread.reshape(9, -1)[::4] += 1.0  # the diagonals
+    return np.asarray(spread)

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri
 from scipy.optimize import minimize
 
 from conetl.geometry.linear_reference import evenly_spaced
@@ -206,10 +206,10 @@ class DifferenceTerms(NamedTuple):
     """(N, N)"""
     changed: Floats
     """(N, N) products of the stated sigmas that are common in spite of their changes."""
-    renewed: Floats
-    """(N, N): number of steps between two frames."""
-    least: float
-    """Variance that all records have in common."""
+    beyond: Floats
+    """(N, N): what they exceed the variance by that all records have in common."""
+    common: Floats
+    """(N, N): that variance, less what steps between two frames change."""
     jitter: Floats
     """(N,) squared rates."""
 
@@ -254,7 +254,9 @@ def _estimated(parts: Sequence[DifferenceTerms], assumed: ErrorShares, jitter_s:
 
     start = middle[: 7 if jitter_s else 6]
     # The likelihood has one maximum for smooth and one for slow errors.
-    values = fitted(*(np.concatenate([start[:2], [of], start[3:]]) for of in _STARTS if parts[0].least or of > 0))
+    values = fitted(
+        *(np.concatenate([start[:2], [of], start[3:]]) for of in _STARTS if parts[0].common.any() or of > 0)
+    )
     full = np.concatenate([values, middle[len(values) :]])
     least = unlikely(full)
     if sum(_misfit(part, full)[1][-1] for part in parts) < 0:  # a larger variance fits better
@@ -318,8 +320,9 @@ def difference_terms(
     levels, changes = (part[frames, 0] for part in sigma_levels(records.stated[:, axis : axis + 1], records.renewed))
     changed = np.outer(levels, levels) * np.exp(-np.abs(changes[:, None] - changes))
     rate = difference.velocity[frames, axis] if jitters else np.zeros(len(frames))
-    steps = np.abs(records.renewed[frames, None] - records.renewed[frames])
-    return DifferenceTerms(off - off.mean(), base, stated, apart_s, changed, steps, records.least[axis] ** 2, rate**2)
+    steps, least = np.abs(records.renewed[frames, None] - records.renewed[frames]), records.least[axis] ** 2
+    beyond, common = np.maximum(changed - least, 0.0), least * np.exp(-STEP_CHANGE * steps)
+    return DifferenceTerms(off - off.mean(), base, stated, apart_s, changed, beyond, common, rate**2)
 
 
 def log_cov(part: DifferenceTerms, shares: ErrorShares) -> Floats:
@@ -337,8 +340,7 @@ def _parts(part: DifferenceTerms, fast_s: float, slow_s: float, smooth_s: float)
     Where a stated sigma exceeds the smallest one, what exceeds it is not smooth, but slow.
     """
     slowly, apart = np.exp(-part.apart_s / slow_s), 3**0.5 / smooth_s * part.apart_s
-    common = part.least * np.exp(-STEP_CHANGE * part.renewed)
-    smooth = common * (1 + apart) * np.exp(-apart) + np.maximum(part.changed - part.least, 0.0) * slowly
+    smooth = part.common * (1 + apart) * np.exp(-apart) + part.beyond * slowly
     fast = part.stated * np.exp(-part.apart_s / fast_s)
     return np.stack([np.diag(np.diagonal(part.stated)), fast, part.changed * slowly, smooth])
 
@@ -354,17 +356,17 @@ def _misfit(part: DifferenceTerms, values: Floats) -> tuple[float, Floats]:
     parts = _parts(part, fast_s, slow_s, smooth_s)
     cov = part.base + factor * np.tensordot(shares, parts, 1)
     cov[np.diag_indices_from(cov)] += jitter * part.jitter
-    try:
-        factored = cho_factor(cov, lower=True)
-    except np.linalg.LinAlgError:
+    factor_of, failed = dpotrf(cov, lower=True)
+    if failed:
         return 1e12, np.zeros(len(values))
-    solved = cho_solve(factored, part.off)
-    inverse = cho_solve(factored, np.eye(len(cov)))
+    inverse = np.asarray(dpotri(factor_of, lower=True)[0])  # its lower triangle
+    inverse += np.tril(inverse, -1).T
+    solved = inverse @ part.off
     by_cov = (inverse - np.outer(solved, solved)) / 2
     by_parts = factor * np.tensordot(parts, by_cov, 2)
     mean = float(shares @ by_parts)
     apart = 3**0.5 / smooth_s * part.apart_s
-    of_smooth = part.least * np.exp(-STEP_CHANGE * part.renewed - apart)
+    of_smooth = part.common * np.exp(-apart)
     beyond = parts[3] - of_smooth * (1 + apart)
     later = by_cov * part.apart_s
     slope = np.array([
@@ -374,5 +376,5 @@ def _misfit(part: DifferenceTerms, values: Floats) -> tuple[float, Floats]:
         factor * shares[3] * float((by_cov * of_smooth * apart**2).sum()),
         2 * jitter * float(np.diagonal(by_cov) @ part.jitter), mean,
     ])  # fmt: skip
-    value = float(np.log(np.diagonal(factored[0])).sum()) + float(part.off @ solved) / 2
+    value = float(np.log(np.diagonal(factor_of)).sum()) + float(part.off @ solved) / 2
     return value, slope
