@@ -89,6 +89,9 @@ bench-overhead: setup  ## measure the overhead of Prefect on a drive of 1,000 pa
 bench-ingest: setup  ## measure an ingest, and decoding and detection alone: pairs per second, memory (ARGS='--pairs 150 --stages' ...)
 	@$(BIN)/python benchmarks/bench_ingest.py $(ARGS)
 
+bench-alike: setup  ## analyse drives whose pairs show the same: stops, 30 Hz; time and cones beside those without (ARGS='--only stop')
+	@$(BIN)/python benchmarks/bench_alike.py $(ARGS)
+
 bench-watch: setup  ## replay a KITTI drive at 10 Hz: latency of conetl watch (ARGS='DRIVE --rate 5')
 	@$(BIN)/python benchmarks/bench_watch.py $(ARGS)
 

@@ -57,6 +57,10 @@ def same_errors(rows: list[dict[str, Any]]) -> bool:
 
 
 TINY = {
+    "alike": Tiny(
+        "--drive {sample} --pairs 20 --stop-s 3 --only stop",
+        lambda f: f[0]["searched"] == f[1]["searched"] == 20 and f[1]["pairs"] == 50 and f[1]["apart mm"] < 20,
+    ),
     "calibration": Tiny(
         "{boards} --board chessboard:9x6:37.8mm --pairing even-odd --halves 1",
         lambda f: f["sigma_mm"] > 0 and abs(f["differences_sigmas"][0]) < 5,

@@ -217,8 +217,9 @@ def print_report(report: IngestReport) -> None:
     changed = counts if report.on_hold is None else f"on hold ({failed}), the map is unchanged"
     noun = "object" if {change.category for change in report.changes} - {CONE} else "cone"
     left = _left_out(0 if report.on_hold else report.tracks - sum(report.counts[kind] for kind in _OBSERVED))
+    alike = f" ({report.frame_pairs_alike:,} more show the same)" if report.frame_pairs_alike else ""
     ui.say(
-        f"{at}: {changed}. {report.frame_pairs} frame pairs in {report.seconds:.1f} s, "
+        f"{at}: {changed}. {report.frame_pairs} frame pairs{alike} in {report.seconds:.1f} s, "
         f"{report.detections} detections, {report.matches} stereo matches, {ui.counted(report.tracks, noun)}{left}.",
         bold=report.drive_id,
     )

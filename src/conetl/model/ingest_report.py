@@ -45,6 +45,8 @@ class CommitReport(Record):
     map_srid: int
     frame_pairs: int
     frame_pairs_rejected: int
+    frame_pairs_alike: int = 0
+    """Frame pairs that this run left out because they show what others show; neither searched nor rejected."""
     detections: int
     matches: int
     positions: int

@@ -339,6 +339,26 @@ class PairParams(Params):
     """Sigma of the disparity that all but this share exceed."""
 
 
+class SelectionParams(Params):
+    """Frame pairs that are left out because they show what their neighbours show: if the next one is still near the last one that
+    is kept."""
+
+    dense_s: NonNegative = 0.11
+    """Near in time, together with `dense_m`: of cameras faster than 10 Hz about ten pairs per second are used. 0: all."""
+    dense_m: NonNegative = 1.5
+    """By the log."""
+    standing_m: NonNegative = 0.3
+    """Near by the log where left images agree, too: of a vehicle that stands or crawls. 0: all pairs of it are used."""
+    standing_rad: NonNegative = 0.01
+    """Like `standing_m`, for rotations."""
+    standing_s: NonNegative = 1e9
+    """One pair is used at least this often: over a longer pause without images a log may jump (`PAUSE_S` in
+    `geometry/motion/stereo_tracks.py`)."""
+    standing_correlation: Fraction = 0.5
+    """Least correlation of small left images, in the median of their blocks: noise leaves 0.99, 0.3 m of driving 0.6 on KITTI,
+    1.3 m at most 0.9 on an empty street."""
+
+
 class MarkingParams(Params):
     """Detection of lane markings; only used if they are searched for (`DetectionParams.categories`)."""
 
@@ -385,6 +405,8 @@ class IngestParams(Params):
     """Poses and calibration."""
     pair: PairParams = PairParams()
     """Single pairs."""
+    selection: SelectionParams = SelectionParams()
+    """Frame pairs that are searched."""
     marking: MarkingParams = MarkingParams()
     """Lane markings."""
     check: CheckParams = CheckParams()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -17,9 +18,10 @@ from conetl.model.detector_evidence import UNMEASURED, DetectorEvidence
 from conetl.model.drive import Detection, Drive, DriveRecords, ImageDetail, Position, StereoMatch, Track
 from conetl.model.feature_classes import LANE_MARKING, LINE_CLASSES
 from conetl.model.health import Finding, HealthCheck
-from conetl.model.params import IngestParams
+from conetl.model.params import IngestParams, SelectionParams
 from conetl.model.rejections import Rejection, RejectionReason
 from conetl.model.rig import Rig
+from conetl.perception.alike_pairs import without_alike
 from conetl.perception.checks.stereo_check import check_stereo
 from conetl.perception.detections import add_image_detail, drop_unread_pairs
 from conetl.perception.model_card import read_model_card
@@ -48,6 +50,8 @@ from conetl.tracking.tracks import drive_data, fuse_tracks
 from conetl.tracking.trajectory import RefinedTrajectory
 from conetl.tracking.variance_components import estimate_variance_factors, with_contradictions, with_variance_factors
 
+_log = logging.getLogger(__name__)
+
 
 @dataclass(frozen=True, repr=False)
 class AnalysedDrive:
@@ -59,6 +63,8 @@ class AnalysedDrive:
     params: IngestParams
     health: tuple[HealthCheck, ...] = ()
     """Checks of the recording."""
+    alike: int = 0
+    """Number of frame pairs that were left out because they show what others show."""
 
     def __repr__(self) -> str:
         return f"<AnalysedDrive {self.drive.drive_id}: {len(self.tracks)} tracks; trajectory: {self.trajectory.detail}>"
@@ -93,7 +99,8 @@ def analyse(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> AnalysedDrive:
-    """Calibrate -> detect -> match -> refine -> locate -> fuse -> validate a drive that was read. Needs no database, no server.
+    """Select -> calibrate -> detect -> match -> refine -> locate -> fuse -> validate a drive that was read, without database and
+    server.
 
     drive, rejections: as returned by `read_drive`. settings: model, number of threads, folder for results of finished chunks;
     default: CONETL_* of the environment. executor: runs the steps; default: `settings.workers` threads. progress: called with the
@@ -104,6 +111,11 @@ def analyse(
         executor = executor or stack.enter_context(ThreadExecutor(settings.workers))
         card, extras = read_model_card(settings.model_path), _extra_steps(params)
         card.require_categories(set(params.detection.categories) - set(LINE_CLASSES))
+
+        # Select: of frame pairs that show the same, the first.
+        read = len(drive.frame_pairs)
+        drive = _without_alike(drive, params.selection)
+        alike = read - len(drive.frame_pairs)
         count = ProgressCount(executor, _step_count(drive, extras), progress)
 
         # Calibrate: the right camera, from points that are followed over pieces of the drive.
@@ -148,7 +160,19 @@ def analyse(
     findings += odometry.check_poses(drive, motions, trajectory, params.trajectory, params.check)
     findings += check_readout(calibration, given, params.trajectory)
     findings += _check_records(records, calibration, params)
-    return AnalysedDrive(records, trajectory, calibration, params, tuple(judge_all(findings, params.check)))
+    return AnalysedDrive(records, trajectory, calibration, params, tuple(judge_all(findings, params.check)), alike)
+
+
+def _without_alike(drive: Drive, params: SelectionParams) -> Drive:
+    """The drive without frame pairs that show what others show. They count neither as read nor as rejected."""
+    kept = without_alike(drive.frame_pairs, odometry.grey_reader(drive.rig), params)
+    fewer = len(drive.frame_pairs) - len(kept)
+    if not fewer:
+        return drive
+    _log.info("%d of %d frame pairs show what those before show and are left out", fewer, len(drive.frame_pairs))
+    return drive.model_copy(
+        update={"frame_pairs": tuple(kept), "expected_frame_count": drive.expected_frame_count - fewer}
+    )
 
 
 def _step_count(drive: Drive, extras: ExtraSteps) -> int:

@@ -135,6 +135,7 @@ def commit(
         rejections=dict(sorted(Counter(rejection.reason for rejection in records.rejections).items())),
         trajectory=analysed.trajectory.detail,
         calibration=analysed.calibration.detail,
+        frame_pairs_alike=analysed.alike,
         categories=params.detection.categories,
         health=health,
         replayed_drives=merged.replayed,
@@ -150,6 +151,7 @@ def run_info(analysed: AnalysedDrive, flow_run_id: str | None = None) -> RunInfo
         "calibration": analysed.calibration.detail,
         "trajectory_outcome": analysed.trajectory.outcome.value,
         "calibration_outcome": analysed.calibration.outcome.value,
+        "frame_pairs_alike": analysed.alike,
         "health": [check.model_dump(mode="json") for check in analysed.health],
         **code_facts(),
     }

@@ -332,8 +332,8 @@ def _jacobian(cameras: StereoCameras, x: Floats, y: Floats, z: Floats, xr: Float
 
 def _spread(jacobian: Floats, d_points: Floats, pose: Floats) -> Floats:
     """Covariance (3, 3, N) of residuals in squares of sigma_px: the second pair's image errors, and the first pair's carried
-    through intersection and motion. jacobian (3, 3, N): of image points in the second pair by the point; d_points (3, 3, N): of the
-    point by those in the first."""
+    through intersection and motion. jacobian (3, 3, N): of image points in the second pair by the point; d_points (3, 3, N): of
+    the point by those in the first."""
     carried = np.einsum("ikn,kjn->ijn", np.einsum("ikn,kj->ijn", jacobian, pose[:3, :3]), d_points)
     spread = np.einsum("ikn,jkn->ijn", carried, carried)
     spread.reshape(9, -1)[::4] += 1.0  # the diagonals
