@@ -351,12 +351,9 @@ class SelectionParams(Params):
     """Near by the log where left images agree, too: of a vehicle that stands or crawls. 0: all pairs of it are used."""
     standing_rad: NonNegative = 0.01
     """Like `standing_m`, for rotations."""
-    standing_s: NonNegative = 1e9
-    """One pair is used at least this often: over a longer pause without images a log may jump (`PAUSE_S` in
-    `geometry/motion/stereo_tracks.py`)."""
     standing_correlation: Fraction = 0.5
-    """Least correlation of small left images, in the median of their blocks: noise leaves 0.99, 0.3 m of driving 0.6 on KITTI,
-    1.3 m at most 0.9 on an empty street."""
+    """Least correlation of small left images at `standing_m`, in the median of their blocks: 0.6 on KITTI. It must be higher at
+    less distance."""
 
 
 class MarkingParams(Params):

@@ -77,6 +77,17 @@ def test_a_log_that_stands_while_the_images_move_is_not_believed() -> None:
     assert kept(frames, [40 * k for k in range(9)]) == list(range(9))
 
 
+def test_a_log_that_repeats_each_pose_is_not_believed() -> None:
+    """At 0.1 m between images, which agree by more than those of 0.3 m."""
+    frames = pairs([k / 10 for k in range(9)], [2.0 * (k // 2) for k in range(9)])
+    assert kept(frames, [2 * k for k in range(9)]) == list(range(9))
+
+
+def test_a_jam_counts_every_third_of_a_metre() -> None:
+    frames = pairs([k / 10 for k in range(13)], [0.11 * k for k in range(13)])
+    assert kept(frames, [0] * 13) == [0, 3, 6, 9, 12]
+
+
 def test_an_image_that_cannot_be_read_is_left_to_the_search() -> None:
     def read(pair: FramePair, _side: Side) -> Image:
         if pair.frame_index == 1:
@@ -89,7 +100,7 @@ def test_an_image_that_cannot_be_read_is_left_to_the_search() -> None:
 
 def test_nothing_is_left_out_on_request() -> None:
     frames = pairs([k / 30 for k in range(9)], [0.0] * 9)
-    everything = SelectionParams(dense_s=0, standing_m=-0.0, standing_s=0)
+    everything = SelectionParams(dense_s=0, standing_rad=0, standing_m=0)
     assert kept(frames, params=everything) == list(range(9))
 
 
@@ -100,7 +111,7 @@ def test_gaps_of_fast_cameras_are_bounded(steps: list[tuple[float, float]]) -> N
     """Between two kept pairs there is no more time and distance than what counts as near, or one step of the recording."""
     times_s, along_m = np.cumsum([(0.0, 0.0), *steps], axis=0).T
     frames = pairs(times_s, along_m)
-    chosen = kept(frames, params=PARAMS.model_copy(update={"standing_m": 0.0, "standing_s": 0.0}))
+    chosen = kept(frames, params=PARAMS.model_copy(update={"standing_m": 0.0}))
     for first, last in pairwise(chosen):
         near = (
             times_s[last] - times_s[first] <= PARAMS.dense_s + 1e-6
