@@ -1,7 +1,7 @@
 """Parameters of every step: frozen, units in the names; their hash becomes part of the changeset.
 
 Nothing here is read from the environment (see `pipeline/settings.py`). The defaults were chosen on the sample drives and one
-real street (docs/explanation/decisions.md).
+real street (docs/dev/decisions.md).
 """
 
 from __future__ import annotations
