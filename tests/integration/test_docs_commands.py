@@ -1,4 +1,4 @@
-"""Every command of README, tutorial and how-to pages is a valid command line, and runs unless another test runs it at length."""
+"""Every command of README and the documentation is a valid command line, and runs unless another test runs it at length."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ from tests.integration.small_drives import SAMPLES, cut_drive
 from tests.synthetic.world import ORIGIN_M
 from tests.unit.readers.test_rig_formats import kalibr_of
 
+FOLDERS = ("tutorial", "how-to", "record", "map", "operate", "help", "reference", "explanation")
 PAGES = (
     "README.md",
-    *sorted(str(p.relative_to(ROOT)) for f in ("tutorial", "how-to") for p in (ROOT / "docs" / f).glob("*.md")),
+    *sorted(str(p.relative_to(ROOT)) for f in FOLDERS for p in (ROOT / "docs" / f).glob("*.md")),
 )
 #: Commands that take minutes, servers, or recordings of their own -> the test that runs them, and its words for it. The last two
 #: are tested as functions, not as commands: there is no small LiDAR drive, and the renderer is an extra.
@@ -70,7 +71,7 @@ def commands_of(page: str) -> list[str]:
     found = []
     for language, body in re.findall(r"^```(\w*)\n(.*?)^```$", (ROOT / page).read_text(), re.DOTALL | re.MULTILINE):
         if language in ("", "bash", "sh"):
-            lines = [re.sub(r"\s+#.*| \[[^\]]*\]", "", line).strip() for line in body.splitlines()]
+            lines = [re.sub(r"\s+#.*| \[[^\]]*\]", "", line).strip() for line in body.replace("\\\n", " ").splitlines()]
             found += [line for line in lines if re.match(r"(\w+=\S+ )*(conetl|make) ", line + " ")]
     return found
 

@@ -1,6 +1,6 @@
 """Work zones as WZDx 4.2 feeds (USDOT): WorkZoneFeed, and DeviceFeed with a location marker per cone.
 
-docs/how-to/work_zones.md describes the source of every field. A document is checked against the published schemas, which are
+docs/reference/wzdx.md describes the source of every field. A document is checked against the published schemas, which are
 shipped, before its file is written.
 """
 

@@ -1,6 +1,6 @@
 """What all feeds of work zones share: the publisher's description, the state of a zone at the feed's time, texts, directions.
 
-docs/how-to/work_zones.md describes the source of every field.
+docs/reference/wzdx.md describes the source of every field.
 """
 
 from __future__ import annotations
