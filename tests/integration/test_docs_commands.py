@@ -33,11 +33,12 @@ from tests.integration.small_drives import SAMPLES, cut_drive
 from tests.synthetic.world import ORIGIN_M
 from tests.unit.readers.test_rig_formats import kalibr_of
 
+FOLDERS = ("start", "tutorial", "record", "map", "operate", "help", "reference", "explanation")
 PAGES = (
     "README.md",
     *(
         str(page.relative_to(ROOT))
-        for folder in ("start", "tutorial", "record", "map", "operate", "help")
+        for folder in FOLDERS
         for page in sorted((ROOT / "docs" / folder).glob("*.md"))
     ),
 )
@@ -75,7 +76,7 @@ def commands_of(page: str) -> list[str]:
     found = []
     for language, body in re.findall(r"^```(\w*)\n(.*?)^```$", (ROOT / page).read_text(), re.DOTALL | re.MULTILINE):
         if language in ("", "bash", "sh"):
-            lines = [re.sub(r"\s+#.*| \[[^\]]*\]", "", line).strip() for line in body.splitlines()]
+            lines = [re.sub(r"\s+#.*| \[[^\]]*\]", "", line).strip() for line in body.replace("\\\n", " ").splitlines()]
             found += [line for line in lines if re.match(r"(\w+=\S+ )*(conetl|make) ", line + " ")]
     return found
 

@@ -71,7 +71,8 @@ _NO_LINE, _NO_POINT = "of a lane marking", "of a point object"
 #: In the order of files.
 COLUMNS = (
     FeatureColumn(
-        "feature_id", "uuid", "", "Feature", "The object: a UUID, the same in all its versions, files and services.",
+        "feature_id", "uuid", "", "Feature",
+        "The object: a UUID, the same in all files and services. A late drive that observed the object earlier changes it.",
         shown=EVERYWHERE, heading="feature",
     ),
     FeatureColumn(
