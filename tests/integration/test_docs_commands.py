@@ -36,11 +36,7 @@ from tests.unit.readers.test_rig_formats import kalibr_of
 FOLDERS = ("start", "tutorial", "record", "map", "operate", "help", "reference", "explanation")
 PAGES = (
     "README.md",
-    *(
-        str(page.relative_to(ROOT))
-        for folder in FOLDERS
-        for page in sorted((ROOT / "docs" / folder).glob("*.md"))
-    ),
+    *(str(page.relative_to(ROOT)) for folder in FOLDERS for page in sorted((ROOT / "docs" / folder).glob("*.md"))),
 )
 #: Commands that take minutes, servers, or recordings of their own -> the test that runs them, and its words for it. The last two
 #: are tested as functions, not as commands: there is no small LiDAR drive, and the renderer is an extra.

@@ -74,7 +74,7 @@ DecisionsOption = Annotated[
     bool,
     typer.Option(
         "--decisions",
-        help="Enable decisions in the web view (suppress, pin, revert). They require the writer token, which is created in "
+        help="Enable decisions in the map viewer (suppress, pin, revert). They require the writer token, which is created in "
         "CONETL_HOME.",
     ),
 ]
