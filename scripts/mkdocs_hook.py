@@ -18,6 +18,7 @@ from typer.cli import get_docs_for_click
 from conetl.checks import table
 from conetl.cli.app import app
 from conetl.db.connection import sql_directory
+from conetl.exports.wzdx import SOURCES
 from conetl.files.documents import nested_model
 from conetl.model.columns import as_markdown
 from conetl.readers.drives.drive_yaml import DriveYaml
@@ -39,6 +40,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         "reference/database.md": schema_as_markdown,
         "reference/drive_yaml.md": keys_as_markdown,
         "reference/fields.md": as_markdown,
+        "reference/wzdx.md": feed_as_markdown,
     }
     if page.file.src_uri in made:
         return f"{markdown}\n{made[page.file.src_uri]()}"
@@ -99,6 +101,11 @@ def docstrings(model: type[BaseModel]) -> dict[str, str]:
             if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
                 found[field.target.id] = " ".join(str(text.value.value).split())  # type: ignore[union-attr]
     return found
+
+
+def feed_as_markdown() -> str:
+    """The fields of a road event of WZDx."""
+    return "\n".join(["## Fields of a road event", "", *(f"- `{name}`: {text}" for name, text in SOURCES.items()), ""])
 
 
 def schema_comments() -> dict[tuple[str, str], str]:

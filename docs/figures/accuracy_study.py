@@ -1,4 +1,4 @@
-"""Makes the figures of the study of accuracy in benchmarks/RESULTS.md and prints its tables: python docs/figures/accuracy_study.py
+"""Makes the figures of the study of accuracy (benchmarks/RESULTS.md) and prints its tables: python docs/figures/accuracy_study.py
 
 Needs Mitsuba (the extra `simulate`) for the rendered cone. Names of parts (range, calibration, frames, sides, render)
 make only those.
