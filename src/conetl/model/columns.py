@@ -175,8 +175,8 @@ COLUMNS = (
     ),
     FeatureColumn(
         "change", "text", "", "Change",
-        "What the drive did to the object; in changes, how the later state differs from the earlier one. `missed`: visible, not "
-        "observed, still on the map.", shown=Face.HISTORY | Face.CHANGE | Face.OGC, words=_CHANGES, heading="change",
+        "What the drive did; in changes, how the later state differs. `missed`: visible, not observed.",
+        shown=Face.HISTORY | Face.CHANGE | Face.OGC, words=_CHANGES, heading="change",
     ),
     _time("changed_at", "Changed", "Instant of the change on the road.", shown=Face.CHANGE, heading="on the road since (UTC)"),
     _number(
