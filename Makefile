@@ -22,7 +22,7 @@ setup:          ## install the locked dependencies into .venv, and PostGIS from 
 demo: setup     ## ingest three sample drives and compare the map with the ground truth
 	@$(BIN)/conetl demo
 
-up: setup       ## start PostGIS, Prefect, workers, schedules and the web view
+up: setup       ## start PostGIS, Prefect, workers, schedules and the map viewer
 	@$(BIN)/conetl up
 
 down:           ## stop what `make up` started; data are kept
@@ -74,7 +74,7 @@ bench-changes: setup  ## simulate 200 days of changes: confusion matrix of the m
 bench-map: setup  ## merge a drive of 100,000 cones into maps of 100,000 and 1 million features (SIZES="... 10000000" for more)
 	@$(BIN)/python benchmarks/bench_map.py --sizes $(or $(SIZES),100000 1000000)
 
-bench-view: setup  ## measure the web view: first frame, clicks, frame rate (POINTS=3000000 for a large cloud; needs Chromium)
+bench-view: setup  ## measure the map viewer: first frame, clicks, frame rate (POINTS=3000000 for a large cloud; needs Chromium)
 	@$(BIN)/python benchmarks/bench_view.py --points $(or $(POINTS),100000)
 
 bench-fleet: setup  ## run one and eight writers on one map, and a month of 200 vehicles at 1:100 (ARGS='--only writers' ...)

@@ -162,7 +162,7 @@ def send_not_recognised(receipts: Sequence[Receipt]) -> None:
 
 
 def _show_files(committed: CommittedDrive, files: PublishedFiles, settings: Settings) -> None:
-    """The plan view; links to the QA report and the map, in the web view if there is one: browsers open no file from a page."""
+    """The plan view; links to the QA report and the map, in the map viewer if there is one: browsers open no file from a page."""
     drive, changeset_no = as_markdown(committed.changeset.drive_id), committed.changeset.changeset_no
     encoded = base64.b64encode(files.plan_view.read_bytes()).decode()
     artifacts.create_image_artifact(
@@ -177,7 +177,7 @@ def _show_files(committed: CommittedDrive, files: PublishedFiles, settings: Sett
     if view:
         artifacts.create_link_artifact(
             f"{view}/#map={settings.map_name}&changeset={changeset_no}",
-            link_text=f"Drive {drive} on the map", key="map", description="Web view",
+            link_text=f"Drive {drive} on the map", key="map", description="Map viewer",
         )  # fmt: skip
 
 

@@ -1,46 +1,111 @@
-"""MkDocs hook: the reference of the command line, of the fields and of the database, and the tables of checks, from the code."""
+"""MkDocs hook: the reference of the command line, drive.yaml, checks, fields and database, from the code."""
 
 from __future__ import annotations
 
+import ast
 import html
+import inspect
 import re
-from typing import Any
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any, get_origin
 
 import typer
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 from typer.cli import get_docs_for_click
 
 from conetl.checks import table
 from conetl.cli.app import app
 from conetl.db.connection import sql_directory
+from conetl.exports.wzdx import SOURCES
+from conetl.files.documents import nested_model
 from conetl.model.columns import as_markdown
+from conetl.readers.drives.drive_yaml import DriveYaml
+from conetl.readers.drives.proposals.template import in_yaml
 
 _COMMENT = re.compile(
     r"^comment on (table|view|function|column|type) conetl\.([\w.]+) is\s+((?:'(?:[^']|'')*'\s*)+);", re.MULTILINE
 )
 _GONE = re.compile(r"^drop (?:table|view|function) ((?:conetl\.\w+(?:\(\))?(?:, )?)+);", re.MULTILINE)
 _CHECKS = re.compile(r"^<!-- checks: (\w+) -->$", re.MULTILINE)
-_KINDS = {"function": "Functions", "view": "Views", "table": "Tables", "type": "Types"}
+_KINDS = {"function": "Functions", "view": "Views", "table": "Tables", "type": "Types", "column": "Columns"}
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """Append the help of all commands to reference/cli.md, the fields to reference/fields.md, the comments of the schema to
-    reference/database.md; put the tables of checks where pages name them; other pages stay as they are."""
-    if page.file.src_uri == "reference/fields.md":
-        return f"{markdown}\n{as_markdown()}"
-    if page.file.src_uri == "reference/database.md":
-        return f"{markdown}\n{schema_as_markdown()}"
-    if page.file.src_uri != "reference/cli.md":
-        return _CHECKS.sub(lambda found: table.as_markdown(found[1]), markdown)
+    """Append what the code states to pages of the reference, and put the checks of a group where a page names it; other pages
+    stay as they are."""
+    made = {
+        "reference/cli.md": commands_as_markdown,
+        "reference/database.md": schema_as_markdown,
+        "reference/drive_yaml.md": keys_as_markdown,
+        "reference/fields.md": as_markdown,
+        "reference/wzdx.md": feed_as_markdown,
+    }
+    if page.file.src_uri in made:
+        return f"{markdown}\n{made[page.file.src_uri]()}"
+    return _CHECKS.sub(lambda found: table.as_markdown(found[1]), markdown)
+
+
+def commands_as_markdown() -> str:
+    """The help of all commands."""
     command = typer.main.get_command(app)
     with (context := typer.Context(command, info_name="conetl")):
         text = get_docs_for_click(obj=command, ctx=context, name="conetl")
-    return (
-        markdown
-        + "\n"
-        + text.replace("# `conetl`\n", "## `conetl`\n", 1)
-        .replace("\n## `", "\n### `")
-        .replace("\n### `conetl`", "\n## `conetl`", 1)
-    )
+    text = text.replace("# `conetl`\n", "## `conetl`\n", 1).replace("\n## `", "\n### `")
+    return text.replace("\n### `conetl`", "\n## `conetl`", 1)
+
+
+def keys_as_markdown() -> str:
+    """The keys of drive.yaml: those of the highest level, then a list for each section."""
+    sections = {name: nested_model(field.annotation) for name, field in DriveYaml.model_fields.items()}
+    lines = [
+        "",
+        "## Keys of the highest level",
+        "",
+        *keys_of(DriveYaml, [n for n, model in sections.items() if model is None]),
+    ]
+    for name, model in sections.items():
+        if model is not None:
+            lines += ["", f"## `{name}`", "", inspect.cleandoc(model.__doc__ or ""), "", *keys_of(model)]
+            lines += [
+                f"- `{name}.{key}`: the same keys."
+                for key, field in model.model_fields.items()
+                if nested_model(field.annotation)
+            ]
+    return "\n".join([*lines, ""])
+
+
+def keys_of(model: type[BaseModel], names: list[str] | None = None) -> Iterator[str]:
+    """A line per key: default, meaning, example."""
+    for name, field in model.model_fields.items():
+        if (names is None and nested_model(field.annotation) is None) or (names is not None and name in names):
+            facts = [f"default {in_yaml(field.default)}"] if shown_default(field) else []
+            facts += ["required"] if field.is_required() else []
+            text = " ".join(filter(None, (field.description, docstrings(model).get(name))))
+            example = f" Example: `{in_yaml(field.examples[0])}`." if field.examples else ""
+            yield f"- `{name}`{f' ({facts[0]})' if facts else ''}: {text}{example}"
+
+
+def shown_default(field: FieldInfo) -> bool:
+    """Whether the default of a key is a value that a reader could write."""
+    return isinstance(field.default, str | int | float) and get_origin(field.annotation) is not dict
+
+
+def docstrings(model: type[BaseModel]) -> dict[str, str]:
+    """The texts below the fields of a model and of the models that it extends."""
+    found: dict[str, str] = {}
+    for each in reversed([one for one in model.__mro__ if one.__module__.startswith("conetl.")]):
+        body = ast.parse(inspect.cleandoc("\n" + inspect.getsource(each))).body[0].body  # type: ignore[attr-defined]
+        for field, text in pairwise(body):
+            if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr) and isinstance(text.value, ast.Constant):
+                found[field.target.id] = " ".join(str(text.value.value).split())  # type: ignore[union-attr]
+    return found
+
+
+def feed_as_markdown() -> str:
+    """The fields of a road event of WZDx."""
+    return "\n".join(["## Fields of a road event", "", *(f"- `{name}`: {text}" for name, text in SOURCES.items()), ""])
 
 
 def schema_comments() -> dict[tuple[str, str], str]:
@@ -68,19 +133,14 @@ def plain(text: str) -> str:
 
 
 def schema_as_markdown() -> str:
-    """A table per kind of object, and one of the columns."""
+    """A list per kind of object, and one of the columns."""
     found = schema_comments()
     lines: list[str] = []
     for kind, title in _KINDS.items():
-        named = {name: text for (of, name), text in sorted(found.items()) if of == kind}
         lines += [
             "",
             f"## {title}",
             "",
-            "| name | |",
-            "|---|---|",
-            *(f"| `{name}` | {plain(text)} |" for name, text in named.items()),
+            *(f"- `{name}`: {plain(text)}" for (of, name), text in sorted(found.items()) if of == kind),
         ]
-    columns = {name: text for (of, name), text in sorted(found.items()) if of == "column"}
-    lines += ["", "## Columns", "", "Those that need more than their name.", "", "| column | |", "|---|---|"]
-    return "\n".join([*lines, *(f"| `{name}` | {plain(text)} |" for name, text in columns.items()), ""])
+    return "\n".join([*lines, ""])

@@ -14,7 +14,7 @@ from distributed import Client
 from flows.tasks import DASK_CONFIG
 from tests.command import until
 
-#: As docs/how-to/deploy.md sets them.
+#: As docs/operate/deploy.md sets them.
 ENVIRONMENT = {
     f"DASK_{name.upper().replace('.', '__').replace('-', '_')}": str(value) for name, value in DASK_CONFIG.items()
 }

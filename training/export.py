@@ -159,7 +159,7 @@ def main() -> None:
         },
         "pad_multiple_px": max(STRIDES),
         "class_names": list(CLASSES),
-        # As for the shipped weights; others may do better with other numbers, or without (docs/how-to/models.md).
+        # As for the shipped weights; others may do better with other numbers, or without (docs/map/models.md).
         "closer_look": {"cone_px": 48, "window_px": 96, "scores": [0.25, 0.75], "share": 0.35},
         "enlarged_look": {"below_px": 40, "from_score": 0.25, "around_px": 24, "scale": 2.0, "share": 0.65},
         "score_scale": "sigmoid 0..1, trained towards the IoU with the true box; not calibrated as a probability",

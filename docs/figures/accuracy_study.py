@@ -1,6 +1,6 @@
-"""Makes the figures of docs/explanation/accuracy_study.md and prints their tables: python docs/figures/accuracy_study.py
+"""Makes the figures of the study of accuracy (benchmarks/RESULTS.md) and prints its tables: python docs/figures/accuracy_study.py
 
-Needs Mitsuba (pip install 'conetl[simulate]') for the rendered cone. Names of parts (range, calibration, frames, sides, render)
+Needs Mitsuba (the extra `simulate`) for the rendered cone. Names of parts (range, calibration, frames, sides, render)
 make only those.
 """
 

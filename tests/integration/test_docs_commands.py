@@ -1,4 +1,4 @@
-"""Every command of README, tutorial and how-to pages is a valid command line, and runs unless another test runs it at length."""
+"""Every command of README and of the pages for users is a valid command line, and runs unless another test runs it at length."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ from tests.integration.small_drives import SAMPLES, cut_drive
 from tests.synthetic.world import ORIGIN_M
 from tests.unit.readers.test_rig_formats import kalibr_of
 
+FOLDERS = ("start", "tutorial", "record", "map", "operate", "help", "reference", "explanation")
 PAGES = (
     "README.md",
-    *sorted(str(p.relative_to(ROOT)) for f in ("tutorial", "how-to") for p in (ROOT / "docs" / f).glob("*.md")),
+    *(str(page.relative_to(ROOT)) for folder in FOLDERS for page in sorted((ROOT / "docs" / folder).glob("*.md"))),
 )
 #: Commands that take minutes, servers, or recordings of their own -> the test that runs them, and its words for it. The last two
 #: are tested as functions, not as commands: there is no small LiDAR drive, and the renderer is an extra.
@@ -59,6 +60,7 @@ ELSEWHERE = {
 #: What a reader puts in the place of the text -> what stands in the folder of this test.
 PLACES = {
     "path/to/drive": "drive",
+    "path/to/folder": "drive",
     "IMAGES": "images",
     "lanes.osm": "data/base/lane_boundaries.geojson",
     "survey.laz": "street.laz",
@@ -70,7 +72,7 @@ def commands_of(page: str) -> list[str]:
     found = []
     for language, body in re.findall(r"^```(\w*)\n(.*?)^```$", (ROOT / page).read_text(), re.DOTALL | re.MULTILINE):
         if language in ("", "bash", "sh"):
-            lines = [re.sub(r"\s+#.*| \[[^\]]*\]", "", line).strip() for line in body.splitlines()]
+            lines = [re.sub(r"\s+#.*| \[[^\]]*\]", "", line).strip() for line in body.replace("\\\n", " ").splitlines()]
             found += [line for line in lines if re.match(r"(\w+=\S+ )*(conetl|make) ", line + " ")]
     return found
 
@@ -113,7 +115,7 @@ def folder(tmp_path_factory, module_database_url):
     rig = read_drive(SAMPLES[0])[0].rig
     write_rig_yaml(rig, root / "rig.yaml")
     (root / "camchain.yaml").write_text(yaml.safe_dump(kalibr_of(rig)))
-    text = re.search(r"```yaml\n(publisher:.*?)```", (ROOT / "docs/how-to/work_zones.md").read_text(), re.DOTALL)
+    text = re.search(r"```yaml\n(publisher:.*?)```", (ROOT / "docs/map/work_zones.md").read_text(), re.DOTALL)
     assert text is not None
     (root / "feed.yaml").write_text(text[1])
     assert read_yaml_mapping(root / "feed.yaml", "feed")
@@ -129,7 +131,8 @@ def folder(tmp_path_factory, module_database_url):
             [("name", "easting_m", "northing_m", "height_m"), *((f"P{i}", *f.xyz_m) for i, f in enumerate(features))]
         )
     with (root / "cones.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([("easting_m", "northing_m"), *((f.xyz_m[0] + 40, f.xyz_m[1]) for f in features)])
+        others = [(f.xyz_m[0] + 40 + 3 * i, f.xyz_m[1]) for i, f in enumerate(features)]  # arranged otherwise
+        csv.writer(file).writerows([("easting_m", "northing_m"), *others])
     to_degrees = Transformer.from_crs(32632, 4326, always_xy=True)
     line = [to_degrees.transform(ORIGIN_M[0] + along_m, ORIGIN_M[1] + 2.0) for along_m in (-100.0, 200.0)]
     (root / "lanes.geojson").write_text(json.dumps({"type": "LineString", "coordinates": line}))
@@ -138,11 +141,11 @@ def folder(tmp_path_factory, module_database_url):
         {"id": ["8"], "from": ["2026-03-01T00:00Z"]}, geometry=[Point(9.0, 49.0)], crs=4326
     )
     permits.to_file(root / "permits.gpkg")
-    return root, module_database_url, str(features[0].feature_id)
+    return root, module_database_url, [str(f.feature_id) for f in features]
 
 
 def test_the_commands_run_in_the_order_of_the_pages(folder, monkeypatch, capsys):
-    root, url, feature = folder
+    root, url, features = folder
     monkeypatch.chdir(root)
     monkeypatch.setenv("CONETL_DATABASE_URL", url)
     assert said(monkeypatch, capsys, ["conetl", "map", "export", "--out", "cones.gpkg"])[0] == 0
@@ -161,7 +164,7 @@ def test_the_commands_run_in_the_order_of_the_pages(folder, monkeypatch, capsys)
             words = [PLACES.get(word, word) for word in words]
             if words[1:] == ["base", "import", "drive"]:
                 continue  # the sample drives have no LiDAR: test_base.py
-            words = filled_in(words, root, feature)
+            words = filled_in(words, root, features)
             code, text = said(monkeypatch, capsys, words)
             judges = (["map", "check-points"], ["report", "quality"])
             allowed = {0, 1} if words[1] in ("inspect", "locate") or words[1:3] in judges else {0}
@@ -173,11 +176,13 @@ def test_the_commands_run_in_the_order_of_the_pages(folder, monkeypatch, capsys)
     assert json.loads((root / "changes.geojson").read_text())["features"]
 
 
-def filled_in(words, root, feature):
+def filled_in(words, root, features):
     """A command with what a reader puts in for its example names."""
     match words[1:]:
-        case ["map", "suppress" | "pin" | "classify", "FEATURE", *_]:
-            words[3] = feature
+        case ["map", "pin" | "classify", "FEATURE", *_]:
+            words[3] = features[0]
+        case ["map", "suppress", "FEATURE", *_]:  # several pages: each another one
+            words[3] = features.pop()
         case ["map", "delete", *_]:
             words.append("--yes")
         case ["map", "restore", _]:

@@ -11,7 +11,7 @@ import shapely
 import shapely.ops
 
 from conetl.db.connection import execute
-from conetl.exports.wzdx import schema_faults
+from conetl.exports.wzdx import SOURCES, schema_faults
 from conetl.model.base import utc_from_ns
 from conetl.pipeline.maps.work_zones import export_zones
 from conetl.readers.plans.datex2 import read_datex2
@@ -25,6 +25,10 @@ def feed_of(conetl, path, *options, kind="wzdx"):
     conetl("map", "export", "--format", kind, "--out", path, *FEED, *options)
     document = json.loads(path.read_text())
     assert schema_faults(document, "WorkZoneFeed" if kind == "wzdx" else "DeviceFeed") == []
+    if kind == "wzdx":  # the documentation is made from SOURCES
+        for event in document["features"]:
+            named = {*event, *event["properties"], *event["properties"]["core_details"]}
+            assert named - {"type", "properties", "core_details"} <= SOURCES.keys()
     return document
 
 

@@ -18,4 +18,4 @@ def test_every_table_view_and_function_is_in_the_reference(conn):
     found = {(row["kind"], row["name"]): row["text"] for row in execute(conn, _IN_DATABASE)}
     assert found == {key: text for key, text in schema_comments().items() if key[0] in ("table", "view", "function")}
     page = schema_as_markdown()
-    assert all(f"| `{name}` | {plain(text)} |" in page for (_, name), text in found.items())
+    assert all(f"- `{name}`: {plain(text)}\n" in page for (_, name), text in found.items())

@@ -24,7 +24,7 @@ def test_no_folder_has_more_than_20_modules() -> None:
 
 def test_architecture_names_every_package() -> None:
     packages = sorted(path.parent.name for path in (ROOT / "src/conetl").glob("*/__init__.py"))
-    drawing, page = (ROOT / "docs" / name for name in ("images/architecture.svg", "explanation/architecture.md"))
+    drawing, page = (ROOT / "docs" / name for name in ("images/architecture.svg", "dev/architecture.md"))
     drawn = ", ".join(re.findall('font-weight="bold">([^<]+)<', drawing.read_text())).split(", ")
     listed = re.findall("`([^`]+)`", "".join(re.findall(r"^\| (`[^|]+) \|", page.read_text(), re.MULTILINE)))
     assert sorted(drawn) == sorted(listed) == sorted([*packages, "flows/"])

@@ -163,10 +163,10 @@ def named(objects: list[dict[str, Any]], kind: str, name: str) -> dict[str, Any]
 
 
 def test_pods_reach_what_their_settings_name() -> None:
-    """Database, object storage of AWS and of MinIO as docs/how-to/runners.md names it, a Dask scheduler, Prefect."""
+    """Database, object storage of AWS and of MinIO as docs/operate/deploy.md names it, a Dask scheduler, Prefect."""
     rules = named(render(BASE), "NetworkPolicy", "conetl")["spec"]["egress"]
     anywhere = {port["port"] for rule in rules if "to" not in rule for port in rule["ports"]}
-    text = (ROOT / "docs/how-to/runners.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/operate/deploy.md").read_text(encoding="utf-8")
     minio = re.findall(r"AWS_ENDPOINT_URL=https://[\w.]+:(\d+)", text)
     dask = re.findall(r"CONETL_DASK_ADDRESS=tcp://[\w.]+:(\d+)", text)
     assert len(minio) > 0
@@ -217,7 +217,7 @@ def test_the_hook_before_a_stop_waits_for_the_process_of_a_run() -> None:
 
 
 def test_workers_may_be_allowed_to_read_object_storage() -> None:
-    for name in ("compose.yaml", "deploy/kubernetes/settings.yaml", "docs/how-to/deploy.md"):
+    for name in ("compose.yaml", "deploy/kubernetes/settings.yaml", "docs/operate/deploy.md"):
         text = (ROOT / name).read_text(encoding="utf-8")
         (roots, *_) = re.findall(r"/drives,s3://[\w/]+", text)
         Settings(drive_roots=roots).require_readable(as_path("s3://bucket/drives/2026-03-02"))

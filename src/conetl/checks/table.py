@@ -11,15 +11,22 @@ from conetl.model.params import IngestParams
 
 GROUPS: dict[str, tuple[Check, ...]] = {"images": images.CHECKS, "log": log.CHECKS, "map": map.CHECKS}
 TABLE: dict[str, Check] = {check.name: check for group in GROUPS.values() for check in group}
-_HEADER = "| check | measured | needs | beyond the limit | effect on positions |\n|---|---|---|---|---|"
 
 
 def as_markdown(group: str) -> str:
-    """A table of the checks of a group, with the limits of the default parameters."""
+    """The checks of a group, with the limits of the default parameters: a heading and a list for each."""
     params = IngestParams()
     named: dict[str, Any] = {**dict(params.check), "agreement": params.reconcile.agreement}
-    rows = [[row.name, row.measured, row.observable, _beyond(row, params.check), row.effect] for row in GROUPS[group]]
-    return "\n".join([_HEADER, *(f"| {' | '.join(cells)} |".format_map(named) for cells in rows)])
+    return "\n".join(_described(row, params.check).format_map(named) for row in GROUPS[group])
+
+
+def _described(row: Check, params: CheckParams) -> str:
+    """A check in Markdown; names of parameters in braces."""
+    facts = {"Needs": row.observable, "Limit": _beyond(row, params), "Effect on positions": row.effect}
+    lines = [f"- **{name}:** {text}" for name, text in facts.items()]
+    if row.remedy:
+        lines.append(f"- **What to do:** {row.remedy}")
+    return "\n".join([f"### {row.name}", "", f"{row.measured[:1].upper()}{row.measured[1:]}.", "", *lines, ""])
 
 
 def _beyond(row: Check, params: CheckParams) -> str:

@@ -177,7 +177,7 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
         },
     ),
     "user": (
-        "Logins of people for the web view, and what they may do there.",
+        "Logins of people for the map viewer, and what they may do there.",
         {
             "add": ("user:add", '"Ada Mayer" --role review'),
             "list": ("user:users", ""),

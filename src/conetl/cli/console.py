@@ -33,7 +33,7 @@ from conetl.model.health import HealthCheck, HeldDrive, HoldEvent, Verdict, hold
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output.")]
 ParamsOption = Annotated[
-    Path | None, typer.Option("--params", help="YAML file of parameters; they are listed in docs/reference/api.md.")
+    Path | None, typer.Option("--params", help="YAML file of parameters; module conetl.model.params lists them.")
 ]
 MapSridOption = Annotated[
     int | None, typer.Option("--map-srid", min=1, help="EPSG code of the map; default: the drive's UTM zone.")
@@ -74,7 +74,7 @@ DecisionsOption = Annotated[
     bool,
     typer.Option(
         "--decisions",
-        help="Enable decisions in the web view (suppress, pin, revert). They require the writer token, which is created in "
+        help="Enable decisions in the map viewer (suppress, pin, revert). They require the writer token, which is created in "
         "CONETL_HOME.",
     ),
 ]

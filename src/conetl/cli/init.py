@@ -128,7 +128,7 @@ def _given(root: Path, texts: Sequence[str]) -> dict[str, Any]:
             raise InputError(f"--set {shown(text)}: expected KEY=VALUE, like images.every=2")
         if not template.is_key(key):
             near = template.similar_keys(key)
-            hint = f"did you mean {' or '.join(near)}?" if near else "they are listed in docs/reference/drives.md"
+            hint = f"did you mean {' or '.join(near)}?" if near else "they are listed in docs/reference/drive_yaml.md"
             raise InputError(f"--set {key}: {DRIVE_YAML} has no such key; {hint}")
         given[key] = (value or None) if is_text(key) else parse_yaml(f"--set {key}", value)
         if key in FILE_KEYS and isinstance(given[key], str):

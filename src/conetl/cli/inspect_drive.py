@@ -24,7 +24,7 @@ from conetl.readers.drives.header import remarks_of
 from conetl.readers.drives.summary import DriveSummary, summarise
 from conetl.reports.html import render, write_page
 
-#: Processor seconds of one `conetl ingest`, measured (docs/reference/drives.md): at the start, and per million pixels of both
+#: Processor seconds of one `conetl ingest`, measured (benchmarks/RESULTS.md): at the start, and per million pixels of both
 #: images.
 START_CPU_S = 28.0
 CPU_S_PER_MEGAPIXEL = 0.33

@@ -56,7 +56,7 @@ def up(
         typer.Option(help="Address that Prefect listens on. To open it to other machines, put a TLS proxy in front."),
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=1, max=65535, help="Port of Prefect.")] = 4200,
-    view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the web view, on 127.0.0.1.")] = 8791,
+    view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the map viewer, on 127.0.0.1.")] = 8791,
     decisions: DecisionsOption = False,
     group: Annotated[
         str | None,
@@ -65,7 +65,7 @@ def up(
     map_name: MapOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Start all services: PostGIS, Prefect, workers, scheduled deployments and the web view.
+    """Start all services: PostGIS, Prefect, workers, scheduled deployments and the map viewer.
 
     Leaves running services as they are, starts missing ones and resumes crashed runs. `conetl down` stops them and keeps maps,
     schedules and the history of runs.
@@ -79,7 +79,7 @@ def up(
         if "prefect" not in services:
             processes.free_port(host, port, "Prefect", "--port").close()
         if "view" not in services:
-            processes.free_port("127.0.0.1", view_port, "the web view", "--view-port").close()
+            processes.free_port("127.0.0.1", view_port, "the map viewer", "--view-port").close()
         show("Starting PostGIS")
         with MapDatabase(settings) as database:
             url = database.url

@@ -1,4 +1,4 @@
-"""`conetl user add|list|remove`: who may log in to the web view, and what they may do there."""
+"""`conetl user add|list|remove`: who may log in to the map viewer, and what they may do there."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ def add(
     ] = "read",
     as_json: ui.JsonOption = False,
 ) -> None:
-    """Create a login for the web view, and print its token, which is stored nowhere."""
+    """Create a login for the map viewer, and print its token, which is stored nowhere."""
     token = add_person(read_settings().home, name, role).get_secret_value()
     facts = {"name": name, "role": role, "token": token}
     ui.answer(
-        as_json, facts, f"{name} ({role}) logs in to the web view with this token; it is not shown again:\n{token}"
+        as_json, facts, f"{name} ({role}) logs in to the map viewer with this token; it is not shown again:\n{token}"
     )
 
 
 def users(as_json: ui.JsonOption = False) -> None:
-    """List who may log in to the web view by name."""
+    """List who may log in to the map viewer by name."""
     found = [{"name": one.name, "role": one.role} for one in read_people(read_settings().home)]
     if as_json:
         ui.print_json(found)

@@ -71,7 +71,7 @@ def view(
             note(str(error))
     writer = decision_writer(settings, url, on_request=decisions, token_file=writer_token_file)
     token = view_token(settings.home) if login else None
-    with closing(free_port("127.0.0.1", port, "the web view", "--port")) as listener:
+    with closing(free_port("127.0.0.1", port, "the map viewer", "--port")) as listener:
         server: uvicorn.Server | None = None
         app = create_app(
             url, settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,

@@ -1,6 +1,6 @@
 """Work zones as DATEX II 3.7: a SituationPublication with one situation of road works per zone.
 
-docs/how-to/work_zones.md describes the source of every field. Elements stand in the order of the schema, which the programme does
+docs/reference/wzdx.md describes the source of every field. Elements stand in the order of the schema, which the programme does
 not allow to ship: the tests validate what is written.
 """
 

@@ -1,7 +1,7 @@
 """Work zones as WZDx 4.2 feeds (USDOT): WorkZoneFeed, and DeviceFeed with a location marker per cone.
 
-docs/how-to/work_zones.md describes the source of every field. A document is checked against the published schemas, which are
-shipped, before its file is written.
+`SOURCES` has the source of every field, as docs/reference/wzdx.md shows it. A document is checked against the published schemas,
+which are shipped, before its file is written.
 """
 
 from __future__ import annotations
@@ -39,6 +39,41 @@ _CC0 = "https://creativecommons.org/publicdomain/zero/1.0/"
 _SCHEMAS = Path(__file__).with_name("wzdx_schemas")
 _formats = FormatChecker(formats=("email", "date-time"))
 Object = dict[str, Any]
+#: Field of a road event -> where its value comes from; docs/reference/wzdx.md is made from it.
+SOURCES = {
+    "id": "A UUID of the map's name, the zone's first cone and the first changeset with the zone. A late "
+    "drive may change it.",
+    "geometry": "A line through the row from the first to the last cone, in the direction of travel, with "
+    "ellipsoidal heights.",
+    "bbox": "Of the line.",
+    "event_type": "`work-zone`.",
+    "data_source_id": "`data_source_id` of `--feed`; default: made from publisher and map.",
+    "related_road_events": "The zone that this one became part of.",
+    "road_names": "`--road-name`.",
+    "direction": "`direction` of `--feed`, otherwise the quadrant of the true bearing from the first to the last cone.",
+    "description": "What conetl knows of the zone, and when a drive last observed a cone of it.",
+    "creation_date": "As start_date.",
+    "update_date": "Time of the feed: consumers skip events whose date they know.",
+    "start_date": "When a drive first observed the first cone. The work may have begun earlier.",
+    "end_date": "Of completed zones when a drive observed that the last cone was gone. The schema requires an "
+    "end: of active zones it is the feed's time plus 24 h, or the expiry of the survey (`--max-age`) "
+    "if that is earlier.",
+    "is_start_date_verified": "True: a vehicle observed the devices.",
+    "is_end_date_verified": "True if a drive observed that the cones were gone; false if the zone became part of another.",
+    "is_start_position_verified": "Direction known, sigma of the first cone at most 0.5 m in its worst direction, existence "
+    "probability at least 0.9, survey not expired.",
+    "is_end_position_verified": "The same of the last cone.",
+    "work_zone_type": "`static`.",
+    "event_status": "`active`, or `completed` for 14 days. Absent if the last survey has expired (7 days): the end is"
+    " then in the past.",
+    "vehicle_impact": "With lane lines `some-lanes-closed` where a cone leaves less than 2.5 m of a lane, `all-lanes-"
+    "open` where the row enters no lane. Without them `some-lanes-closed` for a converging taper at "
+    "least 2.8 m wide. Both by more than two sigmas; otherwise, or if the survey has expired, "
+    "`unknown`. `-merge-left` and `-merge-right` only with a converging taper and where no drive came"
+    " the other way.",
+    "location_method": "`channel-device-method`.",
+    "conetl": "Foreign member: last survey, first and last cone, all cones, sigmas, closed side, tapers, drives.",
+}
 
 
 def export_work_zone_feed(

@@ -1,6 +1,6 @@
 """What all feeds of work zones share: the publisher's description, the state of a zone at the feed's time, texts, directions.
 
-docs/how-to/work_zones.md describes the source of every field.
+docs/reference/wzdx.md describes the source of every field.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def read_feed_info(path: Path | None, required: Sequence[str] = ("publisher", "r
     if missing:
         raise InputError(
             f"{name}: the format requires {' and '.join(missing)}: use {' and '.join(_OPTIONS[key] for key in missing)}, or a "
-            "YAML file with --feed (its keys are in docs/how-to/work_zones.md)"
+            "YAML file with --feed (its keys are in docs/map/work_zones.md)"
         )
     return validated(values, FeedInfo, name)
 

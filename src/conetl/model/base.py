@@ -46,7 +46,9 @@ class GeodeticPosition(Record):
     """A position of WGS 84."""
 
     lat_deg: Latitude
+    """Latitude."""
     lon_deg: Longitude
+    """Longitude."""
     height_m: Height
     """Above the ellipsoid."""
 

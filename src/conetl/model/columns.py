@@ -71,7 +71,8 @@ _NO_LINE, _NO_POINT = "of a lane marking", "of a point object"
 #: In the order of files.
 COLUMNS = (
     FeatureColumn(
-        "feature_id", "uuid", "", "Feature", "The object: a UUID, the same in all its versions, files and services.",
+        "feature_id", "uuid", "", "Feature",
+        "The object: a UUID, the same in all files and services. A late drive that observed the object earlier changes it.",
         shown=EVERYWHERE, heading="feature",
     ),
     FeatureColumn(
@@ -174,8 +175,8 @@ COLUMNS = (
     ),
     FeatureColumn(
         "change", "text", "", "Change",
-        "What the drive did to the object; in changes, how the later state differs from the earlier one. `missed`: visible, not "
-        "observed, still on the map.", shown=Face.HISTORY | Face.CHANGE | Face.OGC, words=_CHANGES, heading="change",
+        "What the drive did; in changes, how the later state differs. `missed`: visible, not observed.",
+        shown=Face.HISTORY | Face.CHANGE | Face.OGC, words=_CHANGES, heading="change",
     ),
     _time("changed_at", "Changed", "Instant of the change on the road.", shown=Face.CHANGE, heading="on the road since (UTC)"),
     _number(

@@ -1,7 +1,7 @@
 """Parameters of every step: frozen, units in the names; their hash becomes part of the changeset.
 
 Nothing here is read from the environment (see `pipeline/settings.py`). The defaults were chosen on the sample drives and one
-real street (docs/explanation/decisions.md).
+real street (benchmarks/RESULTS.md).
 """
 
 from __future__ import annotations
@@ -252,7 +252,7 @@ class TrajectoryParams(Params):
     """Like `corners_per_cell`, for these points, because spans are few."""
     self_calibration_prior_px: Positive = 0.7
     """Sigma of a calibration that states none: of a shift of disparities and of rows, and, at the image's side, of rows by a tilt
-    and of disparities by a bend. Root mean square of what KITTI's two calibrations are off (docs/reference/uncertainty.md)."""
+    and of disparities by a bend. Root mean square of what KITTI's two calibrations are off (benchmarks/RESULTS.md)."""
     self_calibration_sigma_floor_px: Positive = 0.05
     """Added to the sigma of each of these from the spans: errors of lenses and focal lengths are not turns of a camera."""
     self_calibration_least_px: Positive = 0.1

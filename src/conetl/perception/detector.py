@@ -34,7 +34,7 @@ LARGE_CONE_PX = 48.0
 #: three US streets left out of training it finds 5 more of 281 cones at score 0.3, with 3 more false boxes in 96 images.
 SMALL_OBJECTS_OF_SINGLE_FROM_SCORE = 0.1
 #: Margin around a searched part, in pixels of the network's input: boxes then differ from those of the whole image by 0.08 px in
-#: the median (docs/explanation/decisions/detector.md).
+#: the median (benchmarks/RESULTS.md).
 CONTEXT_PX = 64.0
 #: Images in one run of the network. It returns its best cells of all of them together: with about twenty images the weaker ones
 #: begin to lose theirs.

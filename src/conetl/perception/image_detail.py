@@ -2,7 +2,7 @@
 
 The measure is the standard deviation of what is finer than about 25 pixels, in grey levels, at a quarter of the resolution (where
 noise of single pixels is averaged away), in the median over squares of 32 pixels. Images of the sample drives and of a real
-street have 7.7 and more (docs/explanation/changes.md has what degraded ones have, and what the detector finds in them).
+street have 7.7 and more (benchmarks/RESULTS.md has what degraded ones have, and what the detector finds in them).
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ _ULTRALYTICS_LAYOUT = "RGB float32 NCHW 0..1"
 #: Warning for a model without `evidence` in its sidecar.
 NOT_MEASURED = (
     "the model's sidecar does not state what its scores mean (key `evidence`), so existence probabilities use default values; "
-    "training/calibrate_scores.py measures it (docs/how-to/models.md)"
+    "training/calibrate_scores.py measures it (docs/map/models.md)"
 )
 
 

@@ -39,7 +39,7 @@ _SIGMA_BOUNDS = (0.5, 2.0)
 _HUBER_SIGMAS, _ROBUST_ROUNDS = 3.0, 4
 _MAX_ITERATIONS, _CONVERGED = 50, 1e-3
 #: A residual of more of its own sigmas is a gross error: with 3.3 (Baarda 1968) those of good boxes count too, and the sigmas of
-#: single positions get too large (docs/explanation/decisions/geometry.md). With a smaller share of redundancy it proves nothing,
+#: single positions get too large (benchmarks/RESULTS.md). With a smaller share of redundancy it proves nothing,
 #: and of two observations either may be wrong.
 _LARGEST_RATIO, _LEAST_REDUNDANCY, _LEAST_COMPARED = 5.0, 0.05, 3
 #: Frame pairs of one track that are used: the time grows with their third power, and a vehicle may wait beside a cone.

@@ -15,7 +15,8 @@ from conetl.db.serve_store import Head, read_heads
 from conetl.model.errors import DatabaseError
 from conetl.web.parameters import MapName
 
-#: Period at which streams look for something new, and whether the server stops.
+#: Period at which streams look for something new, and whether the server stops. LISTEN would need a connection of its own, and a
+#: pooler may drop notifications.
 ROUND_S = 0.5
 PING_S = 15.0
 MAX_STREAMS = 64

@@ -533,7 +533,7 @@ def test_a_drive_yaml_with_places_for_what_is_missing_can_be_completed(
     [
         ("start=noon", "--set start: drive.yaml has no such key; did you mean images.start?"),
         ("mount.foward_m=1", "did you mean mount.forward_m?"),
-        ("colour=red", "drive.yaml has no such key; they are listed in docs/reference/drives.md"),
+        ("colour=red", "drive.yaml has no such key; they are listed in docs/reference/drive_yaml.md"),
         ("=red", "--set '=red': expected KEY=VALUE, like images.every=2"),
         ("images.every=two", "--set: images.every: expected a whole number, found 'two'"),
         ("images.layout=noon", "--set: images.layout: expected 'left-right', 'right-left'"),

@@ -66,7 +66,7 @@ def choose_install(installs: Iterable[PostgresInstall], *, data_major: int | Non
         raise DatabaseError(
             f"The map's data were created by PostgreSQL {data_major}, but PostgreSQL {data_major} with PostGIS is not "
             f"installed: run `sudo apt-get install postgresql-{data_major}-postgis-3`, restore a backup into a new cluster "
-            f"(docs/how-to/maintenance.md), {OWN_DATABASE_HINT}."
+            f"(docs/operate/maintenance.md), {OWN_DATABASE_HINT}."
         )
     if usable:
         return usable[0]

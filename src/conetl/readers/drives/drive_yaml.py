@@ -29,7 +29,9 @@ class Cameras(Record):
     """Folders of the left and the right rectified camera; the number links them to the calibration."""
 
     left: str = Field(default="image_02", pattern=r"^image_0[0-9]$")
+    """Folder of the left camera."""
     right: str = Field(default="image_03", pattern=r"^image_0[0-9]$")
+    """Folder of the right camera."""
 
 
 class Sigmas(Record):
@@ -44,11 +46,14 @@ class Sigmas(Record):
     vertical_m: Positive | None = None
     """Default: 1.5 times the horizontal one."""
     roll_deg: Positive = 0.05
+    """Of the attitude, as are the next two; the mount included."""
     pitch_deg: Positive = setting(
         "1 if the angles of the mount were estimated by eye; so are yaw_deg, roll_deg.", 1, default=0.05
     )
     yaw_deg: Positive = 0.15
+    """Of the heading."""
     image_px: Positive = 0.5
+    """Of an image point; replaces sigma_px of rig.yaml."""
 
 
 class Georeference(GeodeticPosition):
@@ -57,21 +62,26 @@ class Georeference(GeodeticPosition):
     heading_deg: float = Field(ge=-360, le=360)
     """Direction of the frame's x axis, clockwise from true north; 90 where it points east."""
     roll_deg: float = Field(default=0.0, ge=-90, le=90)
-    """Of a frame that is not level: positive with its left side (y) up ..."""
+    """Of a frame that is not level: positive with its left side (y) up."""
     pitch_deg: float = Field(default=0.0, ge=-90, le=90)
-    """... and with its front (x) down."""
+    """Of such a frame: positive with its front (x) down."""
 
 
 class Streams(Record):
     """Topics of a bag or folders of a EuRoC recording, where their types and names are ambiguous."""
 
     left: str | None = Field(default=None, min_length=1)
+    """Images of the left camera."""
     right: str | None = Field(default=None, min_length=1)
+    """Images of the right camera."""
     trajectory: str | None = Field(default=None, min_length=1)
     """NavSatFix or Odometry topic; folder beside cam0."""
     imu: str | None = Field(default=None, min_length=1)
+    """Imu topic, with the attitudes."""
     left_info: str | None = Field(default=None, min_length=1)
+    """CameraInfo topic of the left camera."""
     right_info: str | None = Field(default=None, min_length=1)
+    """CameraInfo topic of the right camera."""
 
 
 class Images(Record):
@@ -157,6 +167,7 @@ class CameraShutter(Record):
         le=MAX_READOUT_MS,
     )
     readout_sigma_ms: NonNegative | None = None
+    """Standard deviation of readout_ms; above 0 the images may improve the stated value."""
     stamp_row: StampRow | None = setting(
         "The row that the times of the images belong to: first, middle or last.", "first"
     )
@@ -189,6 +200,7 @@ class ControlPoints(Record):
     file: str = Field(min_length=1, max_length=1000)
     """CSV, GeoJSON, GeoPackage, FlatGeobuf or GeoParquet inside the drive folder."""
     crs: str | None = Field(default=None, min_length=1, max_length=10_000)
+    """Of the points, where the file states none, as any text that PROJ knows."""
     heights: str | None = Field(default=None, min_length=1, max_length=10_000)
     """As for a trajectory; default ellipsoidal."""
     sigma_m: Positive | None = None
@@ -205,9 +217,11 @@ class DriveYaml(Record):
 
     drive_id: str | None = setting("Default: the name of the folder.", "morning-run", min_length=1, max_length=200)
     rig_id: str | None = Field(default=None, min_length=1)
+    """Name of the rig. Default: a hash over the numbers of its calibration."""
     pair: tuple[str, str] | None = None
     """Left and right of the cameras of a rig.yaml with more than two."""
     map_srid: int | None = Field(default=None, gt=0, lt=1_000_000)
+    """EPSG code of a new map. Default: the UTM zone of its first drive."""
     timestamps_timezone: Annotated[str, AfterValidator(known_zone)] = setting(
         "Time zone of times of images without an offset.", "Europe/Berlin", default="UTC"
     )
@@ -240,7 +254,7 @@ class DriveYaml(Record):
     pair_tolerance_ms: float = Field(default=5.0, gt=0, le=60_000)
     """Left and right images farther apart in time are not a pair. (KITTI's own are up to 0.65 ms apart.)"""
     max_pose_gap_s: float | None = Field(default=None, gt=0, le=3600)
-    """Poses farther apart in time are not interpolated: 0.5 s, of trajectories with fewer records see `sparse_poses.py`."""
+    """Poses farther apart in time are not interpolated. Default: 0.5 s; 2.5 times the interval of sparse records, up to 5 s."""
     antenna_t_m: tuple[Metres, Metres, Metres] | None = None
     """The GNSS antenna in the frame of the attitudes (of bags the IMU's, where /tf_static has none); 0, 0, 0 if the positions are
     those of its origin."""

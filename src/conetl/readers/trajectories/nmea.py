@@ -2,7 +2,7 @@
 
 Sentences with the same time of day are one epoch, whatever their order and talkers. HDT and THS have no time: each belongs to the
 epoch before or after it, which `_placed` finds for the whole log. Height = altitude above the sea + geoid separation.
-Sentences without a valid checksum are not used, unless the log has none. (Without pynmeagps: docs/explanation/decisions.md.)
+Sentences without a valid checksum are not used, unless the log has none. (Without pynmeagps: docs/dev/decisions.md.)
 """
 
 from __future__ import annotations

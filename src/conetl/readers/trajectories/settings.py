@@ -35,16 +35,18 @@ class TrajectoryFile(Record):
         "The GNSS/INS log: a file in the drive folder.", "rover.pos", min_length=1, max_length=1000
     )
     format: FormatName | None = None
+    """Format of the file, if it is not recognised."""
     columns: dict[str, str | int] = setting(
         "Which columns of a table contain what, by their names or numbers from 1.",
         {"time": "Zeit", "lat": "B", "lon": "L", "height": "H", "roll": "R", "pitch": "P", "heading": "K"},
         default={},
         max_length=50,
     )
-    """By our names for them (`tables.ROLES`)."""
+    """By conetl's names of them (`tables.ROLES`)."""
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
     """Tables: comma, semicolon, tab, or a space for any white space."""
     decimal: Literal[".", ","] | None = None
+    """Tables: the decimal separator."""
     time: str | None = setting("Time system: utc, gps or a time zone.", "Europe/Berlin", max_length=100)
     week: int | None = Field(default=None, ge=0, lt=10_000)
     """GPS week, without rollover, of a file whose times are seconds of a week."""
@@ -59,10 +61,11 @@ class TrajectoryFile(Record):
         max_length=10_000,
     )
     frame: str | None = Field(default=None, min_length=1, max_length=100)
-    """Dynamic frame of the positions at the times of the records, such as ITRF2020 ..."""
+    """Dynamic frame of the positions at the times of the records, such as ITRF2020."""
     map_frame: str | None = Field(default=None, min_length=1, max_length=100)
-    """... and that of the map's coordinates, such as ETRF2000; without both they are taken as the same."""
+    """Frame of the map's coordinates, such as ETRF2000; without both keys the two are taken as the same."""
     angles: Literal["degrees", "radians"] | None = None
+    """Tables: unit of the angles, if the names of the columns do not state it."""
 
     @field_validator("time")
     @classmethod

@@ -17,7 +17,7 @@ _NEIGHBOURS = 5.0
 #: Largest distance of correlated neighbours, in pixels.
 _REACH_PX = 5
 #: Sigma of the disparity common to all observations of one cone: its shape differs from a body of revolution. Measured as
-#: scatter of the cones' mean disparities beyond noise on the sample drives (docs/explanation/accuracy.md).
+#: scatter of the cones' mean disparities beyond noise on the sample drives (benchmarks/RESULTS.md).
 SHARED_DISPARITY_PX = 0.02
 #: Sigma of a further part, as a share of that of the matching. Measured as correlation between the errors of successive frames
 #: and as scatter of the objects' mean errors, on the sample drives and mixed worlds 4 and 5.

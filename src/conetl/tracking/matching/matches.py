@@ -43,7 +43,7 @@ _EDGE_SIGMA_PX = 0.6
 _EDGE_SIGMA_SHARE = 0.025
 #: Sigma of the network's foot, and of the edges of plates, which are what is located: a floor (px), a share of the box's height
 #: or width, and a term divided by the height (px^2). Across the rows in each image, along the rows in both equally, and common to
-#: all observations of one cone. Measured on the sample drives (docs/explanation/accuracy.md).
+#: all observations of one cone. Measured on the sample drives (benchmarks/RESULTS.md).
 _FOOT_ACROSS, _FOOT_ALONG, _FOOT_OF_CONE = (0.8, 0.010, 11.0), (0.5, 0.007, 6.0), (0.2, 0.003, 2.0)
 #: Share of the box's width by which a foot is off along the rows if a nearer object hides the whole lower half. Measured on
 #: the sample drives and mixed worlds 4 and 5.

@@ -27,7 +27,7 @@ _ELLIPSE = 0.36
 _ROWS = (0.04, 0.75)
 #: The part of a board whose mean colours are compared, as shares of the box; sigma of the box's edges, as a share of its height;
 #: pixels on both sides of the largest change that belong to it. Chosen on eight rendered drives
-#: (docs/explanation/accuracy.md).
+#: (benchmarks/RESULTS.md).
 _INNER, _EDGE_SHARE, _BLUR_PX = (0.2, 0.8), 0.06, 2
 
 

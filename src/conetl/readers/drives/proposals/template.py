@@ -26,7 +26,7 @@ from conetl.readers.trajectories.recorded import RecordedTrajectory
 RIG = "rig"
 _MARK = "# How conetl reads this drive, written by 'conetl init'"
 _HEADER = f"""{_MARK}.
-# A key without a value is as if it were not there. All keys: docs/reference/drives.md
+# A key without a value is as if it were not there. All keys: docs/reference/drive_yaml.md
 """
 _HOW_TO_COMPLETE = "# Write the values that are NEEDED behind their keys, and run 'conetl init' again.\n"
 #: Sections in their order, with keys that are shown as comments where they are not stated.
