@@ -178,6 +178,8 @@ def prefect_environment(home: Path) -> dict[str, str]:
         # States of task runs are written together, once a second: one by one they cost as much as everything else.
         "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_BATCH_SIZE": "100",
         "PREFECT_SERVER_SERVICES_TASK_RUN_RECORDER_FLUSH_INTERVAL": "1",
+        # Runs with their logs and artifacts go after 90 days: a drive leaves 1 MB of them, and the map has its own receipts.
+        "PREFECT_SERVER_SERVICES_DB_VACUUM_ENABLED": "events,flow_runs",
     }
     # The name in lower case takes precedence where a program reads both.
     direct = [os.environ.get("no_proxy") or os.environ.get("NO_PROXY", ""), "localhost", "127.0.0.1"]

@@ -77,3 +77,13 @@ def test_what_conetl_logs_is_among_the_logs_of_its_runs(tmp_path: Path) -> None:
     environment = os.environ | prefect_environment(tmp_path)
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert done.stdout == "True True\n"
+
+
+def test_runs_with_their_logs_and_artifacts_do_not_stay_for_ever(tmp_path: Path) -> None:
+    code = """if True:
+        from prefect.settings import get_current_settings
+        vacuum = get_current_settings().server.services.db_vacuum
+        print(sorted(vacuum.enabled_vacuum_types), vacuum.retention_period.days)"""
+    environment = os.environ | prefect_environment(tmp_path)
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout == "['events', 'flow_runs', 'orphans'] 90\n"
