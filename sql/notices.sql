@@ -19,16 +19,7 @@ left join conetl.notice_round r using (map_id)
 cross join lateral (
     select exists (select from conetl.plan p where p.map_id = m.map_id and upper_inf(p.system_period)) as has_plans
 ) plans
-cross join lateral (
-    select greatest(
-        m.created_at,
-        (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id),
-        (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id),
-        (select max(greatest(lower(p.system_period), case when not upper_inf(p.system_period) then upper(p.system_period) end))
-         from conetl.plan p where p.map_id = m.map_id),
-        (select max(v.decided_at) from conetl.plan_verdict v where v.map_id = m.map_id)
-    ) as at
-) newest
+cross join lateral (select conetl.newest_write(m.map_id) as at) newest
 where m.map_id = %(map_id)s;
 
 -- name: write_round

@@ -22,7 +22,6 @@ from conetl.geometry.geodesy import to_geodetic
 from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.notices import Notice, Subject
-from conetl.model.planned_zones import DifferenceKind
 from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import WorkZone
 from conetl.pipeline.maps.planned_zones import compare_with_plans
@@ -112,7 +111,7 @@ def record_notices(conn: Connection, *, map_name: str) -> int:
            for zone in read_zones(conn, map_name=map_name, as_of=None, lanes=None, params=params).zones}  # fmt: skip
     rows = compare_with_plans(conn, map_name=map_name).rows if due["has_plans"] else []
     for row in rows:
-        if row.difference.kind not in (DifferenceKind.PERMITTED, DifferenceKind.NOT_LOOKED):
+        if row.rank is not None:
             now[Subject("plan_difference", row.difference.difference_id)] = _as_json(row.flat() | {"end": None})
     oldest = utc_from_ns(ns_from_utc(due["newest"]) - int(params.keep_ended_days * 86400e9)).isoformat()
     with map_transaction(conn, map_name):  # two that record at the same time see each other's notices
