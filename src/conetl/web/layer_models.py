@@ -70,6 +70,7 @@ class SeenFrame(Record):
     drive_uuid: UUID
     drive_id: str
     frame_index: int
+    at: datetime
 
 
 class DifferenceRow(Record):
@@ -92,6 +93,9 @@ class DifferenceRow(Record):
     planned_until: datetime | None
     looked_at: datetime | None
     """When a drive last passed it."""
+    span_from: datetime | None
+    """When the zone stood, as far as drives know, else when it was planned; null: open."""
+    span_until: datetime | None
     rank: int | None
     """1: the worst."""
     last_night: bool
@@ -102,6 +106,7 @@ class DifferenceRow(Record):
     """Middle of the zone, else of the plan; z is null where no zone was found."""
     y_m: float
     z_m: float | None
+    radius_m: float
     frames: list[SeenFrame]
     """Of the last pass that found the zone, or looked, and of the first one."""
     zone_ring_m: list[float]

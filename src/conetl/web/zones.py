@@ -20,7 +20,6 @@ from conetl.db.map.notice_store import round_due
 from conetl.db.reader_pool import ReaderPool
 from conetl.model.base import Record, Vec3, utc_from_ns
 from conetl.model.errors import ConflictError, DatabaseError, InputError
-from conetl.model.planned_zones import Sight
 from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import WorkZone
 from conetl.pipeline.maps.planned_zones import PlanComparison, PlanRow, compare_with_plans, judge
@@ -160,23 +159,24 @@ def judge_difference(
 def _row(row: PlanRow, plan: PlacedPlan | None, zone: WorkZone | None, origin: Vec3) -> m.DifferenceRow:
     one = row.difference
     height_m = float(np.median(zone.line_m[:, 2])) if zone is not None else None
-    seen = dict.fromkeys(_frame(sight) for sight in (one.last, one.first) if sight is not None)
+    seen = {
+        sight.drive_uuid: sight for sight in (one.first, one.last) if sight is not None and sight.drive_uuid is not None
+    }
     return m.DifferenceRow(
         **{name: getattr(one, name) for name in m.DifferenceRow.model_fields if name in type(one).model_fields},
         **{name: getattr(row, name) for name in m.DifferenceRow.model_fields if name in type(row).model_fields},
-        feature_id=None if zone is None else zone.first.feature_id, looked_at=one.looked_at,
+        feature_id=None if zone is None else zone.first.feature_id,
+        looked_at=one.looked_at, span_from=one.span[0], span_until=one.span[1],
         x_m=round(one.xy_m[0] - origin[0], 2), y_m=round(one.xy_m[1] - origin[1], 2),
         z_m=None if height_m is None else round(height_m - origin[2], 2),
-        frames=[frame for frame in seen if frame is not None],
+        frames=[
+            m.SeenFrame(drive_uuid=drive_uuid, drive_id=sight.drive_id or "", frame_index=sight.frame_index, at=sight.at)
+            for drive_uuid, sight in reversed(seen.items())
+            if sight.frame_index is not None
+        ],
         zone_ring_m=[] if zone is None else _ring(zone, origin),
         plan_rings_m=[] if plan is None else _rings(plan, origin),
     )  # fmt: skip
-
-
-def _frame(sight: Sight) -> m.SeenFrame | None:
-    if sight.drive_uuid is None or sight.frame_index is None:
-        return None
-    return m.SeenFrame(drive_uuid=sight.drive_uuid, drive_id=sight.drive_id or "", frame_index=sight.frame_index)
 
 
 def _rings(plan: PlacedPlan, origin: Vec3) -> list[list[float]]:
