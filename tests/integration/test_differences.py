@@ -7,6 +7,7 @@ import random
 from datetime import timedelta
 from uuid import UUID
 
+import httpx
 import jsonschema
 import pytest
 from pydantic import SecretStr
@@ -186,3 +187,23 @@ def test_without_plans_nothing_is_compared_and_a_large_map_says_so(conn, view, d
     conn.commit()
     answer = view.get("/api/maps/bare/differences").json()
     assert (answer["plan_count"], answer["rows"], answer["truncated"]) == (0, [], False)
+
+
+def test_the_nightly_flow_shows_them_as_a_table(
+    conn, view, database_url, prefect_here, prefect, conetl, monkeypatch, tmp_path
+):
+    from flows.scheduled import publish_map
+
+    for name, value in (("DATABASE_URL", database_url), ("HOME", str(tmp_path)), ("VIEW_URL", "http://127.0.0.1:1/")):
+        monkeypatch.setenv(f"CONETL_{name}", value)
+    publish_map(map_name="default", formats=["csv"], folder=tmp_path / "exports", return_state=True)
+    user, _, password = prefect["PREFECT_API_AUTH_STRING"].partition(":")
+    wanted = {"artifacts": {"key": {"any_": ["plan-differences"]}}}
+    found = httpx.post(
+        f"{prefect['PREFECT_API_URL']}/artifacts/filter", json=wanted, auth=(user, password), timeout=30, trust_env=False
+    ).json()  # fmt: skip
+    assert [one["description"] for one in found] == ["1 difference of map default from plans, the worst first"]
+    [row] = json.loads(found[0]["data"])
+    [expected] = [row for row in compared(conetl) if row["rank"]]
+    assert (row["rank"], row["text"].replace("\\", ""), row["plan_id"]) == (1, expected["text"], "empty")
+    assert row["map"].startswith("http://127.0.0.1:1/#map=default")

@@ -141,6 +141,20 @@ def _ranked(rows: Sequence[PlanRow]) -> list[PlanRow]:
     return [row.model_copy(update={"rank": ranks.get(row.difference.difference_id)}) for row in made]
 
 
+def read_difference_table(
+    conn: Connection, *, map_name: str, as_of: datetime | None, view: str
+) -> list[dict[str, Any]] | None:
+    """The differences as rows of a table for people, the worst first; None: there are no plans. view: address of the web view."""
+    if not store.read_plans(conn, map_name=map_name):
+        return None
+    found = compare_with_plans(conn, map_name=map_name, as_of=as_of)
+    shown = ("rank", "kind", "plan_id", "text", "first_at", "last_at", "confidence", "verdict", "last_night")
+    flat = [row.flat() for row in found.worst_first]
+    return [
+        {name: row[name] for name in shown} | {"map": f"{view}/{row['link']}" if view else row["link"]} for row in flat
+    ]
+
+
 def found_zone(zone: WorkZone, params: WorkZoneParams) -> FoundZone:
     """A zone of the map as the comparison takes it. While fewer devices are left than make a zone, it is gone."""
     history = zone.history
