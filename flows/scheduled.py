@@ -53,6 +53,7 @@ def publish_map(
     """
     settings = read_settings(map_name)
     with alive(settings) as database, database.connection() as conn:
+        notify_map_receivers(settings, database)
         info = find_map(conn, settings.map_name)
         if info is None:
             return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
