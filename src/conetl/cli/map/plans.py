@@ -30,7 +30,12 @@ _SUFFIXES = (".csv", ".geojson", ".html")
 
 
 def import_(
-    file: Annotated[Path, typer.Argument(help="DATEX II (.xml), WZDx feed, or permits as GeoJSON, GeoPackage or CSV.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="DATEX II or planned works of National Highways (.xml), WZDx feed, or permits as GeoJSON, GeoPackage or CSV."
+        ),
+    ],
     list_name: ListOption = "permits",
     crs: ui.FileCrsOption = None,
     time_zone: Annotated[
