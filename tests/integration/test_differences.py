@@ -86,14 +86,14 @@ def test_a_row_has_its_place_images_and_plan(view):
         and [len(ring) >= 8 for ring in zone["plan_rings_m"]] == [True]
     )
     xs, ys = zone["zone_ring_m"][::3], zone["zone_ring_m"][1::3]
-    assert min(xs) <= zone["x_m"] <= max(xs) and min(ys) <= zone["y_m"] <= max(ys)
-    assert [frame["drive_id"] for frame in zone["frames"]] == [survey(day).drive.drive_id for day in (1, 0)]
-    assert (empty["kind"], empty["zone_ring_m"], empty["z_m"]) == ("permitted but not found", [], None)
+    assert min(xs) <= zone["at_m"][0] <= max(xs) and min(ys) <= zone["at_m"][1] <= max(ys)
+    assert [zone[name]["drive_id"] for name in ("first", "last")] == [survey(day).drive.drive_id for day in (0, 1)]
+    assert (empty["kind"], empty["zone_ring_m"], empty["at_m"][2]) == ("permitted but not found", [], None)
     for row in (zone, empty):
-        for one in row["frames"]:
+        for one in (row["first"], row["last"]):
             frame = view.get(f"/api/maps/default/drives/{one['drive_uuid']}/frames/{one['frame_index']}").json()
             assert frame["drive_id"] == one["drive_id"]
-    assert rows["aside"]["frames"] == [] and rows["aside"]["text"] == "no drive passed it in its time"
+    assert rows["aside"]["last"] is None and rows["aside"]["text"] == "no drive passed it in its time"
 
 
 def test_what_is_open_and_of_last_night_comes_first_and_then_the_worst_kinds():

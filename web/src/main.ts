@@ -17,7 +17,7 @@ import { createLayout } from "./layout";
 import { createLists } from "./lists";
 import { listen } from "./live";
 import { createOverlays } from "./overlays";
-import { changeQueue, differenceQueue } from "./queues";
+import { changeQueue, differenceQueue, passesOf } from "./queues";
 import { changesetOf, changesOfState, drivesShown, shownInstant, unknownChangeset, withChanges } from "./query";
 import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
@@ -195,12 +195,13 @@ const plans = createReview(layout.app, viewer, reviewActions("differences"), dif
     drawDifferences();
   },
   show: (row) => {
-    change({ mode: "instant", valid: row.span_until === null ? null : row.frames[0]?.at ?? row.looked_at, known: null, mark: null });
+    change({ mode: "instant", valid: row.until_at === null ? null : passesOf(row)[0]?.at ?? row.passed_at, known: null, mark: null });
     void select(null);
-    stage.lookAt([row.x_m, row.y_m, row.z_m ?? groundAt(row.x_m, row.y_m)], Math.max(40, 2.5 * row.radius_m));
+    const [x, y, z] = row.at_m as [number, number, number | null];
+    stage.lookAt([x, y, z ?? groundAt(x, y)], Math.max(40, 2.5 * row.radius_m));
   },
   subject: async (row) => {
-    const stops = row.frames.map((frame, i) => ({ ...frame, title: `${i ? "first" : "last"} seen by ${frame.drive_id}` }));
+    const stops = passesOf(row).map((pass, i) => ({ ...pass, title: `${i ? "first" : "last"} seen by ${pass.drive_id}` }));
     return [{ map: state.map, id: null, title: row.kind, why: row.text, now: null, isLast: true, before: null, sightings: [], stops }, stops[0] ?? null];
   },
   decided: () => plans.load(),

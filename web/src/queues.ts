@@ -89,7 +89,7 @@ export function differenceQueue(actions: Actions<DifferenceRow> & { rows(rows: D
       return { items, total: items.length };
     },
     card: (r) => ({
-      key: r.difference_id, version: `${r.frames[0]?.drive_uuid} ${r.frames[0]?.frame_index}`, question: sentence(r.kind),
+      key: r.difference_id, version: JSON.stringify(passesOf(r)), question: sentence(r.kind),
       heading: r.verdict !== "open" ? "Judged" : r.last_night ? "Last night" : "Earlier",
       name: sentence(r.kind), isId: false, judged: r.verdict === "open" ? "" : r.verdict, about: `${placeOf(r)} · ${r.text}`, why: whyOf(r),
     }),
@@ -99,18 +99,24 @@ export function differenceQueue(actions: Actions<DifferenceRow> & { rows(rows: D
   }; // prettier-ignore
 }
 
-const placeOf = (r: DifferenceRow) => (r.plan_id === null ? `zone ${shortId(r.zone_id ?? "")}` : `plan ${r.plan_id}`);
+/** The frame pairs of the last pass that found the zone, or looked, and of the first one, if another drive's. */
+export function passesOf(r: DifferenceRow) {
+  const passes = [r.last, r.first].flatMap((s) => (s?.drive_uuid && s.frame_index !== null && s.frame_index !== undefined ? [{ drive_uuid: s.drive_uuid, frame_index: s.frame_index, drive_id: s.drive_id ?? "", at: s.at }] : []));
+  return passes.filter((pass, i) => passes.findIndex((other) => other.drive_uuid === pass.drive_uuid) === i);
+}
+
+const placeOf = (r: DifferenceRow) => (r.plan_id == null ? `zone ${shortId(r.zone_id ?? "")}` : `plan ${r.plan_id}`);
 
 function whyOf(r: DifferenceRow): string {
-  const until = (from: string | null, to: string | null) => `${from ? utc(from, false) : "…"} to ${to ? utc(to, false) : "open"} UTC`;
+  const until = (from?: string | null, to?: string | null) => `${from ? utc(from, false) : "…"} to ${to ? utc(to, false) : "open"} UTC`;
   return [
-    `${sentence(placeOf(r))}: ${r.text}${r.sigma === null ? "" : ` (± ${r.sigma.toFixed(2)} m)`}.`,
+    `${sentence(placeOf(r))}: ${r.text}${r.sigma == null ? "" : ` (± ${r.sigma.toFixed(2)} m)`}.`,
     r.planned_from && `Planned ${until(r.planned_from, r.planned_until)}.`,
-    r.span_from && r.zone_id && `Seen from ${utc(r.span_from, false)} UTC, ${r.span_until ? `gone at ${utc(r.span_until, false)} UTC` : r.looked_at ? `last at ${utc(r.looked_at, false)} UTC` : "open"}.`,
-    r.zone_id && r.coverage !== null && r.coverage < 1 && `${r.coverage ? `Drives passed ${percent(r.coverage)} of` : "No drive passed"} the place of the plan in its time.`,
+    r.from_at && r.zone_id && `Seen from ${utc(r.from_at, false)} UTC, ${r.until_at ? `gone at ${utc(r.until_at, false)} UTC` : r.passed_at ? `last at ${utc(r.passed_at, false)} UTC` : "open"}.`,
+    r.zone_id && typeof r.coverage === "number" && r.coverage < 1 && `${r.coverage ? `Drives passed ${percent(r.coverage)} of` : "No drive passed"} the place of the plan in its time.`,
     `Sure that it differs: ${sureText(r.confidence)}.`,
     r.verdict !== "open" && `${sentence(r.verdict)}${r.decided_by ? ` by ${r.decided_by}` : ""}${r.note ? `: ${r.note}` : ""}.`,
   ].filter(Boolean).join(" "); // prettier-ignore
 }
 
-export const differenceWords = (r: DifferenceRow): string => `${sentence(r.kind)}${r.amount === null ? "" : ` · ${r.amount.toFixed(r.unit === "h" ? 1 : 0)} ${r.unit}`}`;
+export const differenceWords = (r: DifferenceRow): string => `${sentence(r.kind)}${r.amount == null ? "" : ` · ${r.amount.toFixed(r.unit === "h" ? 1 : 0)} ${r.unit}`}`;

@@ -92,9 +92,9 @@ export function createDifferences(stage: Stage, host: HTMLElement, groundAt: (x:
     /** Those that last at a time (null: now). */
     show(rows: DifferenceRow[], valid: string | null): void {
       const at = valid === null ? Date.now() : Date.parse(valid);
-      const lasting = rows.filter((r) => r.rank !== null && r.verdict !== "wrong" && (r.span_from === null || Date.parse(r.span_from) <= at) && (r.span_until === null || Date.parse(r.span_until) >= at));
+      const lasting = rows.filter((r) => r.rank !== null && r.verdict !== "wrong" && (r.from_at === null || Date.parse(r.from_at) <= at) && (r.until_at === null || Date.parse(r.until_at) >= at));
       draw(lasting.flatMap((r) => {
-        const plans = r.plan_rings_m.map((ring) => ({ corners: twos(ring, r.z_m ?? groundAt(r.x_m, r.y_m)), colour: PLANNED, words: "" }));
+        const plans = r.plan_rings_m.map((ring) => ({ corners: twos(ring, r.at_m[2] ?? groundAt(r.at_m[0], r.at_m[1])), colour: PLANNED, words: "" }));
         const zone = r.zone_ring_m.length ? [{ corners: threes(r.zone_ring_m), colour: DIFFERS, words: "" }] : [];
         const [first, ...rest] = [...zone, ...plans];
         return first ? [{ ...first, words: differenceWords(r) }, ...rest] : [];

@@ -7,7 +7,7 @@ from typing import Literal
 from uuid import UUID
 
 from conetl.model.base import Record, Vec3
-from conetl.model.planned_zones import DifferenceKind
+from conetl.model.planned_zones import Difference
 from conetl.web.models import Cov2, Listing
 
 
@@ -64,51 +64,24 @@ class WorkZoneAreas(Listing):
     zones: list[WorkZoneArea]
 
 
-class SeenFrame(Record):
-    """A frame pair just before the middle of a place."""
-
-    drive_uuid: UUID
-    drive_id: str
-    frame_index: int
-    at: datetime
-
-
-class DifferenceRow(Record):
+class DifferenceRow(Difference):
     """A difference between a plan and what was found, or an agreement (`rank` is null)."""
 
-    difference_id: UUID
-    kind: DifferenceKind
-    text: str
-    list_name: str | None
-    plan_id: str | None
-    zone_id: UUID | None
     feature_id: UUID | None
     """First device of the zone."""
-    amount: float | None
-    unit: str
-    sigma: float | None
-    confidence: float
-    coverage: float | None
-    planned_from: datetime | None
-    planned_until: datetime | None
-    looked_at: datetime | None
+    passed_at: datetime | None
     """When a drive last passed it."""
-    span_from: datetime | None
+    from_at: datetime | None
     """When the zone stood, as far as drives know, else when it was planned; null: open."""
-    span_until: datetime | None
+    until_at: datetime | None
     rank: int | None
     """1: the worst."""
     last_night: bool
     verdict: Literal["confirmed", "accepted", "wrong", "open"]
     note: str
     decided_by: str | None
-    x_m: float
-    """Middle of the zone, else of the plan; z is null where no zone was found."""
-    y_m: float
-    z_m: float | None
-    radius_m: float
-    frames: list[SeenFrame]
-    """Of the last pass that found the zone, or looked, and of the first one."""
+    at_m: tuple[float, float, float | None]
+    """Middle of the zone, else of the plan, from the map's origin; z is null where no zone was found."""
     zone_ring_m: list[float]
     """x, y, z of the corners of the zone, one after the other."""
     plan_rings_m: list[list[float]]

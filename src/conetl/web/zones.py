@@ -157,23 +157,13 @@ def judge_difference(
 
 
 def _row(row: PlanRow, plan: PlacedPlan | None, zone: WorkZone | None, origin: Vec3) -> m.DifferenceRow:
-    one = row.difference
-    height_m = float(np.median(zone.line_m[:, 2])) if zone is not None else None
-    seen = {
-        sight.drive_uuid: sight for sight in (one.first, one.last) if sight is not None and sight.drive_uuid is not None
-    }
+    one, (x, y) = row.difference, row.difference.xy_m
+    z_m = None if zone is None else round(float(np.median(zone.line_m[:, 2])) - origin[2], 2)
     return m.DifferenceRow(
-        **{name: getattr(one, name) for name in m.DifferenceRow.model_fields if name in type(one).model_fields},
-        **{name: getattr(row, name) for name in m.DifferenceRow.model_fields if name in type(row).model_fields},
+        **one.model_dump(), **row.model_dump(include={"rank", "last_night", "verdict", "note", "decided_by"}),
         feature_id=None if zone is None else zone.first.feature_id,
-        looked_at=one.looked_at, span_from=one.span[0], span_until=one.span[1],
-        x_m=round(one.xy_m[0] - origin[0], 2), y_m=round(one.xy_m[1] - origin[1], 2),
-        z_m=None if height_m is None else round(height_m - origin[2], 2),
-        frames=[
-            m.SeenFrame(drive_uuid=drive_uuid, drive_id=sight.drive_id or "", frame_index=sight.frame_index, at=sight.at)
-            for drive_uuid, sight in reversed(seen.items())
-            if sight.frame_index is not None
-        ],
+        passed_at=one.looked_at, from_at=one.span[0], until_at=one.span[1],
+        at_m=(round(x - origin[0], 2), round(y - origin[1], 2), z_m),
         zone_ring_m=[] if zone is None else _ring(zone, origin),
         plan_rings_m=[] if plan is None else _rings(plan, origin),
     )  # fmt: skip
