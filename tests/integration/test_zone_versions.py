@@ -13,7 +13,7 @@ from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import ZoneHistory
 from conetl.pipeline.maps.notices import record_notices
 from conetl.pipeline.maps.work_zones import read_zones
-from conetl.workzones.work_zones import same_zones, with_kept_ids
+from conetl.workzones.work_zones import Stood, same_zones, with_kept_ids
 from tests.integration.drives_of_days import DAY_NS, merge, survey, survey_of
 from tests.synthetic.world import START_NS, Cone
 
@@ -153,6 +153,14 @@ def test_no_two_zones_get_one_id_and_a_zone_is_known_by_most_of_its_devices():
     assert [one.zone_id for one in kept] == [d, b, c] and kept[2].merged_into == d
     place = [(float(k), 0.0, 0.0) for k in range(0, 40, 4)]
     aside = [(x, y + 30.0, z) for x, y, z in place]
-    assert same_zones({a: place, b: aside}, {c: aside[:4], d: place}, 1.0) == {d: a, c: b}
-    assert same_zones({a: place}, {c: [*place[:2], *aside]}, 1.0) == {}
-    assert same_zones({}, {c: place}, 1.0) == same_zones({a: place}, {}, 1.0) == {}
+
+    def stood(devices, start="2026-03-01", end=None):
+        return Stood(start, end, devices)
+
+    before, now = {a: stood(place), b: stood(aside)}, {c: stood(aside[:4]), d: stood(place)}
+    assert same_zones(before, now, 1.0) == {d: a, c: b}
+    assert same_zones({a: stood(place)}, {c: stood([*place[:2], *aside])}, 1.0) == {}
+    assert same_zones({}, now, 1.0) == same_zones(before, {}, 1.0) == {}
+    ended = {a: stood(place, end="2026-03-02")}
+    later, same = stood(place, "2026-05-01"), stood(place[:8], "2026-02-28", "2026-03-02")
+    assert same_zones(ended, {c: later, d: same}, 1.0) == {d: a}, "works at the same place in May are others"

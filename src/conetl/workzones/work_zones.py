@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
@@ -72,19 +73,27 @@ def with_kept_ids(zones: Sequence[ZoneHistory], kept: Mapping[UUID, UUID]) -> li
     ]  # fmt: skip
 
 
-def same_zones(
-    before: Mapping[UUID, Sequence[Vec3]], now: Mapping[UUID, Sequence[Vec3]], within_m: float
-) -> dict[UUID, UUID]:
-    """New zones that are zones of before under another id, by their devices: most in the same places first, at least half.
+class Stood(NamedTuple):
+    """A work zone as it is stored: when, as ISO 8601 of UTC (end None: still), and where its devices last stood."""
 
-    before, now: positions of the devices of zones whose ids are not in the other one.
+    start: str
+    end: str | None
+    devices_m: Sequence[Vec3]
+
+
+def same_zones(before: Mapping[UUID, Stood], now: Mapping[UUID, Stood], within_m: float) -> dict[UUID, UUID]:
+    """New zones that are zones of before under another id: they stood at the same time, with at least half of the devices in the
+    same places; those with most first.
+
+    before, now: zones whose ids are not in the other one.
     """
     ranked = []
     for old_id, old in before.items():
-        tree = KDTree(np.array(old)[:, :2])
+        tree = KDTree(np.array(old.devices_m)[:, :2])
         for new_id, new in now.items():
-            shared = int(np.count_nonzero(tree.query(np.array(new)[:, :2])[0] <= within_m))
-            if 2 * shared >= min(len(old), len(new)):
+            shared = int(np.count_nonzero(tree.query(np.array(new.devices_m)[:, :2])[0] <= within_m))
+            at_once = (old.end is None or new.start <= old.end) and (new.end is None or old.start <= new.end)
+            if at_once and 2 * shared >= min(len(old.devices_m), len(new.devices_m)):
                 ranked.append((-shared, str(old_id), str(new_id), old_id, new_id))
     found: dict[UUID, UUID] = {}
     for *_, old_id, new_id in sorted(ranked):

@@ -29,7 +29,7 @@ from conetl.pipeline.maps.planned_zones import compare_with_plans
 from conetl.pipeline.maps.work_zones import read_zones, zone_as_dict
 from conetl.pipeline.settings import Settings
 from conetl.services import webhooks
-from conetl.workzones.work_zones import same_zones
+from conetl.workzones.work_zones import Stood, same_zones
 
 _log = logging.getLogger(__name__)
 _PREFECT = "prefect"
@@ -143,13 +143,10 @@ def _keep_ids(conn: Connection, info: MapInfo, zones: Mapping[UUID, Mapping[str,
         known = {one.subject_id: state for one, (event, state) in store.last_states(conn, info.map_id).items()
                  if one.topic == "work_zone" and event != "withdrawn"}  # fmt: skip
         lost, new = (
-            {
-                zone_id: [one["xyz_m"] for one in state["devices"]]
-                for zone_id, state in some.items()
-                if zone_id not in others
-            }
+            {zone_id: Stood(one["start"], one["end"], [device["xyz_m"] for device in one["devices"]])
+             for zone_id, one in some.items() if zone_id not in others}
             for some, others in ((known, zones), (zones, known))
-        )
+        )  # fmt: skip
         aliases = same_zones(lost, new, _SAME_PLACE_M)
         stored = store.read_zone_aliases(conn, map_name=info.map_name)
         aliases = {computed_id: zone_id for computed_id, zone_id in aliases.items() if computed_id not in stored}
