@@ -144,6 +144,15 @@ def show_entries(plan: Plan) -> None:
         artifacts.create_table_artifact(rows, key="entries", description=f"Below {as_markdown(plan.root)}")
 
 
+def show_differences(rows: Sequence[dict[str, Any]], map_name: str) -> None:
+    """A table of how work zones differ from their plans."""
+    shown = [row | {name: as_markdown(row[name]) for name in ("plan_id", "text") if row[name]} for row in rows]
+    count = f"{len(rows)} differences" if len(rows) != 1 else "1 difference"
+    artifacts.create_table_artifact(
+        shown, key="plan-differences", description=f"{count} of map {map_name} from plans, the worst first"
+    )
+
+
 def send_not_recognised(receipts: Sequence[Receipt]) -> None:
     """An event for each file or folder that cannot be read as a drive."""
     for receipt in receipts:

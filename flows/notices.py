@@ -18,14 +18,14 @@ _log = logging.getLogger(__name__)
 
 
 def notify_map_receivers(settings: Settings, database: MapDatabase) -> Round | None:
-    """Notify the receivers of CONETL_WEBHOOKS of what changed on the map; None without them, or without a map.
+    """Store the versions of work zones, and notify the receivers of CONETL_WEBHOOKS of them; None without a map.
 
     A failure is logged and left to the next run.
     """
     try:
         receivers = receivers_of(settings, send_event)
         with database.connection() as conn:
-            if receivers and find_map(conn, settings.map_name) is not None:
+            if find_map(conn, settings.map_name) is not None:
                 return notify_receivers(conn, receivers, map_name=settings.map_name)
     except ConetlError as error:
         _log.warning("Receivers of notices were not notified: %s", error)

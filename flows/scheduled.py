@@ -21,11 +21,12 @@ from conetl.files.names import as_markdown, printable
 from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import attention_text, drop_folder_rows, plan_drives
 from conetl.pipeline.entries import find_entries
+from conetl.pipeline.maps.planned_zones import read_difference_table
 from conetl.pipeline.nightly_publication import REPORT, write_publication
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import read_settings
 from flows import dispatch
-from flows.artifacts import send_events, show_entries
+from flows.artifacts import send_events, show_differences, show_entries
 from flows.backfill import refuse
 from flows.notices import notify_map_receivers
 from flows.runs import MapName, MapSrid, alive, needs_attention, recover_runs, rename_run
@@ -40,7 +41,8 @@ def publish_map(
 ) -> State[Any]:
     """Write the map in several formats to a new folder, and point `latest` at it.
 
-    All files show the same state of the map; `report.html` covers the last 24 hours. Fails for an unknown format or a folder that
+    All files show the same state of the map; `report.html` covers the last 24 hours. Where there are plans of work zones, the
+    differences from them are a table. Fails for an unknown format or a folder that
     cannot be written; the last publication stays then.
 
     Args:
@@ -51,6 +53,7 @@ def publish_map(
     """
     settings = read_settings(map_name)
     with alive(settings) as database, database.connection() as conn:
+        notify_map_receivers(settings, database)
         info = find_map(conn, settings.map_name)
         if info is None:
             return Completed(name="NothingToPublish", message=f"the map {settings.map_name} is empty")
@@ -58,11 +61,15 @@ def publish_map(
         published, manifests, night = write_publication(
             conn, info, wanted, folder or settings.exports_folder, as_of, drop_folder_rows(settings)
         )
+        view = (settings.view_url or "").rstrip("/")
+        differences = read_difference_table(conn, map_name=settings.map_name, as_of=as_of, view=view)
     create_table_artifact(
         [{name: manifest[name] for name in ("file", "rows", "bytes", "sha256")} for manifest in manifests],
         key="publication",
         description=f"Map {settings.map_name} -> {as_markdown(published)}",
     )
+    if differences is not None:
+        show_differences(differences, settings.map_name)
     page = published / REPORT
     create_link_artifact(
         page.resolve().as_uri(),

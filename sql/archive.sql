@@ -81,7 +81,8 @@ from (
     ),
     (24, 'plan', 'map_id = %%(map_id)s'),
     (25, 'plan_verdict', 'map_id = %%(map_id)s'),
-    (26, 'notice', 'map_id = %%(map_id)s')
+    (26, 'notice', 'map_id = %%(map_id)s'),
+    (27, 'zone_alias', 'map_id = %%(map_id)s')
 ) t (no, table_name, condition)
 join pg_attribute a on a.attrelid = ('conetl.' || t.table_name)::regclass and a.attnum > 0 and not a.attisdropped
 group by t.no, t.table_name, t.condition

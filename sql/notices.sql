@@ -9,9 +9,13 @@ order by n.topic, n.subject_id, n.notice_no desc;
 
 -- name: round_due
 -- Whether anything changed since the notices of a map were recorded, or, where it has plans, so much time has passed that one of them
--- may be due. Parameters: map_id; most_s. Columns: newest (commit, plan or verdict), has_plans, is_due.
+-- may be due. Parameters: map_id; most_s.
+-- Columns: newest (see conetl.newest_write), has_plans, feature_count (standing now), is_due.
 select
     newest.at as newest, plans.has_plans,
+    (
+        select coalesce(sum(c.feature_count), 0)::integer from conetl.feature_cell c where c.map_id = m.map_id and c.zoom = 4
+    ) as feature_count,
     r.map_id is null or newest.at > r.seen_at
     or (plans.has_plans and r.checked_at < now() - %(most_s)s * interval '1 second') as is_due
 from conetl.map m
@@ -19,17 +23,27 @@ left join conetl.notice_round r using (map_id)
 cross join lateral (
     select exists (select from conetl.plan p where p.map_id = m.map_id and upper_inf(p.system_period)) as has_plans
 ) plans
-cross join lateral (
-    select greatest(
-        m.created_at,
-        (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id),
-        (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id),
-        (select max(greatest(lower(p.system_period), case when not upper_inf(p.system_period) then upper(p.system_period) end))
-         from conetl.plan p where p.map_id = m.map_id),
-        (select max(v.decided_at) from conetl.plan_verdict v where v.map_id = m.map_id)
-    ) as at
-) newest
+cross join lateral (select conetl.newest_write(m.map_id) as at) newest
 where m.map_id = %(map_id)s;
+
+-- name: zone_aliases
+-- Ids that work zones keep. Parameters: map_name. Columns: computed_id, zone_id.
+select a.computed_id, a.zone_id
+from conetl.zone_alias a
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s;
+
+-- name: zone_versions
+-- The stored versions of work zones, by zone, as the database knew them. Parameters: map_name; beginning (of the id); known_at
+-- (timestamptz, 'infinity': now). Columns: zone_id, version, event, recorded_at, state.
+select
+    n.subject_id::text as zone_id, row_number() over (partition by n.subject_id order by n.notice_no) as version, n.event,
+    n.recorded_at, n.state
+from conetl.notice n
+join conetl.map m using (map_id)
+where m.map_name = %(map_name)s and n.topic = 'work_zone' and n.recorded_at <= %(known_at)s::timestamptz
+and n.subject_id::text like %(beginning)s || '%%'
+order by min(n.notice_no) over (partition by n.subject_id), n.notice_no;
 
 -- name: write_round
 -- Parameters: map_id; newest.

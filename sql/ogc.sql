@@ -2,16 +2,12 @@
 
 -- name: maps
 -- Maps, for the collections. Parameters: $1 name of one map, null for all.
--- Columns: map_name, srid, changeset_no (the newest, 0: none), last_committed_at (of changesets and decisions, which both change the
--- map; of an empty map its creation).
+-- Columns: map_name, srid, changeset_no (the newest, 0: none), last_written_at (see conetl.newest_write).
 select
-    m.map_name, m.srid, coalesce(c.changeset_no, 0) as changeset_no,
-    coalesce(
-        greatest(c.committed_at, (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id)), m.created_at
-    ) as last_committed_at
+    m.map_name, m.srid, coalesce(c.changeset_no, 0) as changeset_no, conetl.newest_write(m.map_id) as last_written_at
 from conetl.map m
 left join lateral (
-    select x.changeset_no, x.committed_at
+    select x.changeset_no
     from conetl.changeset x
     where x.map_id = m.map_id
     order by x.committed_at desc
@@ -70,6 +66,17 @@ select {{ogc_changes columns of s}}, {{of_changes columns of c}}, ST_Transform(s
 from conetl.feature_changes({{arguments}}) c
 cross join lateral (select f.* from conetl.feature_state f where f.version_row_id = c.version_row_id offset 0) s
 where not c.is_line and {{where}};
+
+-- name: differences
+-- Rows of a collection of differences between planned and found work zones, which Python computes. Placeholders: {{rows}} (JSON),
+-- {{columns}} (of them, with types), {{west}}, {{south}}, {{east}}, {{north}} (of a box in degrees; west > east crosses 180 degrees).
+select r.*, r.difference_id as feature_id, ST_SetSRID(ST_MakePoint(r.lon_deg, r.lat_deg), 4326) as geom
+from jsonb_to_recordset({{rows}}) r ({{columns}})
+where r.lat_deg between {{south}} - 5e-10 and {{north}} + 5e-10
+and case
+    when {{west}} <= {{east}} then r.lon_deg between {{west}} - 5e-10 and {{east}} + 5e-10
+    else r.lon_deg >= {{west}} - 5e-10 or r.lon_deg <= {{east}} + 5e-10
+end;
 
 -- name: point_in_box
 -- Whether a point is in a box in degrees, edges included (west > east crosses 180 degrees). GeoJSON prints billionths of a degree (a

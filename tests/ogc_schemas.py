@@ -57,8 +57,8 @@ COLLECTION = obj(
 )  # fmt: skip
 #: 7.13.3
 COLLECTIONS = obj("links collections", links=with_links("self"), collections=array(COLLECTION, 0))
-_PLACE = array({"type": "number"}, 3, 3, prefixItems=LON_LAT)
-#: 7.16, and RFC 7946: a feature with an identifier, a point or a line in longitude, latitude and height.
+_PLACE = array({"type": "number"}, 2, 3, prefixItems=LON_LAT)
+#: 7.16, and RFC 7946: a feature with an identifier, a point or a line in longitude, latitude and, of features, height.
 FEATURE = obj(
     "type id geometry properties", type={"const": "Feature"}, id={"type": "string", "minLength": 1},
     properties={"type": "object"},

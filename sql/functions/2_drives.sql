@@ -103,3 +103,18 @@ select t.drive_uuid, t.track_index, m.frame_index, m.match_index
 from conetl.track t
 cross join lateral rows from (unnest(t.members[:][1:1]), unnest(t.members[:][2:2])) as m (frame_index, match_index);
 comment on view conetl.track_member is 'The positions of each track, a row each.';
+
+create or replace function conetl.newest_write(of_map integer) returns timestamptz
+language sql stable
+as $$
+    select coalesce(greatest(
+        (select max(c.committed_at) from conetl.changeset c where c.map_id = m.map_id),
+        (select max(d.decided_at) from conetl.decision d where d.map_id = m.map_id),
+        (select max(greatest(lower(p.system_period), case when not upper_inf(p.system_period) then upper(p.system_period) end))
+         from conetl.plan p where p.map_id = m.map_id),
+        (select max(v.decided_at) from conetl.plan_verdict v where v.map_id = m.map_id)
+    ), m.created_at)
+    from conetl.map m
+    where m.map_id = $1
+$$;
+comment on function conetl.newest_write is 'When a changeset, a decision, a plan or a verdict of a map was last written; without any, its creation.';

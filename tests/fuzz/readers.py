@@ -476,6 +476,10 @@ READERS: dict[str, Reader] = {
     "datex2": Reader(
         lambda folder: datex2.publication(folder / "d.xml", {}, {"version": "2"}), lambda path, _: read_datex2(path)
     ),
+    "planned_works": Reader(
+        lambda folder: plans.works_file(folder / "w.xml", plans.OLD, plans.old_works(), plans.new_works()),
+        lambda path, _: read_plans(path),
+    ),
     "wzdx": Reader(
         written("w.geojson", json.dumps(plans.feed(plans.event(1), plans.event(2)))), lambda path, _: read_plans(path)
     ),

@@ -238,6 +238,13 @@ def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
     assert sum('"pose_invalid"' in line for line in quarantine) == 2, "once for each analysis"
 
 
+def test_the_versions_of_work_zones_are_stored_after_a_merge(desk: Desk, small_drive: Path) -> None:
+    assert desk.ingest(small_drive).counts[DeltaKind.ADDED] > 3
+    versions = json.loads(desk.ask("zones", "history", "--json"))
+    assert [(one["version"], one["event"]) for one in versions] == [(1, "began")]
+    assert versions[0]["state"]["work_zone_id"] == versions[0]["zone_id"]
+
+
 def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
     """Only decoding finds that out, after the drive was read: no cone may go for it."""
     assert desk.ingest(small_drive).counts[DeltaKind.ADDED] > 3

@@ -118,7 +118,7 @@ def test_every_link_leads_somewhere(client, features):
             continue
         seen.add(link)
         answer = client.get(link)
-        assert answer.status_code == 200, link
+        assert answer.status_code == 200, (link, answer.text[:300])
         assert urlsplit(link).path.startswith(f"{OGC}/")
         if "json" in answer.headers["content-type"] and not ("&f=" in link or "?f=" in link or link.endswith("/api")):
             waiting += links_of(answer.json())
@@ -342,7 +342,7 @@ def test_a_new_map_appears_without_a_restart(conn, database_url, samples):
         for key, name in enumerate(("first", "second")):
             samples.commit(conn, samples.added(samples.feature(name)), key=f"{key}", map_name=name)
         ids = [c["id"] for c in get(client, f"{OGC}/collections")["collections"]]
-        kinds = ("features", "lane_markings", "changes")
+        kinds = ("features", "lane_markings", "changes", "differences")
         assert ids == [f"{name}.{kind}" for name in ("second", "first") for kind in kinds]
         for name in ("first", "second"):
             [item] = get(client, f"{OGC}/collections/{name}.features/items")["features"]

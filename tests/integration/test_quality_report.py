@@ -5,15 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 import random
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
+from pathlib import Path
 
 import pytest
+from lxml import etree
 
 from conetl.db.connection import execute
 from conetl.db.schema import run_audits
 from conetl.readers.surveyed_points import read_surveyed_points
+from tests.command import ROOT
 from tests.integration.drives_of_days import merge, survey
 
 AT = datetime(2026, 3, 10, tzinfo=UTC)
@@ -217,3 +221,78 @@ def test_a_state_before_the_drives_has_none_of_their_figures(filled, conetl_at, 
         float(sum(found["audits"].values()))
     }
     assert "positional accuracy was not tested" in (tmp_path / "a.html").read_text()
+
+
+#: Folder with the schemas of ISO as HOST/PATH, as their imports name them: standards.iso.org/iso/19157/-2/mdq/1.0/mdq.xsd ...
+ISO_XSD = Path(os.environ.get("CONETL_ISO_XSD") or ROOT.parent / "shared" / "data" / "iso_xsd")
+MDQ = "http://standards.iso.org/iso/19157/-2/mdq/1.0"
+GML = "http://www.opengis.net/gml/3.2"
+
+
+def iso_schema():
+    """GML is imported first: libxml2 reads one document of a namespace, and others of the schemas import parts of it."""
+
+    class Local(etree.Resolver):
+        def resolve(self, url, _, context):
+            return (
+                self.resolve_filename(str(ISO_XSD / url.partition("://")[2]), context)
+                if url.startswith("http")
+                else None
+            )
+
+    parser = etree.XMLParser(no_network=True)
+    parser.resolvers.add(Local())
+    places = {GML: "http://schemas.opengis.net/gml/3.2.1/gml.xsd", MDQ: f"{MDQ}/mdq.xsd"}
+    imports = "".join(f'<import namespace="{name}" schemaLocation="{place}"/>' for name, place in places.items())
+    return etree.XMLSchema(
+        etree.fromstring(f'<schema xmlns="http://www.w3.org/2001/XMLSchema">{imports}</schema>', parser)
+    )
+
+
+def xml_report(conn, conetl_at, folder, *more):
+    path = folder / "report.xml"
+    given = ("report", "quality", "--as-of", AT.isoformat(), "--out", path, "--json", *more)
+    found = json.loads(conetl_at(conn, *given))
+    return etree.parse(path), found
+
+
+@pytest.mark.parametrize("count", [None, 10, 40])
+def test_the_report_as_iso_xml_has_the_values_of_the_json(filled, conetl_at, tmp_path, count):
+    points = (
+        ()
+        if count is None
+        else ("--checkpoints", write_points(tmp_path / "points.csv", count)[0], "--crs", "EPSG:32632")
+    )
+    tree, found = xml_report(filled, conetl_at, tmp_path, *points)
+    names = {"mdq": MDQ, "gco": "http://standards.iso.org/iso/19115/-3/gco/1.0"}
+    reports = tree.getroot().findall("mdq:report/*", names)
+    assert tree.getroot().tag == f"{{{MDQ}}}DQ_DataQuality" and len(reports) == len(found["measures"]) > 8
+    for report, measure in zip(reports, found["measures"], strict=True):
+        text = [one.text for one in report.iterfind(".//gco:CharacterString", names)]
+        assert text[:3] == [measure["name"], measure["element"], measure["basis"]]
+        values = [float(one.text) for one in report.iterfind(".//gco:Real", names)]
+        assert values == ([] if measure["value"] is None else [measure["value"]])
+        assert (len(report.findall(".//mdq:DQ_DescriptiveResult", names)) > 0) == (
+            measure["value"] is None or ("check points" in measure["basis"] and measure["unit"] == "m"))  # fmt: skip
+        assert all(one.text == AT.isoformat() for one in report.iterfind(".//gco:DateTime", names))
+    kinds = [etree.QName(report).localname for report in reports]
+    assert {"DQ_CompletenessOmission", "DQ_CompletenessCommission", "DQ_AbsoluteExternalPositionalAccuracy",
+            "DQ_ThematicClassificationCorrectness", "DQ_TemporalValidity", "DQ_TemporalConsistency",
+            "DQ_ConceptualConsistency"} == set(kinds)  # fmt: skip
+    statements = [
+        one.text for one in tree.iterfind(".//mdq:DQ_DescriptiveResult/mdq:statement/gco:CharacterString", names)
+    ]
+    if count is not None:
+        assert statements.count(found["positional"]["statement"]) == 2
+        assert ("No verdict" in found["positional"]["statement"]) == (count < 30)
+
+
+def test_the_xml_is_valid_by_the_schemas_of_iso(filled, conetl_at, tmp_path):
+    if not ISO_XSD.is_dir():
+        pytest.skip(f"no schemas of ISO: neither CONETL_ISO_XSD nor {ISO_XSD} names a folder of them")
+    schema = iso_schema()
+    for points in ((), ("--checkpoints", write_points(tmp_path / "points.csv", 40)[0], "--crs", "EPSG:32632")):
+        tree, _ = xml_report(filled, conetl_at, tmp_path, *points)
+        assert schema.validate(tree), schema.error_log
+    tree.getroot().remove(tree.getroot()[0])
+    assert not schema.validate(tree), "without a scope"

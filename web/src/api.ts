@@ -25,6 +25,7 @@ export type BaseLayer = Schemas["BaseLayer"];
 export type BaseTile = Schemas["BaseTile"];
 export type BaseLine = Schemas["BaseLine"];
 export type WorkZone = Schemas["WorkZoneArea"];
+export type DifferenceRow = Schemas["DifferenceRow"];
 export type FoundPosition = Schemas["FoundPosition"];
 export type Found = Schemas["SearchResult"];
 export type Decision = Schemas["Decision"];
@@ -123,6 +124,12 @@ export function requestEarly(map: string, maps: unknown): void {
   }
 }
 
+const posted = (body: unknown, token: string): RequestInit => ({
+  method: "POST",
+  headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
+  body: JSON.stringify(body),
+});
+
 export const api = {
   maps: () => askJson<Schemas["Maps"]>("maps"),
   projection: (map: string, [x, y]: [number, number]) => askMap<Projection>(map, `projection${query({ x_m: String(x), y_m: String(y) })}`),
@@ -144,15 +151,13 @@ export const api = {
   download: (map: string, format: string, values: Query) => `./api/${mapPath(map, `downloads/${format}${query(values)}`)}`,
   report: (map: string, changesetNo: number) => `./api/${mapPath(map, `changesets/${changesetNo}/report`)}`,
   zones: (map: string, valid: string | null) => askMap<Schemas["WorkZoneAreas"]>(map, `work-zones${query({ valid_at: valid })}`),
+  differences: (map: string) => askMap<Schemas["Differences"]>(map, "differences"),
+  judge: (map: string, id: string, said: Schemas["VerdictRequest"], token: string) => askMap<Schemas["DifferenceVerdict"]>(map, `differences/${id}`, posted(said, token)),
   base: (map: string) => askMap<Schemas["BaseLayers"]>(map, "base"),
   baseLines: (map: string) => askMap<Schemas["BaseLines"]>(map, "base/lines"),
   baseTile: async (map: string, sha256: string): Promise<ArrayBuffer> => (await ask(mapPath(map, `base/tiles/${sha256}.bin`))).arrayBuffer(),
   decisions: (map: string) => askMap<Decisions>(map, "decisions"),
   decide: (map: string, request: DecisionRequest, token: string) =>
-    askMap<Schemas["Decided"]>(map, "decisions", {
-      method: "POST",
-      headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
-      body: JSON.stringify(request),
-    }),
+    askMap<Schemas["Decided"]>(map, "decisions", posted(request, token)),
   events: (map: string) => new EventSource(`./api/${mapPath(map, "events")}`),
 };

@@ -25,7 +25,7 @@ const SHORTCUTS: [string, string][] = [
   ["1, 2", "show or hide LiDAR points, lane boundaries"],
   ["P, N", "previous, next image along the drive"],
   ["I", "full images of the selected cone"],
-  ["R", "review changes in images"],
+  ["R, D", "review changes, differences from plans"],
   ["/", "search"],
   ["L", "open or close the list"],
   ["[  ] or K, J", "previous, next row of the list"],

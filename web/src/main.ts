@@ -1,5 +1,5 @@
 // State of the page -> requests -> drawing.
-import { api, login, onLoginRequired, requestEarly, type Decisions, type MapItem, type Query, type Timeline, type TimelineItem, type Trajectory, type Vec3 } from "./api";
+import { api, login, onLoginRequired, requestEarly, type Decisions, type MapItem, type Query, type Timeline, type DifferenceRow, type TimelineItem, type Trajectory, type Vec3 } from "./api";
 import { createAddress, REST_MS } from "./address";
 import { createBase } from "./base";
 import { footprint } from "./basemap";
@@ -17,6 +17,7 @@ import { createLayout } from "./layout";
 import { createLists } from "./lists";
 import { listen } from "./live";
 import { createOverlays } from "./overlays";
+import { changeQueue, differenceQueue, passesOf } from "./queues";
 import { changesetOf, changesOfState, drivesShown, shownInstant, unknownChangeset, withChanges } from "./query";
 import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
@@ -32,7 +33,7 @@ import { changesOf, createTimeline } from "./timeline";
 import { createTiles, seenArea } from "./tiles";
 import { createTools } from "./tools";
 import { createViewer } from "./viewer";
-import { createZones } from "./zones";
+import { createDifferences, createZones } from "./zones";
 
 const layout = createLayout(document.getElementById("app") ?? document.body);
 onLoginRequired(() => layout.logIn(login));
@@ -60,6 +61,7 @@ const changes = createChanges(stage);
 const clusters = createClusters(stage, layout.view);
 const changeClusters = createClusters(stage, layout.view, "of-changes", "Δ ");
 const zones = createZones(stage, layout.view);
+const differences = createDifferences(stage, layout.view, (x, y) => groundAt(x, y));
 const overlays = createOverlays(stage, layout.view);
 const base = createBase(stage, (error) => layout.toast(`Base layers: ${messageOf(error)}`, null));
 
@@ -76,8 +78,6 @@ const tools = createTools(stage, layout.view, cones, {
   redraw: () => draw(),
 });
 
-/** In the address, in place of a list. */
-const REVIEW = "review";
 let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
 /** All that is drawn one by one: what changed, and what stands, in view. */
@@ -92,6 +92,8 @@ let drawn: State | null = null;
 /** Number of the latest refresh: answers to earlier ones are dropped. */
 let refreshNo = 0;
 let decisions: Decisions | null = null;
+/** Planned work zones against those that were found. */
+let planned: DifferenceRow[] = [];
 let closeStream: (() => void) | null = null;
 const paths = new Map<string, Trajectory>();
 
@@ -160,16 +162,20 @@ const selection = createSelection(layout.panel, stage, overlays, viewer, {
 });
 const { select } = selection;
 viewer.dockIn(selection.images);
-const review = createReview(layout.app, viewer, {
+const reviewActions = (id: string) => ({
   map: () => state.map,
   writable: () => decisions?.writable ?? false,
-  decidesDrives: () => decisions?.decides_drives ?? false,
-  opened: (on) => {
-    state.list = on ? REVIEW : null;
+  opened: (on: boolean) => {
+    state.list = on ? id : null;
     address.write();
     if (!on) viewer.dockIn(selection.images);
     if (!on) selection.draw();
   },
+  said: (text: string) => layout.toast(text, null),
+});
+const review = createReview(layout.app, viewer, reviewActions("review"), changeQueue({
+  map: () => state.map,
+  decidesDrives: () => decisions?.decides_drives ?? false,
   show: (item) => {
     change({ mode: "drive", side: "changes", changeset: item.changeset_no === timeline?.changesets.at(-1)?.changeset_no ? null : item.changeset_no });
     void select(item.feature_id, true);
@@ -180,9 +186,29 @@ const review = createReview(layout.app, viewer, {
     return [{ map: state.map, id: null, title: item.drive_id, why: item.why, now: null, isLast: true, before: null, sightings: [] }, { drive_uuid, frame_index: 0 }];
   },
   decided: () => void newDecision(),
-  said: (text) => layout.toast(text, null),
-});
-layout.brand.after(review.button);
+})); // prettier-ignore
+const plans = createReview(layout.app, viewer, reviewActions("differences"), differenceQueue({
+  map: () => state.map,
+  rows: (rows, planCount) => {
+    planned = rows;
+    plans.button.hidden = planCount === 0;
+    drawDifferences();
+  },
+  show: (row) => {
+    change({ mode: "instant", valid: row.until_at === null ? null : passesOf(row)[0]?.at ?? row.passed_at, known: null, mark: null });
+    void select(null);
+    const [x, y, z] = row.at_m as [number, number, number | null];
+    stage.lookAt([x, y, z ?? groundAt(x, y)], Math.max(40, 2.5 * row.radius_m));
+  },
+  subject: async (row) => {
+    const stops = passesOf(row).map((pass, i) => ({ ...pass, title: `${i ? "first" : "last"} seen by ${pass.drive_id}` }));
+    return [{ map: state.map, id: null, title: row.kind, why: row.text, now: null, isLast: true, before: null, sightings: [], stops }, stops[0] ?? null];
+  },
+  decided: () => plans.load(),
+})); // prettier-ignore
+plans.button.hidden = true;
+const queues = [review, plans];
+layout.brand.after(review.button, plans.button);
 const decisionSection = el("section", { class: "decisions", hidden: true });
 layout.sidebar.append(decisionSection);
 const showDecisionList = createDecisionList(decisionSection, (d) => {
@@ -231,9 +257,20 @@ window.addEventListener("hashchange", () => {
     tools.openMeasure();
     void refresh();
     void select(state.feature);
-    review.set(state.list === REVIEW);
+    openQueue();
   }
 });
+
+function loadQueues(): void {
+  for (const queue of queues) queue.load();
+}
+
+/** The one that the address names; the other ones close before. */
+function openQueue(): void {
+  const wanted = queues.find((queue) => queue.id === state.list);
+  for (const queue of queues) if (queue !== wanted) queue.set(false);
+  wanted?.set(true);
+}
 
 const changeset = (no: number | null) => changesetOf(timeline?.changesets ?? [], no);
 
@@ -256,6 +293,8 @@ async function openMap(): Promise<void> {
   showDecisionList(null);
   base.close();
   zones.close();
+  planned = [];
+  plans.button.hidden = true;
   sidebar.showBase([]);
   fitted = state.camera !== null;
   layout.card("Loading the map …", "", { busy: true });
@@ -275,8 +314,8 @@ async function openMap(): Promise<void> {
     await refresh();
     tools.openMeasure();
     if (state.feature) await select(state.feature);
-    if (timeline) review.load();
-    review.set(state.list === REVIEW);
+    if (timeline) loadQueues();
+    openQueue();
   } catch (error) {
     fail(error, openMap);
   }
@@ -322,7 +361,7 @@ async function newChangeset(no: number): Promise<void> {
   if (no <= known) return;
   try {
     await Promise.all([readTimeline(), readDecisions()]); // it may be on hold
-    review.load();
+    loadQueues();
     const item = timeline?.changesets.at(-1);
     if (!item) return;
     void readMaps();
@@ -361,7 +400,7 @@ async function readMaps(): Promise<void> {
 async function newDecision(): Promise<void> {
   try {
     await Promise.all([readTimeline(), readDecisions(), readMaps()]);
-    review.load();
+    loadQueues();
     await refresh();
     await selection.again();
   } catch (error) {
@@ -422,11 +461,16 @@ async function refresh(): Promise<void> {
 /** Work zones of the road as known now; other states, and very large maps, are shown without. */
 async function readZones(of: State): Promise<void> {
   try {
+    drawDifferences();
     if (of.mode === "instant" && of.known === null) await zones.open(of.map, of.valid);
     else zones.close();
   } catch (error) {
     layout.toast(`Work zones cannot be shown: ${messageOf(error)}`, null);
   }
+}
+
+function drawDifferences(): void {
+  differences.show(state.mode === "instant" && state.known === null ? planned : [], state.valid);
 }
 
 function readPaths(drives: TimelineItem[]): Promise<Trajectory[]> {
@@ -553,7 +597,7 @@ function draw(): void {
   const shown = visible();
   cones.show(shown);
   input.shown(shown);
-  layout.listPane.open(state.list === REVIEW ? null : state.list);
+  layout.listPane.open(queues.some((queue) => queue.id === state.list) ? null : state.list);
   lists.show(state, {
     map: state.map, timeline, features: shownQuery(), changes: changesOfState(state, timeline?.changesets ?? []), featureCount: tiles.count(),
     kinds: changes.kinds(), version: refreshNo,
@@ -623,7 +667,7 @@ function fail(error: unknown, again: () => unknown): void {
 // --- mouse and keyboard
 
 const input = listenToInput(stage, layout, tools, { select: (id) => void select(id), key: handleKey, click: comeNearer,
-  covering: (event, typing) => (review.isOpen ? review.key(event, typing) : null) }); // prettier-ignore
+  covering: (event, typing) => queues.find((queue) => queue.isOpen)?.key(event, typing) ?? null }); // prettier-ignore
 
 function comeNearer(x: number, y: number): boolean {
   const at = clusters.pick(x, y) ?? changeClusters.pick(x, y);
@@ -650,6 +694,7 @@ function handleKey(event: KeyboardEvent): boolean {
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
     case "r": case "R": review.set(true); return true;
+    case "d": case "D": if (!plans.button.hidden) plans.set(true); return true;
     case "l": case "L": layout.listPane.toggle(); return true;
     case "]": case "j": case "J": case "[": case "k": case "K": {
       void lists.next(event.key === "]" || event.key.toLowerCase() === "j" ? 1 : -1).then((cone) => cone && select(cone.id, true), (error: unknown) => layout.toast(messageOf(error), null));

@@ -1,60 +1,73 @@
-// The review: a page of its own with the images of one item of the queue, the map around it, and the queue. Verdicts go to the server
+// A review: a page of its own with the images of one item of a queue, the map around it, and the queue. Verdicts go to the server
 // one after the other while the next item is shown; this browser remembers only what was skipped.
-import { api, ApiError, type DecisionRequest } from "./api";
-import { CLASSES, classOf } from "./classes";
+import { ApiError } from "./api";
 import { label, writer } from "./decisions";
-import { el, fill, messageOf, plural, shortId, utc } from "./dom";
-import { judging, type ReviewItem, type ReviewKind } from "./judging";
+import { el, fill, messageOf, plural } from "./dom";
 import type { Start, Subject, Viewer } from "./viewer";
 
-export interface ReviewActions {
-  map(): string;
-  writable(): boolean;
-  decidesDrives(): boolean;
-  /** The review covers the page, or no longer does. */
-  opened(on: boolean): void;
-  /** Show a cone after the drive that changed it, or a drive on hold, on the map. */
-  show(item: ReviewItem): void;
-  subject(item: ReviewItem): Promise<[Subject, Start | null]>;
-  /** What was written shows on the map. */
-  decided(): void;
-  said(text: string): void;
-}
-
-interface By {
+export interface By {
   decided_by: string;
   reason: string;
 }
+export type Undo = (by: By, token: string) => Promise<unknown>;
 /** What a key means, and what it writes. */
-interface Answer {
+export interface Answer {
+  key: string;
+  verb: string;
   text: string;
   done: string;
-  request(item: ReviewItem, by: By): DecisionRequest;
+  /** `undo`: null if it cannot be taken back; `changed`: other images may show it now. */
+  write(by: By, token: string): Promise<{ undo: Undo | null; changed: boolean }>;
+}
+/** How an item is shown; `version` is another one when its images may be others. */
+export interface Card {
+  key: string;
+  version: string;
+  heading: string;
+  question: string;
+  name: string;
+  isId: boolean;
+  about: string;
+  why: string;
+  /** What a person said before: empty, nothing. */
+  judged: string;
+}
+/** What is reviewed. */
+export interface Queue<T> {
+  /** In the address and in what this browser keeps. */
+  id: string;
+  name: string;
+  title: string;
+  /** Items from an index on, and the number of all. */
+  read(map: string, offset: number): Promise<{ items: T[]; total: number }>;
+  card(item: T): Card;
+  answers(item: T): Answer[];
+  /** Further ones, by their number. */
+  classes(item: T): Answer[];
+  /** Why nobody may judge it here; null: one may. */
+  refuses(item: T): string | null;
+  show(item: T): void;
+  subject(item: T): Promise<[Subject, Start | null]>;
+  /** Without a note. */
+  reason: string;
+  /** What was written shows on the map. */
+  decided(): void;
+}
+export interface ReviewActions {
+  map(): string;
+  writable(): boolean;
+  /** The review covers the page, or no longer does. */
+  opened(on: boolean): void;
+  said(text: string): void;
 }
 interface Verdict {
   text: string;
   state: "saving" | "saved" | "failed" | "withdrawing";
   /** Why it was not written. */
   problem: string;
-  decisionId: string | null;
+  undo: Undo | null;
 }
 
-const about = (i: ReviewItem) => ({ feature_id: i.feature_id ?? "", expected_version: i.version ?? 0 });
-const place = (kind: "pin" | "suppress", text: string, done: string): Answer => ({ text, done, request: (i, by) => ({ kind, radius_m: 1, ...about(i), ...by }) });
-const approve = (text: string, done: string): Answer => ({ text, done, request: (i, by) => ({ kind: "approve", ...about(i), ...by }) });
-const drive = (kind: "accept" | "revert", text: string, done: string): Answer => ({ text, done, request: (i, by) => ({ kind, changeset_id: i.changeset_id ?? "", ...by }) });
-const ofClass = (category: string): Answer => {
-  const text = classOf(category).label;
-  return { text, done: text.toLowerCase(), request: (i, by) => ({ kind: "classify", category, ...about(i), ...by }) };
-};
-const KINDS: Record<ReviewKind, { heading: string; question: string; accept: Answer; reject: Answer }> = {
-  held: { heading: "Drives on hold", question: "May this drive change the map?", accept: drive("accept", "it may", "accepted"), reject: drive("revert", "leave it out", "left out") },
-  removal: { heading: "Removed cones", question: "Is this cone gone?", accept: approve("it is gone", "gone"), reject: place("pin", "it still stands", "still stands") },
-  move: { heading: "Moved by 1 m or more", question: "Does the cone stand here now?", accept: approve("it stands here", "moved"), reject: place("suppress", "no cone here", "no cone") },
-  doubtful: { heading: "Uncertain cones", question: "Does a cone stand here?", accept: place("pin", "it stands", "stands"), reject: place("suppress", "no cone here", "no cone") },
-};
-const REASON = "judged in the images";
-const PAGE = 100;
 /** More than a person reviews in a day; the badge then says so. */
 const MOST = 500;
 /** Items whose images are read before they are shown. */
@@ -62,25 +75,23 @@ const AHEAD = 2;
 /** Beside the drive before, where there is one. */
 const COMPARED = true;
 
-const keyOf = (i: ReviewItem) => `${i.kind} ${i.feature_id ?? i.changeset_id ?? ""} ${i.changeset_no}`;
-
-export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewActions) {
+export function createReview<T>(app: HTMLElement, viewer: Viewer, actions: ReviewActions, of: Queue<T>) {
+  const keyOf = (item: T) => of.card(item).key;
   const badge = el("b", { class: "badge", textContent: "…", data: { count: "" } });
-  const button = el("button", { type: "button", class: "link review-button", title: "Drives and changes to review, in images", onclick: () => set(true) }, el("span", { textContent: "Review " }), badge);
+  const button = el("button", { type: "button", class: "link review-button", title: of.title, data: { queue: of.id }, onclick: () => set(true) }, el("span", { textContent: `${of.name} ` }), badge);
   const question = el("h2", { tabIndex: -1 });
   const progress = el("span", { class: "review-progress", role: "status", aria: { live: "polite" } });
-  const why = el("p", { class: "why" });
+  const why = el("p", { class: "why", tabIndex: 0 }); // it scrolls on small screens
   const images = el("div", { class: "review-images" });
   const list = el("ol", { class: "review-items", aria: { label: "Items to review" } });
   const buttons = el("div", { class: "review-buttons" });
   const note = el("input", { type: "text", class: "review-note", maxLength: 500, autocomplete: "off", placeholder: "Note for the next verdict (N)", aria: { label: "Note for the next verdict" } });
   const foot = el("footer", { class: "review-actions" }, buttons, note);
-  const page = el("section", { class: "review", hidden: true, aria: { label: "Review" } },
+  const page = el("section", { class: "review", hidden: true, aria: { label: of.name } },
     el("header", { class: "review-head" }, question, progress, el("span", { class: "space" }), keyButton("Leave", "", "Esc", () => set(false)), why),
     images, list, foot); // prettier-ignore
-  app.append(page);
 
-  let items: ReviewItem[] = [];
+  let items: T[] = [];
   /** null until the server has said it. */
   let total: number | null = null;
   let map = "";
@@ -100,7 +111,7 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
     return el("button", { type: "button", onclick: run, title: key === "Esc" ? "Back to the map (Esc)" : "" }, el("b", { textContent: text }), Boolean(meaning) && el("span", { textContent: ` ${meaning}` }), " ", el("kbd", { textContent: key }));
   }
 
-  const store = () => `conetl review ${actions.map()}`;
+  const store = () => `conetl ${of.id} ${actions.map()}`;
   const skipped = (): Set<string> => {
     try {
       return new Set(JSON.parse(localStorage.getItem(store()) ?? "[]") as string[]);
@@ -108,7 +119,7 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
       return new Set();
     }
   };
-  const isOpen = (aside: Set<string>) => (i: ReviewItem) => !aside.has(keyOf(i)) && (verdicts.get(keyOf(i))?.state ?? "failed") === "failed";
+  const isOpen = (aside: Set<string>) => (i: T) => !aside.has(keyOf(i)) && !of.card(i).judged && (verdicts.get(keyOf(i))?.state ?? "failed") === "failed";
   const chosen = () => items.find((i) => keyOf(i) === current);
 
   async function load(): Promise<void> {
@@ -119,12 +130,12 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
       subjects.clear();
       draw();
     }
-    const found: ReviewItem[] = [];
+    const found: T[] = [];
     try {
       do {
-        const part = await judging.review(actions.map(), found.length, PAGE);
+        const part = await of.read(actions.map(), found.length);
         if (mine !== loadNo) return;
-        total = Object.values(part.counts).reduce((a, b) => a + b, 0);
+        total = part.total;
         found.push(...part.items);
         if (!part.items.length) break;
       } while (found.length < Math.min(total, MOST));
@@ -140,7 +151,7 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
   }
 
   /** Items keep their place while the review is open, and those judged here stay in the list. */
-  function keep(found: ReviewItem[]): void {
+  function keep(found: T[]): void {
     const now = new Map(found.map((i) => [keyOf(i), i]));
     for (const [key, verdict] of verdicts) {
       if (verdict.state !== "failed" || now.has(key)) continue;
@@ -154,15 +165,16 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
   }
 
   /** The next open items after the current one, then those before it. */
-  function coming(): ReviewItem[] {
+  function coming(): T[] {
     const at = items.findIndex((i) => keyOf(i) === current);
     return [...items.slice(at + 1), ...items.slice(0, Math.max(at, 0))].filter(isOpen(skipped())).slice(0, AHEAD);
   }
-  const following = (): ReviewItem | undefined => coming()[0];
+  const following = (): T | undefined => coming()[0];
 
   function set(on: boolean): void {
     if (on === !page.hidden) return;
     page.hidden = !on;
+    on ? app.append(page) : page.remove();
     app.classList.toggle("reviewing", on);
     asking = null;
     if (on) viewer.dockIn(images);
@@ -178,28 +190,28 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
     }
   }
 
-  function choose(item: ReviewItem | undefined): void {
+  function choose(item: T | undefined): void {
     if (item) current = keyOf(item);
     choosingClass = false;
     draw();
     list.querySelector<HTMLElement>('[aria-current="true"]')?.scrollIntoView({ block: "nearest" });
     if (item && shownKey !== versionOf(item)) {
       shownKey = versionOf(item);
-      actions.show(item);
+      of.show(item);
       void showImages(item);
     }
   }
 
-  const versionOf = (item: ReviewItem) => `${keyOf(item)} ${item.version}`;
-  const subjectOf = (item: ReviewItem) => {
+  const versionOf = (item: T) => `${keyOf(item)} ${of.card(item).version}`;
+  const subjectOf = (item: T) => {
     const key = versionOf(item);
-    const found = subjects.get(key) ?? actions.subject(item);
+    const found = subjects.get(key) ?? of.subject(item);
     subjects.set(key, found);
     found.catch(() => subjects.delete(key));
     return found;
   };
 
-  async function showImages(item: ReviewItem): Promise<void> {
+  async function showImages(item: T): Promise<void> {
     try {
       const [subject, start] = await subjectOf(item);
       if (keyOf(item) !== current || page.hidden) return;
@@ -220,16 +232,17 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
     const count = total === null ? null : open + Math.max(total - items.length, 0);
     badge.textContent = count === null ? (failed ? "?" : "…") : count.toLocaleString("en");
     badge.dataset["count"] = String(count ?? "");
-    button.setAttribute("aria-label", `Review: ${count === null ? "number of items unknown" : plural(count, "item")}`);
+    button.setAttribute("aria-label", `${of.name}: ${count === null ? "number of items unknown" : plural(count, "item")}`);
     if (page.hidden) return;
     const rows = items.flatMap((item, i) => {
-      const verdict = verdicts.get(keyOf(item));
-      const state = verdict ? { saving: `${verdict.text}, saving …`, saved: `${verdict.text} ✓`, failed: "not saved", withdrawing: "withdrawing …" }[verdict.state] : aside.has(keyOf(item)) ? "skipped" : "";
-      const row = el("li", { class: verdict?.state ?? "", data: { item: item.feature_id ? shortId(item.feature_id) : item.drive_id } }, el("button", { type: "button", onclick: () => choose(item) },
-        el("b", { class: item.feature_id ? "mono" : "", textContent: item.feature_id ? shortId(item.feature_id) : item.drive_id }), el("i", { textContent: state }),
-        el("small", { textContent: item.checks[0]?.name ?? `${item.drive_id} · ${utc(item.at, false)} UTC` }))); // prettier-ignore
-      row.setAttribute("aria-current", String(keyOf(item) === current));
-      return items[i - 1]?.kind === item.kind ? [row] : [el("li", { class: "heading" }, el("h3", { textContent: KINDS[item.kind].heading })), row];
+      const card = of.card(item);
+      const verdict = verdicts.get(card.key);
+      const state = verdict ? { saving: `${verdict.text}, saving …`, saved: `${verdict.text} ✓`, failed: "not saved", withdrawing: "withdrawing …" }[verdict.state] : aside.has(card.key) ? "skipped" : card.judged && `${card.judged} ✓`;
+      const row = el("li", { class: verdict?.state ?? "", data: { item: card.name } }, el("button", { type: "button", onclick: () => choose(item) },
+        el("b", { class: card.isId ? "mono" : "", textContent: card.name }), el("i", { textContent: state }), el("small", { textContent: card.about }))); // prettier-ignore
+      row.setAttribute("aria-current", String(card.key === current));
+      const before = items[i - 1];
+      return before && of.card(before).heading === card.heading ? [row] : [el("li", { class: "heading" }, el("h3", { textContent: card.heading })), row];
     });
     fill(list, ...rows, Boolean(failed) && el("li", { class: "hint bad", textContent: failed }));
     const at = items.findIndex((i) => keyOf(i) === current);
@@ -245,36 +258,35 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
       why.textContent = failed;
       return fill(buttons, keyButton("Leave", "", "Esc", () => set(false)));
     }
-    const verdict = verdicts.get(keyOf(item));
-    question.textContent = KINDS[item.kind].question;
-    why.textContent = [item.why, ...item.checks.map((c) => c.figures && `${c.name}: ${c.figures}`)].filter(Boolean).join(" ");
+    const card = of.card(item);
+    const verdict = verdicts.get(card.key);
+    question.textContent = card.question;
+    why.textContent = card.why;
     note.hidden = !actions.writable() || asking !== null;
     if (asking?.isConnected) return; // somebody is typing
     const focused = buttons.contains(document.activeElement);
-    fill(buttons, ...(asking ? [asking] : !actions.writable() ? [el("p", { class: "hint", textContent: writer.person() === null ? "Read-only: decisions require `conetl view --decisions`." : "Read-only: decisions require the role review, and `conetl view --decisions`." }), ...moves()] : item.kind === "held" && !actions.decidesDrives() ? [el("p", { class: "hint", textContent: "Decisions about whole drives require the role admin." }), ...moves()] : choosingClass ? classButtons(item) : verdict && verdict.state !== "failed" ? judged(verdict, item) : answers(item, verdict)));
+    const refusal = actions.writable() ? of.refuses(item) : writer.person() === null ? "Read-only: decisions require `conetl view --decisions`." : "Read-only: decisions require the role review, and `conetl view --decisions`.";
+    fill(buttons, ...(asking ? [asking] : refusal !== null ? [el("p", { class: "hint", textContent: refusal }), ...moves()] : choosingClass ? classButtons(item) : verdict && verdict.state !== "failed" ? judged(verdict, item) : answers(item, verdict)));
     if (focused && !asking) buttons.querySelector<HTMLElement>("button")?.focus();
   }
 
   const moves = () => [keyButton("Skip", "", "S", skip), keyButton("Back", "", "B", () => go(-1))];
 
-  const answers = (item: ReviewItem, verdict: Verdict | undefined) => [
+  const answers = (item: T, verdict: Verdict | undefined) => [
     ...(verdict ? [el("p", { class: "hint bad", role: "alert", textContent: `“${verdict.text}” was not saved. ${verdict.problem}` })] : []),
-    keyButton("Accept:", KINDS[item.kind].accept.text, "A", () => judge(item, KINDS[item.kind].accept)),
-    keyButton("Reject:", KINDS[item.kind].reject.text, "R", () => judge(item, KINDS[item.kind].reject)),
-    ...(classesOf(item).length ? [keyButton("Class …", "", "C", () => chooseClass(true))] : []),
+    ...of.answers(item).map((answer) => keyButton(answer.verb, answer.text, answer.key, () => judge(item, answer))),
+    ...(of.classes(item).length ? [keyButton("Class …", "", "C", () => chooseClass(true))] : []),
     ...moves(),
   ];
 
-  const judged = (verdict: Verdict, item: ReviewItem) => [
+  const judged = (verdict: Verdict, item: T) => [
     el("p", { class: "hint", textContent: verdict.state === "saved" ? `Judged: ${verdict.text}. Saved.` : `Judged: ${verdict.text}. Saving …` }),
-    ...(verdict.state === "saved" && verdict.decisionId ? [keyButton("Withdraw", "", "W", () => withdraw(item))] : []),
+    ...(verdict.state === "saved" && verdict.undo ? [keyButton("Withdraw", "", "W", () => withdraw(item))] : []),
     keyButton("Next", "", "S", () => choose(following())), keyButton("Back", "", "B", () => go(-1)),
   ]; // prettier-ignore
 
-  const classesOf = (item: ReviewItem) => (item.feature_id === null || item.kind === "removal" ? [] : [...CLASSES.keys()].filter((c) => c !== "lane_marking" && c !== item.category));
-
-  const classButtons = (item: ReviewItem) => [
-    ...classesOf(item).map((category, i) => keyButton(classOf(category).label, "", String(i + 1), () => judge(item, ofClass(category)))),
+  const classButtons = (item: T) => [
+    ...of.classes(item).map((answer) => keyButton(answer.verb, answer.text, answer.key, () => judge(item, answer))),
     keyButton("Cancel", "", "C", () => chooseClass(false)),
   ];
 
@@ -315,17 +327,17 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
     return { decided_by: writer.name(), reason: typed.length > 2 ? typed : reason };
   }
 
-  function judge(item: ReviewItem, answer: Answer): void {
+  function judge(item: T, answer: Answer): void {
     const token = writer.token();
     if (token === null) return ask(form("", () => judge(item, answer)));
-    const request = answer.request(item, signed(REASON));
-    const verdict: Verdict = { text: answer.done, state: "saving", problem: "", decisionId: null };
+    const by = signed(of.reason);
+    const verdict: Verdict = { text: answer.done, state: "saving", problem: "", undo: null };
     verdicts.set(keyOf(item), verdict);
     save(async () => {
       try {
-        const done = await api.decide(map, request, writer.token() ?? token);
-        verdict.decisionId = done.decision_id;
-        if (done.versions_written) subjects.clear();
+        const { undo, changed } = await answer.write(by, writer.token() ?? token);
+        verdict.undo = undo;
+        if (changed) subjects.clear();
         verdict.state = "saved";
       } catch (error) {
         Object.assign(verdict, { state: "failed", problem: messageOf(error) });
@@ -339,14 +351,15 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
     choose(following() ?? item);
   }
 
-  function withdraw(item: ReviewItem): void {
+  function withdraw(item: T): void {
     const verdict = verdicts.get(keyOf(item));
-    if (!verdict?.decisionId || verdict.state !== "saved") return;
-    const request: DecisionRequest = { kind: "withdraw", decision_id: verdict.decisionId, ...signed("withdrawn in the review") };
+    if (!verdict?.undo || verdict.state !== "saved") return;
+    const { undo } = verdict;
+    const by = signed("withdrawn in the review");
     verdict.state = "withdrawing";
     save(async () => {
       try {
-        await api.decide(map, request, writer.token() ?? "");
+        await undo(by, writer.token() ?? "");
         verdicts.delete(keyOf(item));
         subjects.clear();
         if (total !== null) total += 1;
@@ -364,7 +377,7 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
     queue = queue.then(write).then(() => {
       writing -= 1;
       draw();
-      if (!writing) actions.decided();
+      if (!writing) of.decided();
     });
   }
 
@@ -381,15 +394,13 @@ export function createReview(app: HTMLElement, viewer: Viewer, actions: ReviewAc
   }
 
   function press(key: string): boolean {
-    const item = chosen();
-    const digit = choosingClass && item ? classesOf(item)[Number(key) - 1] : undefined;
-    if (item && digit) return judge(item, ofClass(digit)), true;
     const wanted = [...page.querySelectorAll<HTMLButtonElement>(".review-buttons button, .review-head button")].find((b) => b.querySelector("kbd")?.textContent?.toLowerCase() === key);
     wanted?.click();
     return wanted !== undefined;
   }
 
   return {
+    id: of.id,
     button,
     load: () => void load(),
     set,

@@ -21,6 +21,8 @@ export interface Subject {
   isLast: boolean;
   before: HistoryItem | null;
   sightings: Sighting[];
+  /** Of a whole drive: frame pairs to choose from. */
+  stops?: (Start & { title: string })[];
 }
 
 export interface Start {
@@ -262,7 +264,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
     if (subject?.id !== id || drive !== uuid) return;
     path = found;
     const pass = passOf(uuid);
-    const best = frameIndex ?? (pass && bestFrame(pass)?.frame_index) ?? -1;
+    const best = frameIndex ?? (pass && bestFrame(pass)?.frame_index) ?? subject.stops?.find((s) => s.drive_uuid === uuid)?.frame_index ?? -1;
     fresh = true;
     at = Math.max(path.frame_index.indexOf(best), 0);
     slider.max = String(Math.max(path.frame_index.length - 1, 0));
@@ -460,7 +462,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
       const found = await passesOf(next);
       if (subject !== next) return;
       passes = found;
-      if (!next.now) fill(drives, el("option", { value: start?.drive_uuid ?? "", textContent: next.title }));
+      if (!next.now) fill(drives, ...(next.stops ?? [{ drive_uuid: start?.drive_uuid ?? "", title: next.title }]).map((s) => el("option", { value: s.drive_uuid, textContent: s.title })));
       else fill(drives, ...passes.map((p) => el("option", { value: p.drive_uuid, textContent: `${nameOf(p)} · ${plural(p.frames.length, "frame pair")}` })));
       const first = firstOf(next, passes, start);
       if (first) return await openDrive(first.drive_uuid, first.frame_index);

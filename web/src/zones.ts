@@ -1,68 +1,82 @@
-// Work zones of the road now: the closed area on the ground, and what is closed, at its middle.
+// Areas on the ground with a label each: work zones of the road now, and where they differ from their plans.
 import { DoubleSide, Group, LineBasicMaterial, LineLoop, Mesh, MeshBasicMaterial, Shape, ShapeGeometry, BufferGeometry, Vector2, Vector3 } from "three";
-import { api, type Vec3, type WorkZone } from "./api";
+import { api, type DifferenceRow, type Vec3, type WorkZone } from "./api";
 import { el, plural } from "./dom";
+import { differenceWords } from "./queues";
 import type { Stage } from "./scene";
 
 /** Above the road, below lane boundaries. */
 const LIFT_M = 0.03;
 const APART_PX = 90;
-const COLOUR = "#f2a900";
+const ZONE = "#f2a900";
+const [DIFFERS, PLANNED] = ["#c9184a", "#2b7de1"];
 
+interface Area {
+  corners: Vec3[];
+  colour: string;
+  /** Its label; empty: none. */
+  words: string;
+}
 interface Label {
   corners: Vec3[];
   node: HTMLElement;
 }
 
-export function createZones(stage: Stage, host: HTMLElement) {
-  const layer = el("div", { class: "zones" });
+/** `edge`: where labels stand, below the lowest or above the highest corner in view; `name`: of the layer, for tests. */
+function createAreas(stage: Stage, host: HTMLElement, name: string, edge: "below" | "above") {
+  const layer = el("div", { class: `zones ${edge}` });
   host.append(layer);
   const group = new Group();
   stage.scene.add(group);
-  const area = new MeshBasicMaterial({ color: COLOUR, transparent: true, opacity: 0.28, side: DoubleSide, depthWrite: false });
-  const edge = new LineBasicMaterial({ color: COLOUR });
+  const paints = new Map<string, { area: MeshBasicMaterial; edge: LineBasicMaterial }>();
   let labels: Label[] = [];
-  let opening = 0;
 
-  function draw(zones: WorkZone[]): void {
-    for (const child of group.children) if (child instanceof Mesh || child instanceof LineLoop) child.geometry.dispose();
-    group.clear();
-    layer.replaceChildren();
-    labels = zones.map((zone) => {
-      const corners: Vector3[] = [];
-      for (let i = 0; i < zone.ring_m.length; i += 3) corners.push(new Vector3(zone.ring_m[i], zone.ring_m[i + 1], zone.ring_m[i + 2]));
-      const height = (corners[0]?.z ?? 0) + LIFT_M;
-      const shape = new ShapeGeometry(new Shape(corners.map(({ x, y }) => new Vector2(x, y)))).translate(0, 0, height);
-      const fill = new Mesh(shape, area);
-      fill.renderOrder = 1; // markers are above
-      group.add(fill, new LineLoop(new BufferGeometry().setFromPoints(corners.map(({ x, y }) => new Vector3(x, y, height))), edge));
-      const node = layer.appendChild(el("span", { class: "zone", hidden: true, textContent: wordsOf(zone) }));
-      return { corners: corners.map((corner) => corner.toArray()), node };
-    });
-    document.documentElement.dataset["zones"] = String(zones.length);
-    stage.draw();
+  function paint(colour: string) {
+    const known = paints.get(colour) ?? { area: new MeshBasicMaterial({ color: colour, transparent: true, opacity: 0.28, side: DoubleSide, depthWrite: false }), edge: new LineBasicMaterial({ color: colour }) };
+    paints.set(colour, known);
+    return known;
   }
 
   stage.beforeDraw(() => {
     const shown: [number, number][] = [];
     const { clientWidth: width, clientHeight: height } = stage.canvas;
     for (const { corners, node } of labels) {
-      // Below the lowest corner in view.
-      const seen = corners.map((at) => stage.project(at)).filter((pixel) => pixel && pixel[0] > 0 && pixel[0] < width && pixel[1] > 0 && pixel[1] < height - 30);
-      const pixel = seen.reduce((low, one) => (one && (!low || one[1] > low[1]) ? one : low), null);
+      const seen = corners.map((at) => stage.project(at)).filter((pixel) => pixel && pixel[0] > 0 && pixel[0] < width && pixel[1] > 30 && pixel[1] < height - 30);
+      const pixel = seen.reduce((best, one) => (one && (!best || (edge === "below" ? one[1] > best[1] : one[1] < best[1])) ? one : best), null);
       node.hidden = !pixel || shown.some(([x, y]) => Math.abs(x - pixel[0]) < 2 * APART_PX && Math.abs(y - pixel[1]) < 24);
       if (node.hidden || !pixel) continue;
       shown.push(pixel);
-      node.style.transform = `translate(${Math.round(pixel[0])}px, ${Math.round(pixel[1])}px) translate(-50%, 8px)`;
+      node.style.transform = `translate(${Math.round(pixel[0])}px, ${Math.round(pixel[1])}px) translate(-50%, ${edge === "below" ? "8px" : "calc(-100% - 8px)"})`;
     }
   });
 
+  return function draw(areas: Area[]): void {
+    for (const child of group.children) if (child instanceof Mesh || child instanceof LineLoop) child.geometry.dispose();
+    group.clear();
+    layer.replaceChildren();
+    labels = [];
+    for (const { corners, colour, words } of areas) {
+      const height = (corners[0]?.[2] ?? 0) + LIFT_M;
+      const shape = new ShapeGeometry(new Shape(corners.map(([x, y]) => new Vector2(x, y)))).translate(0, 0, height);
+      const fill = new Mesh(shape, paint(colour).area);
+      fill.renderOrder = 1; // markers are above
+      group.add(fill, new LineLoop(new BufferGeometry().setFromPoints(corners.map(([x, y]) => new Vector3(x, y, height))), paint(colour).edge));
+      if (words) labels.push({ corners, node: layer.appendChild(el("span", { class: "zone", hidden: true, textContent: words })) });
+    }
+    document.documentElement.dataset[name] = String(labels.length);
+    stage.draw();
+  };
+}
+
+export function createZones(stage: Stage, host: HTMLElement) {
+  const draw = createAreas(stage, host, "zones", "below");
+  let opening = 0;
   return {
     /** Draws the zones of a map at a time (null: now); an answer that comes after another request is dropped. */
     async open(map: string, valid: string | null): Promise<void> {
       const mine = ++opening;
       const { zones } = await api.zones(map, valid);
-      if (mine === opening) draw(zones);
+      if (mine === opening) draw(zones.map((zone) => ({ corners: threes(zone.ring_m), colour: ZONE, words: wordsOf(zone) })));
     },
     close(): void {
       opening += 1;
@@ -70,6 +84,27 @@ export function createZones(stage: Stage, host: HTMLElement) {
     },
   };
 }
+
+/** Differences from plans: the zone, and the place of its plan. `groundAt`: height beside a position. */
+export function createDifferences(stage: Stage, host: HTMLElement, groundAt: (x: number, y: number) => number) {
+  const draw = createAreas(stage, host, "differences", "above");
+  return {
+    /** Those that last at a time (null: now). */
+    show(rows: DifferenceRow[], valid: string | null): void {
+      const at = valid === null ? Date.now() : Date.parse(valid);
+      const lasting = rows.filter((r) => r.rank !== null && r.verdict !== "wrong" && (r.from_at === null || Date.parse(r.from_at) <= at) && (r.until_at === null || Date.parse(r.until_at) >= at));
+      draw(lasting.flatMap((r) => {
+        const plans = r.plan_rings_m.map((ring) => ({ corners: twos(ring, r.at_m[2] ?? groundAt(r.at_m[0], r.at_m[1])), colour: PLANNED, words: "" }));
+        const zone = r.zone_ring_m.length ? [{ corners: threes(r.zone_ring_m), colour: DIFFERS, words: "" }] : [];
+        const [first, ...rest] = [...zone, ...plans];
+        return first ? [{ ...first, words: differenceWords(r) }, ...rest] : [];
+      })); // prettier-ignore
+    },
+  };
+}
+
+const threes = (flat: number[]): Vec3[] => Array.from({ length: flat.length / 3 }, (_, i) => flat.slice(3 * i, 3 * i + 3) as Vec3);
+const twos = (flat: number[], z: number): Vec3[] => Array.from({ length: flat.length / 2 }, (_, i): Vec3 => [flat[2 * i] ?? 0, flat[2 * i + 1] ?? 0, z]);
 
 function wordsOf(zone: WorkZone): string {
   const lanes = zone.closed_lane_count === null ? "closed" : `${plural(zone.closed_lane_count, "lane")} closed`;

@@ -124,6 +124,7 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             ),
             "notify": ("map.notices:notify", "", "--again"),
             "undelivered": ("map.notices:undelivered", "", "--json"),
+            "history": ("map.notices:history", "", "1c223030", "--known-at 2026-03-03T06:00"),
             "judge": ("map.plans:judge", '1c223030 accepted --note "emergency works" --by Ann'),
         },
     ),

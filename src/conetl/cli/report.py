@@ -95,21 +95,29 @@ def quality(
     as_of: ui.AsOfOption = None,
     output: Annotated[
         Path | None,
-        typer.Option("--out", "--output", help="HTML file, or a folder; default: exports/reports/<map>/quality.html."),
+        typer.Option(
+            "--out",
+            "--output",
+            help="HTML file, or ISO 19157 as XML (.xml), or a folder; default: exports/reports/<map>/quality.html.",
+        ),
     ] = None,
     map_name: ui.MapOption = None,
     as_json: ui.JsonOption = False,
 ) -> None:
     """Write the quality of the map: accuracy at check points (ASPRS 2023, NSSDA), measures of ISO 19157-1, coverage, latency.
 
-    `--json` prints all figures. Exit code 1: residuals contradict the stated sigmas, or an audit finds rows.
+    `--json` prints all figures; `--out report.xml` is a DQ_DataQuality for metadata of ISO 19115-3. Exit code 1: residuals
+    contradict the stated sigmas, or an audit finds rows.
     """
     from conetl.evaluation.map_quality import read_quality, write_quality_page
+    from conetl.evaluation.quality_xml import write_quality_xml
     from conetl.readers.surveyed_points import read_surveyed_points
 
     settings = read_settings(map_name)
     path = output or settings.reports_folder
     path = path if path.suffix else path / "quality.html"
+    if path.suffix.lower() not in (".html", ".xml"):
+        raise InputError(f"--out {path}: expected a name that ends with .html or .xml, or a folder")
     with open_map(map_name) as (conn, info):
         points = (
             []
@@ -124,7 +132,7 @@ def quality(
             points=points,
             within_m=within_m,
         )
-    write_quality_page(path, found)
+    (write_quality_xml if path.suffix.lower() == ".xml" else write_quality_page)(path, found)
     if not as_json and found.positional is not None:
         ui.say(found.positional.statement)
     _print_written(as_json, path, found.model_dump(mode="json"))

@@ -13,6 +13,7 @@ import numpy as np
 from conetl.db.connection import load_sql
 from conetl.geometry.geodesy import to_geodetic, to_map
 from conetl.model.arrays import Floats
+from conetl.model.columns import FeatureColumn
 
 #: West, south, east, north in degrees.
 Degrees = tuple[float, float, float, float]
@@ -41,8 +42,8 @@ class ServedMap:
     map_name: str
     srid: int
     changeset_no: int
-    last_committed_at: datetime
-    """Of changesets and decisions."""
+    last_written_at: datetime
+    """See `conetl.newest_write`."""
     extent: Degrees
     since: datetime
     """Beginning of the first drive."""
@@ -107,6 +108,26 @@ class ItemRows:
         return f"({_filled(load_sql(f'ogc.{self.kind}'), text)}) items", values
 
 
+@dataclass(frozen=True)
+class GivenRows:
+    """Rows that were computed, as items."""
+
+    kind: str
+    """Name of the statement in sql/ogc.sql that reads them."""
+    rows: str
+    """JSON."""
+    columns: Sequence[FeatureColumn]
+    box: Degrees | None = None
+
+    def source(self, first: int) -> tuple[str, list[object]]:
+        """As of `ItemRows`."""
+        west, south, east, north = self.box or EVERYWHERE
+        names = ("rows", "west", "south", "east", "north")
+        text = {name: f"${first + k}::{'float8' if k else 'text::jsonb'}" for k, name in enumerate(names)}
+        text["columns"] = ", ".join(f"{column.name} {column.kind}" for column in self.columns)
+        return f"({_filled(load_sql(f'ogc.{self.kind}'), text)}) items", [self.rows, west, south, east, north]
+
+
 def _envelope(box: Metres, number: Callable[[object, str], str]) -> str:
     return f"ST_MakeEnvelope({', '.join(number(side, 'float8') for side in box)})"
 
@@ -135,7 +156,7 @@ class MapDirectory:
             sizes = {"share": found["share"], "version_count": found["version_count"]}
             known = ServedMap(**row, extent=extent, bbox=bbox, since=found["since"], **sizes)
             self._known[row["map_name"]] = known
-        return replace(known, last_committed_at=row["last_committed_at"])
+        return replace(known, last_written_at=row["last_written_at"])
 
 
 async def fetch(

@@ -7,12 +7,13 @@ import math
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Any
 from uuid import UUID
 
 from pydantic import AwareDatetime, ConfigDict, Field, model_validator
 
 from conetl.model.base import Latitude, Longitude, NonNegative, Probability, Record, Vec2
+from conetl.model.columns import FeatureColumn
 
 #: Words of sources for a plan that does not apply.
 _VOID = frozenset({"cancelled", "canceled", "rejected", "revoked", "withdrawn"})
@@ -113,6 +114,15 @@ class DifferenceKind(StrEnum):
     ENDED_EARLY = "gone before the end"
 
 
+#: What a person may say about a difference.
+VERDICTS = ("confirmed", "accepted", "wrong", "open")
+#: What a person judges, the worst kind first.
+WORST_FIRST = (
+    DifferenceKind.NO_PERMIT, DifferenceKind.OVERRUN, DifferenceKind.OTHER_LANES, DifferenceKind.ELSEWHERE, DifferenceKind.LONGER,
+    DifferenceKind.EARLY, DifferenceKind.NOT_FOUND, DifferenceKind.ENDED_EARLY,
+)  # fmt: skip
+
+
 class Sight(Record):
     """One pass of a drive."""
 
@@ -161,6 +171,11 @@ class Difference(Record):
         return self.list_name, self.plan_id
 
     @property
+    def looked_at(self) -> datetime | None:
+        """When a drive last passed it; None: none did."""
+        return max((sight.at for sight in (self.first, self.last, self.gone) if sight is not None), default=None)
+
+    @property
     def span(self) -> tuple[datetime | None, datetime | None]:
         """When the zone stood, as far as drives know, else when it was planned; None: open."""
         if self.zone_id is None or self.first is None:
@@ -176,3 +191,39 @@ class Difference(Record):
             and (end is None or other_begin is None or other_begin <= end)
             and (other_end is None or begin is None or begin <= other_end)
         )
+
+
+def _of(kind: Any, words: tuple[str, ...] = (), /, **meanings: str) -> tuple[FeatureColumn, ...]:
+    """Columns of a type of PostgreSQL; words: all values, where they are few."""
+    return tuple(FeatureColumn(name, kind, "", name, meaning, words=words) for name, meaning in meanings.items())
+
+
+def _pass(name: str, meaning: str) -> tuple[FeatureColumn, ...]:
+    return _of("timestamptz", **{f"{name}_at": f"{meaning}."}) + _of(
+        "text", **{f"{name}_drive": f"{meaning}: its drive."}
+    )
+
+
+#: In the order of files; `link` and `images` are of tables and files only.
+DIFFERENCE_COLUMNS = (
+    *_of("uuid", difference_id="The difference."),
+    *_of("text", tuple(DifferenceKind), kind="What differs."),
+    *_of("text", list_name="List of the plan.", plan_id="The plan; null: none."),
+    *_of("uuid", zone_id="The work zone that was found; null: none."),
+    *_of("text", text="What differs, in words."),
+    *_of("float8", amount="By how much it differs."),
+    *_of("text", unit="Of amount."),
+    *_of("float8", sigma="Standard deviation of amount, of positions.", coverage="Share of the plan's place that drives passed.",
+        confidence="Probability that it differs."),
+    *_of("timestamptz", planned_from="Begin of the plan.", planned_until="End of the plan; null: open."),
+    *_pass("absent", "The last pass before the zone, which did not find it"),
+    *_pass("first", "The first pass that found the zone, or looked"),
+    *_pass("last", "The last pass that found the zone, or looked"),
+    *_pass("gone", "The first pass after the zone, which did not find it"),
+    *_of("float8", lon_deg="Longitude of its middle.", lat_deg="Latitude of its middle."),
+    *_of("text", VERDICTS, verdict="What a person said."),
+    *_of("text", note="Note of the verdict.", decided_by="Who said so."),
+    *_of("integer", rank="1: to be looked at first; null: no difference."),
+    *_of("boolean", last_night="Whether a drive looked at it in the last 24 hours of drives."),
+    *_of("text", link="Of the web view, from its address on.", images="Left images of the passes first and last."),
+)  # fmt: skip

@@ -62,6 +62,10 @@ class WorkZoneParams(Params):
     still stands is unknown."""
     keep_ended_days: Positive = 14.0
     """How long an ended work zone stays in the feed, as completed."""
+    most_at_merge: int = Field(default=500, ge=0)
+    """The versions of zones are stored after each merge if the map has at most so many features: half a second (2 cores)."""
+    most_in_rounds: int = Field(default=20_000, ge=0)
+    """In the rounds of schedules and in the nightly publication, up to so many: 20 s; beyond, only for receivers of notices."""
 
 
 class LayoutParams(Params):

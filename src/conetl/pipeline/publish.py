@@ -23,10 +23,12 @@ from conetl.exports.text_files import export_geojson
 from conetl.files.home import make_home
 from conetl.model.errors import ConetlError
 from conetl.model.ingest_report import CommitReport
+from conetl.model.work_zone_params import WorkZoneParams
 from conetl.pipeline.commit import CommittedDrive, report_of
 from conetl.pipeline.database import MapDatabase
 from conetl.pipeline.executor import step
 from conetl.pipeline.maps.decisions import DecisionOutcome
+from conetl.pipeline.maps.notices import record_notices
 from conetl.pipeline.settings import Settings, read_settings
 from conetl.reports.drive_page import write_drive_page
 
@@ -52,7 +54,9 @@ def publish(
     database: MapDatabase | None = None,
     times: Sequence[receipts.StepTime] = (),
 ) -> PublishedFiles:
-    """Write the map as GeoJSON, and plan view (PNG) and QA report of a drive. Does not send notifications (`notify` does).
+    """Write the map as GeoJSON, plan view (PNG) and QA report of a drive; on a small map store the versions of work zones.
+
+    Does not send notifications (`notify` does).
 
     settings: folders, database and name of the map; default: CONETL_* of the environment. times: of the steps, for the report.
     """
@@ -62,6 +66,7 @@ def publish(
         database = database or stack.enter_context(MapDatabase(settings))
         conn = stack.enter_context(database.connection())
         geojson = _write_map(conn, settings)
+        record_notices(conn, map_name=settings.map_name, most_features=WorkZoneParams().most_at_merge)
         receipts.write_run_steps(conn, changeset.changeset_id, times)
         page = _write_page(conn, changeset, settings, plan_view)
         renew_pages(conn, [change.changeset_id for change in committed.report.hold_changes], settings)

@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from conetl.model.planned_zones import DifferenceKind
+from conetl.model.planned_zones import WORST_FIRST, DifferenceKind
 from conetl.reports.html import Section, render, write_page
 
 #: Heading -> columns of a row, whose values are joined.
@@ -24,9 +24,9 @@ _NOTE = "Set up between the passes `absent` and `first seen`, taken away between
 
 def write_plan_page(path: Path, map_name: str, at: datetime, rows: Sequence[Mapping[str, Any]], view: str) -> Path:
     """Write the page, differences first. rows: by column; view: address of the web view, for links. Raises InputError."""
-    quiet = (DifferenceKind.PERMITTED, DifferenceKind.NOT_LOOKED)
+    rows = sorted(rows, key=lambda row: row["rank"] or 0)
     sections = []
-    for kind in [*(kind for kind in DifferenceKind if kind not in quiet), *quiet]:
+    for kind in (*WORST_FIRST, DifferenceKind.PERMITTED, DifferenceKind.NOT_LOOKED):
         cells = [_cells(row, view) for row in rows if row["kind"] == kind]
         if cells:
             used = [k for k in range(len(cells[0])) if any(row[k] for row in cells)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from functools import partial
 from pathlib import Path
 
 from fastapi import FastAPI, Request
@@ -67,12 +68,14 @@ def create_app(
     app.state.whole_images = whole_images
     app.state.image_log = image_log
     app.state.basemap = base_map
+    app.state.comparisons = zones.Comparisons()
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
     for routes in (lists, maps, tiles, search, frames, layers, zones, basemap, downloads, decisions, live):
         app.include_router(routes.router, prefix="/api")
     for error, status in _STATUS.items():
         app.add_exception_handler(error, _answer_with(status))
-    app.mount("/ogc", create_ogc_app(ogc_pool, map_name), name="ogc")
+    compare = partial(app.state.comparisons.read_whole, pool)
+    app.mount("/ogc", create_ogc_app(ogc_pool, map_name, compare), name="ogc")
     app.add_route("/ogc", lambda request: RedirectResponse(request.url.replace(path="/ogc/")), include_in_schema=False)
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="front end")
     # Level 5 would save another 6 kB of 350 kB, and take twice as long.

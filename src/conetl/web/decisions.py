@@ -31,7 +31,7 @@ router = APIRouter(prefix="/maps/{map_name}", route_class=WritersRoute)
 _MAX_DECISIONS = 1_000
 #: How long a person waits for an ingest that has locked the map.
 _LOCK_TIMEOUT_S = 15.0
-_ERRORS: dict[int | str, dict[str, Any]] = {
+ERRORS: dict[int | str, dict[str, Any]] = {
     409: {"model": m.Conflict, "description": "The feature has changed, or this was already decided."},
     401: {"model": m.Problem, "description": "The writer token is missing or wrong."},
     403: {
@@ -167,7 +167,7 @@ def decisions(map_name: MapName, conn: Reader, origin: Origin, request: Request)
     )
 
 
-@router.post("/decisions", tags=["decisions"], status_code=201, response_model=m.Decided, responses=_ERRORS)
+@router.post("/decisions", tags=["decisions"], status_code=201, response_model=m.Decided, responses=ERRORS)
 def decide(
     map_name: MapName, decision: Annotated[DecisionRequest, Body()], request: Request
 ) -> m.Decided | JSONResponse:
@@ -181,10 +181,10 @@ def decide(
     try:
         return writer.decide(map_name, decision)
     except ConflictError as error:
-        conflict = m.Conflict(detail=_sentence(error), now=_current_state(request.app.state.pool, map_name, decision))
+        conflict = m.Conflict(detail=sentence(error), now=_current_state(request.app.state.pool, map_name, decision))
         return JSONResponse(conflict.model_dump(mode="json"), status_code=409)
     except InputError as error:
-        raise HTTPException(404, _sentence(error)) from error
+        raise HTTPException(404, sentence(error)) from error
 
 
 def _is_about_drive(pool: ReaderPool, map_name: str, decision: DecisionRequest) -> bool:
@@ -206,7 +206,8 @@ def _current_state(pool: ReaderPool, map_name: str, decision: DecisionRequest) -
         return to.history(last, reasons)[0] if last else None
 
 
-def _sentence(error: Exception) -> str:
+def sentence(error: Exception) -> str:
+    """Its message, as an answer."""
     text = str(error)
     return text[:1].upper() + text[1:]
 

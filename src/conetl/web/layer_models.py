@@ -7,6 +7,7 @@ from typing import Literal
 from uuid import UUID
 
 from conetl.model.base import Record, Vec3
+from conetl.model.planned_zones import Difference
 from conetl.web.models import Cov2, Listing
 
 
@@ -61,6 +62,46 @@ class WorkZoneArea(Record):
 
 class WorkZoneAreas(Listing):
     zones: list[WorkZoneArea]
+
+
+class DifferenceRow(Difference):
+    """A difference between a plan and what was found, or an agreement (`rank` is null)."""
+
+    feature_id: UUID | None
+    """First device of the zone."""
+    passed_at: datetime | None
+    """When a drive last passed it."""
+    from_at: datetime | None
+    """When the zone stood, as far as drives know, else when it was planned; null: open."""
+    until_at: datetime | None
+    rank: int | None
+    """1: the worst."""
+    last_night: bool
+    verdict: Literal["confirmed", "accepted", "wrong", "open"]
+    note: str
+    decided_by: str | None
+    at_m: tuple[float, float, float | None]
+    """Middle of the zone, else of the plan, from the map's origin; z is null where no zone was found."""
+    zone_ring_m: list[float]
+    """x, y, z of the corners of the zone, one after the other."""
+    plan_rings_m: list[list[float]]
+    """x, y of the corners of the plan's parts."""
+
+
+class Differences(Listing):
+    """Truncated: none, because the map has too many features for a comparison on request."""
+
+    plan_count: int
+    counts: dict[str, int]
+    """Number of rows by kind."""
+    rows: list[DifferenceRow]
+    """Differences by rank, then what agrees or was not looked at."""
+
+
+class DifferenceVerdict(Record):
+    difference_id: UUID
+    verdict: str
+    decided_by: str
 
 
 class ProvisionalFeature(Record):

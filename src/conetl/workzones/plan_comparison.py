@@ -317,13 +317,21 @@ def _not_met(placed: PlacedPlan, times: _Times, at_ns: int, params: PlanParams) 
     """A plan without a zone, if it has begun."""
     if times.spans[0][0] > at_ns:
         return
-    share = f"drives passed {times.coverage:.0%} of it in its time"
+    share = f"{_passed(times.coverage)} in its time"
     if times.coverage >= params.least_coverage and not placed.plan.approximate:
         text, kind, confidence = f"nothing stands there: {share}", DifferenceKind.NOT_FOUND, times.coverage
     else:
         text, kind, confidence = share, DifferenceKind.NOT_LOOKED, 1.0
-        text += ", and its place is known roughly" if placed.plan.approximate else ""
+        joint = "but" if times.coverage else "and"
+        text += f", {joint} its place is only known roughly" if placed.plan.approximate else ""
     yield _row(kind, text, None, placed, times, confidence=confidence)
+
+
+def _passed(coverage: float) -> str:
+    if coverage == 0:
+        return "no drive passed it"
+    part = "all" if coverage == 1 else f"{min(max(round(100 * coverage), 1), 99)}%"
+    return f"drives passed {part} of it"
 
 
 def _surely(excess_m: float, sigma_m: float) -> float:

@@ -7,8 +7,9 @@ cones with a zone continues that zone, whatever was added, moved or removed.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 from uuid import NAMESPACE_URL, UUID, uuid5
 
 import numpy as np
@@ -18,6 +19,7 @@ from scipy.spatial import KDTree
 
 from conetl.geometry.linear_reference import spacing_beside
 from conetl.model.arrays import Floats, Ints
+from conetl.model.base import Vec3
 from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, ZoneHistory
@@ -54,6 +56,50 @@ def zones_over_time(
         for zone in _zones_of_neighbourhood(near, driven, params, map_name)
     ]
     return sorted(zones, key=lambda zone: (zone.start_ns, str(zone.zone_id)))
+
+
+def with_kept_ids(zones: Sequence[ZoneHistory], kept: Mapping[UUID, UUID]) -> list[ZoneHistory]:
+    """Zones under the ids that they keep; kept: by the id that is computed. No two get one id: the older one keeps it."""
+    taken = {zone.zone_id for zone in zones}
+    given: dict[UUID, UUID] = {}
+    for zone in zones:
+        if (zone_id := kept.get(zone.zone_id)) is not None and zone_id not in taken:
+            given[zone.zone_id] = zone_id
+            taken.add(zone_id)
+    return [
+        replace(zone, zone_id=given.get(zone.zone_id, zone.zone_id),
+            merged_into=None if zone.merged_into is None else given.get(zone.merged_into, zone.merged_into))
+        for zone in zones
+    ]  # fmt: skip
+
+
+class Stood(NamedTuple):
+    """A work zone as it is stored: when, as ISO 8601 of UTC (end None: still), and where its devices last stood."""
+
+    start: str
+    end: str | None
+    devices_m: Sequence[Vec3]
+
+
+def same_zones(before: Mapping[UUID, Stood], now: Mapping[UUID, Stood], within_m: float) -> dict[UUID, UUID]:
+    """New zones that are zones of before under another id: they stood at the same time, with at least half of the devices in the
+    same places; those with most first.
+
+    before, now: zones whose ids are not in the other one.
+    """
+    ranked = []
+    for old_id, old in before.items():
+        tree = KDTree(np.array(old.devices_m)[:, :2])
+        for new_id, new in now.items():
+            shared = int(np.count_nonzero(tree.query(np.array(new.devices_m)[:, :2])[0] <= within_m))
+            at_once = (old.end is None or new.start <= old.end) and (new.end is None or old.start <= new.end)
+            if at_once and 2 * shared >= min(len(old.devices_m), len(new.devices_m)):
+                ranked.append((-shared, str(old_id), str(new_id), old_id, new_id))
+    found: dict[UUID, UUID] = {}
+    for *_, old_id, new_id in sorted(ranked):
+        if new_id not in found and old_id not in found.values():
+            found[new_id] = old_id
+    return found
 
 
 def chain_stations(stations_m: Floats, params: WorkZoneParams) -> list[Ints]:

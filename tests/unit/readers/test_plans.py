@@ -193,3 +193,91 @@ def test_a_row_without_geometry_of_a_geopackage(tmp_path: Path) -> None:
     )
     found = read_plans(path)
     assert [zone.plan_id for zone in found.zones] == ["A"] and "no geometry" in found.unused[0].reason
+
+
+OLD = """<?xml version="1.0" encoding="utf-8"?>
+<ha_planned_roadworks>
+{records}
+</ha_planned_roadworks>"""
+NEW = """<?xml version="1.0" encoding="utf-8"?>
+<Report xmlns="WebTeam" Name="HE_PLANNED_ROADWORKS"><HE_PLANNED_ROADWORKS><HE_PLANNED_WORKS_Collection>
+{records}
+</HE_PLANNED_WORKS_Collection></HE_PLANNED_ROADWORKS></Report>"""
+
+
+def old_works(number: object = 1535041, **changes: str) -> str:
+    """As published until 2017."""
+    fields = {
+        "reference_number": str(number), "road": "M1", "location": "Jct 24 to Jct 27",
+        "start_date": "2016-03-21T20:00:00", "end_date": "2016-03-31T06:00:00", "expected_delay": "Slight (less than 10 mins)",
+        "description": "Lane closures north and\nsouthbound.", "traffic_management": "Lane Closure",
+        "closure_type": "Planned Works",
+        "centre_easting": "448783", "centre_northing": "339999", "status": "Firm", "published_date": "2016-02-29T09:00:00",
+    } | changes  # fmt: skip
+    inside = "".join(f"<{name}>{value}</{name}>" for name, value in fields.items() if value)
+    return f"<ha_planned_works>{inside}</ha_planned_works>"
+
+
+def new_works(
+    number: object = "00012345-001", start: str = "21-SEP-2026 21:00", place: str = "448783", roads: str = "A417 M5"
+) -> str:
+    """As published since 2018."""
+    listed = "".join(f'<ROAD ROAD_NUMBER="{road}"/>' for road in ("A417", "M5"))
+    east_north = f'<EASTNORTH CENTRE_EASTING="{place}" CENTRE_NORTHING="339999"/>' if place else ""
+    return (
+        f'<HE_PLANNED_WORKS NEW_EVENT_NUMBER="{number}" SDATE="{start}" EDATE="22-SEP-2026 06:00" EXPDEL="Slight" '
+        'DESCRIPTION="Carriageway closure&#xD;&#xA;with diversion" CLOSURE_TYPE="Planned Works" STATUS="Published">'
+        f"<EASTNORTH><Report><EASTINGNORTHING><EASTNORTH_Collection>{east_north}</EASTNORTH_Collection></EASTINGNORTHING></Report>"
+        f"</EASTNORTH><ROADS><Report><ROADS><ROAD_Collection>{listed}</ROAD_Collection></ROADS></Report></ROADS></HE_PLANNED_WORKS>"
+    )
+
+
+def works_file(path: Path, form: str, *records: str) -> Path:
+    path.write_text(form.format(records="\n".join(records)), encoding="utf-8")
+    return path
+
+
+def test_planned_works_of_national_highways_are_rough_places_at_times_of_london(tmp_path: Path) -> None:
+    [old] = read_plans(works_file(tmp_path / "old.xml", OLD, old_works())).zones
+    assert (old.plan_id, old.kind, old.status, old.road_names) == ("1535041", "Planned Works", "Firm", ("M1",))
+    assert old.starts_at == datetime(2016, 3, 21, 20, tzinfo=UTC) and old.ends_at == datetime(
+        2016, 3, 31, 5, tzinfo=UTC
+    )
+    assert old.description == "Jct 24 to Jct 27. Lane Closure. Lane closures north and southbound"
+    assert old.approximate and old.version == "2016-02-29T09:00:00+00:00"
+    [[(lon, lat)]] = old.parts
+    assert (round(lon, 2), round(lat, 2)) == (-1.28, 52.96), "near junction 25 of the M1"
+    [new] = read_plans(works_file(tmp_path / "new.xml", NEW, new_works())).zones
+    assert (new.plan_id, new.road_names, new.status) == ("00012345-001", ("A417", "M5"), "Published")
+    assert (new.starts_at, new.ends_at) == (datetime(2026, 9, 21, 20, tzinfo=UTC), datetime(2026, 9, 22, 5, tzinfo=UTC))
+    assert new.parts == old.parts and new.approximate and new.description == "Carriageway closure with diversion"
+
+
+def test_a_broken_record_of_planned_works_costs_only_itself(tmp_path: Path) -> None:
+    broken = [
+        old_works(2, start_date="soon"), old_works(3, centre_easting=""), old_works(4, centre_northing="north"),
+        old_works(5, end_date="2016-01-01T00:00:00"), old_works(""),
+        old_works(1, published_date="2016-01-01T00:00:00"),
+    ]  # fmt: skip
+    found = read_plans(works_file(tmp_path / "works.xml", OLD, old_works(1), *broken, old_works(9)))
+    assert [zone.plan_id for zone in found.zones] == ["1", "9"]
+    assert found.zones[0].version == "2016-02-29T09:00:00+00:00", "the newest"
+    assert [(one.record, one.is_broken) for one in found.unused] == [
+        ("works 2", True), ("works 3", True), ("works 4", True), ("works 5", True), ("works 6", True), ("works 7 (1)", False),
+    ]  # fmt: skip
+    reasons = [one.reason for one in found.unused]
+    assert (
+        "expected a time like" in reasons[0]
+        and "no centre_easting" in reasons[1]
+        and "British National Grid" in reasons[2]
+    )
+    news = read_plans(
+        works_file(tmp_path / "new.xml", NEW, new_works("A"), new_works("B", place=""), new_works("C", start=""))
+    )
+    assert [zone.plan_id for zone in news.zones] == ["A"] and len(news.unused) == 2
+    with pytest.raises(InputError, match="holds no planned works"):
+        read_plans(works_file(tmp_path / "none.xml", OLD))
+    with pytest.raises(InputError, match="is not XML"):
+        read_plans(works_file(tmp_path / "cut.xml", OLD.replace("</ha_planned_roadworks>", ""), old_works()))
+    with pytest.raises(InputError, match="expected DATEX II"):
+        read_plans(works_file(tmp_path / "other.xml", "<other>{records}</other>"))

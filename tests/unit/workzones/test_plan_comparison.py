@@ -143,13 +143,18 @@ def test_nothing_is_missing_where_nobody_looked():
     for drives in ([], [drive(-1), drive(11)], [drive(5, x=(-100, 50))], [drive(5, y=40)], [drive(5, step_m=30)]):
         [found] = compare([plan()], [], drives, PARAMS, at_ns=ns(14))
         assert found.kind is K.NOT_LOOKED and found.coverage < 0.9
+        if found.coverage == 0:
+            assert found.text == "no drive passed it in its time"
     [half] = compare([plan()], [], [drive(5, x=(-100, 50))], PARAMS, at_ns=ns(14))
     assert half.coverage == pytest.approx(0.6, abs=0.1) and half.first.drive_id == "day 5"
+    assert half.text == f"drives passed {half.coverage:.0%} of it in its time"
     [roughly] = compare([plan(approximate=True)], [], DAILY, PARAMS, at_ns=ns(14))
     assert roughly.kind is K.NOT_LOOKED and roughly.coverage == 1.0
+    assert roughly.text == "drives passed all of it in its time, but its place is only known roughly"
     # Two halves are a whole.
     [both] = compare([plan()], [], [drive(5, x=(-100, 50)), drive(6, x=(40, 300))], PARAMS, at_ns=ns(14))
     assert both.kind is K.NOT_FOUND and both.confidence == both.coverage == 1.0
+    assert both.text == "nothing stands there: drives passed all of it in its time"
 
 
 def test_times_of_night_works():

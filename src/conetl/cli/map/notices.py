@@ -1,4 +1,4 @@
-"""`conetl zones notify|undelivered`: notify other systems of work zones, and list what could not be delivered."""
+"""`conetl zones notify|undelivered|history`: notify other systems of work zones, and list their versions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from conetl.cli import console as ui
 from conetl.cli.database import open_map
 from conetl.db.map import notice_store as store
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
-from conetl.pipeline.maps.notices import notify_receivers, receivers_of
+from conetl.pipeline.maps.notices import notify_receivers, receivers_of, record_notices
 from conetl.pipeline.settings import read_settings
 
 
@@ -51,3 +51,38 @@ def undelivered(map_name: ui.MapOption = None, as_json: ui.JsonOption = False) -
     }  # fmt: skip
     ui.print_records("", columns, rows)
     ui.say(f"{ui.counted(len(rows), 'undelivered notice')} of map {info.map_name}")
+
+
+def history(
+    zone: Annotated[str, typer.Argument(help="Id of a work zone, or its first characters; default: all.")] = "",
+    known_at: ui.KnownOption = None,
+    now: Annotated[bool, typer.Option("--store", help="First store what was written since the last versions.")] = False,
+    map_name: ui.MapOption = None,
+    as_json: ui.JsonOption = False,
+) -> None:
+    """List the versions of work zones, as known now or at an earlier time: how each began, changed, was split, merged, ended.
+
+    They are stored after each merge; of maps with more than 500 features by schedules, at night, or with --store.
+    """
+    with open_map(map_name) as (conn, info):
+        if now:
+            record_notices(conn, map_name=info.map_name)
+        known = ui.parse_known(known_at, None)
+        rows = store.read_zone_versions(conn, map_name=info.map_name, beginning=zone.lower(), known_at=known)
+        due = store.round_due(conn, info.map_id, most_s=1e9)
+    if as_json:
+        ui.print_json([{**row, "zone_id": str(row["zone_id"])} for row in rows])
+        return
+    columns: ui.Columns = {
+        "zone": lambda row: row["zone_id"][:8], "version": "version", "event": "event", "stored (UTC)": "recorded_at",
+        "start (UTC)": lambda row: row["state"]["start"][:16], "end (UTC)": lambda row: (row["state"]["end"] or "")[:16],
+        "length m": lambda row: row["state"]["length_m"], "devices": lambda row: len(row["state"]["devices"]),
+        "part of, merged into": lambda row: (row["state"]["merged_into"] or row["state"].get("split_from") or "")[:8],
+    }  # fmt: skip
+    ui.print_records("", columns, rows, numbers_from=len(columns) - 3)
+    count = len({row["zone_id"] for row in rows})
+    ui.say(
+        f"{ui.counted(len(rows), 'version')} of {ui.counted(count, 'work zone')} of map {info.map_name} {ui.known_text(known_at)}"
+    )
+    if due["is_due"]:
+        ui.say("What was written since the last version is not among them: `conetl zones notify` stores it.")

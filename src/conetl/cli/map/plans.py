@@ -16,7 +16,7 @@ from conetl.db.map import plan_store as store
 from conetl.files.atomic import atomic_text_file, write_json
 from conetl.files.documents import read_yaml_model
 from conetl.model.errors import EXIT_NEEDS_ATTENTION, InputError
-from conetl.model.planned_zones import DifferenceKind
+from conetl.model.planned_zones import DIFFERENCE_COLUMNS, VERDICTS, DifferenceKind
 from conetl.model.work_zone_params import PlanParams
 from conetl.pipeline.maps import planned_zones as plans
 from conetl.pipeline.settings import read_settings
@@ -30,7 +30,12 @@ _SUFFIXES = (".csv", ".geojson", ".html")
 
 
 def import_(
-    file: Annotated[Path, typer.Argument(help="DATEX II (.xml), WZDx feed, or permits as GeoJSON, GeoPackage or CSV.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            help="DATEX II or planned works of National Highways (.xml), WZDx feed, or permits as GeoJSON, GeoPackage or CSV."
+        ),
+    ],
     list_name: ListOption = "permits",
     crs: ui.FileCrsOption = None,
     time_zone: Annotated[
@@ -126,7 +131,7 @@ def compare(
 
 def judge(
     difference: Annotated[str, typer.Argument(help="Id of a difference, or its first characters.")],
-    verdict: Annotated[str, typer.Argument(help=f"One of {', '.join(plans.VERDICTS)}; open takes a verdict back.")],
+    verdict: Annotated[str, typer.Argument(help=f"One of {', '.join(VERDICTS)}; open takes a verdict back.")],
     note: Note = "",
     by: By = None,
     as_of: ui.AsOfOption = None,
@@ -149,7 +154,7 @@ def _write(path: Path, map_name: str, found: plans.PlanComparison) -> None:
         write_plan_page(path, map_name, found.at, rows, read_settings(map_name).view_url or "")
     elif path.suffix.lower() == ".csv":
         with atomic_text_file(path) as file:
-            table = csv.DictWriter(file, plans.COLUMNS, lineterminator="\n")
+            table = csv.DictWriter(file, [column.name for column in DIFFERENCE_COLUMNS], lineterminator="\n")
             table.writeheader()
             table.writerows(row | {"images": " ".join(row["images"])} for row in rows)
     else:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime
 from typing import Any
 from uuid import UUID
 
-from conetl.db.connection import Connection, copy_columns, query, read, transaction
+from conetl.db.connection import Connection, copy_columns, or_infinity, query, read, transaction
 from conetl.db.map.rows import Row
 from conetl.model.notices import Notice, Subject
 
@@ -35,6 +36,29 @@ def write_notices(
         "state": [dict(state) for _, _, state in notices],
     })  # fmt: skip
     query(conn, "notices.write_round", map_id=map_id, newest=newest)
+
+
+def read_zone_aliases(conn: Connection, *, map_name: str) -> dict[UUID, UUID]:
+    """By the id that is computed from a work zone's devices, the one that it keeps."""
+    rows = read(conn, "The work zones of the map cannot be read", "notices.zone_aliases", map_name=map_name)
+    return {row["computed_id"]: row["zone_id"] for row in rows}
+
+
+def write_zone_aliases(conn: Connection, map_id: int, aliases: Mapping[UUID, UUID]) -> None:
+    """Add such ids, in the caller's transaction."""
+    copy_columns(conn, "conetl.zone_alias", {
+        "map_id": [map_id] * len(aliases),
+        "computed_id": [str(computed_id) for computed_id in aliases],
+        "zone_id": [str(zone_id) for zone_id in aliases.values()],
+    })  # fmt: skip
+
+
+def read_zone_versions(
+    conn: Connection, *, map_name: str, beginning: str = "", known_at: datetime | None = None
+) -> Sequence[Row]:
+    """Columns of `notices.zone_versions`, of the zones whose id begins so."""
+    what, known = "The work zones of the map cannot be read", or_infinity(known_at)
+    return read(conn, what, "notices.zone_versions", map_name=map_name, beginning=beginning, known_at=known)
 
 
 def add_receiver(conn: Connection, map_id: int, receiver: str) -> None:

@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
+from uuid import UUID
 
 from conetl.db.connection import Connection
 from conetl.db.map import notice_store as store
@@ -22,18 +23,20 @@ from conetl.geometry.geodesy import to_geodetic
 from conetl.model.base import ns_from_utc, utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.notices import Notice, Subject
-from conetl.model.planned_zones import DifferenceKind
 from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import WorkZone
 from conetl.pipeline.maps.planned_zones import compare_with_plans
 from conetl.pipeline.maps.work_zones import read_zones, zone_as_dict
 from conetl.pipeline.settings import Settings
 from conetl.services import webhooks
+from conetl.workzones.work_zones import Stood, same_zones
 
 _log = logging.getLogger(__name__)
 _PREFECT = "prefect"
 #: A cone that is found so much farther away has been moved; less is accuracy.
 _MOVED_M = 0.5
+#: A device of a zone whose id became another one is known again by its place; feature ids may be others, too.
+_SAME_PLACE_M = 1.0
 #: Of a zone, what makes another notice; of a difference likewise.
 _ZONE_KEYS = ("start", "end", "merged_into", "closed_side", "closed_lane_count", "vehicle_impact", "direction_known")
 _DIFFERENCE_KEYS = ("kind", "zone_id", "planned_from", "planned_until", "verdict")
@@ -92,33 +95,77 @@ def message_of(info: MapInfo, notice: Notice) -> dict[str, Any]:
 
 
 def notify_receivers(conn: Connection, receivers: Sequence[Receiver], *, map_name: str) -> Round:
-    """Record what changed on a map, and notify all receivers. Raises InputError if there is no map."""
+    """Record what changed on a map, of a large one only for receivers, and notify them. Raises InputError if there is no map."""
     info = require_map(conn, map_name)
     for receiver in receivers:
         store.add_receiver(conn, info.map_id, receiver.name)
-    recorded = record_notices(conn, map_name=map_name)
+    most = None if receivers else WorkZoneParams().most_in_rounds
+    recorded = record_notices(conn, map_name=map_name, most_features=most)
     counts = [deliver(conn, info, receiver) for receiver in receivers]
     return Round(recorded, sum(done for done, _ in counts), sum(failed for _, failed in counts))
 
 
-def record_notices(conn: Connection, *, map_name: str) -> int:
-    """Compare work zones, and their differences from plans, with the last notices; returns the number of new ones."""
+def record_notices(conn: Connection, *, map_name: str, most_features: int | None = None) -> int:
+    """Compare work zones, and their differences from plans, with their last versions; returns the number of new ones.
+
+    most_features: nothing is done on a larger map, where this takes about a second per 1,000 features.
+    """
     info = require_map(conn, map_name)
     due = store.round_due(conn, info.map_id, most_s=_PLANS_AGAIN_S)
-    if not due["is_due"]:
+    if not due["is_due"] or (most_features is not None and due["feature_count"] > most_features):
         return 0
     params = WorkZoneParams()
-    now = {Subject("work_zone", zone.history.zone_id): _zone_state(zone, info.srid)
-           for zone in read_zones(conn, map_name=map_name, as_of=None, lanes=None, params=params).zones}  # fmt: skip
+    zones = _read_states(conn, info, params)
+    if _keep_ids(conn, info, zones):
+        zones = _read_states(conn, info, params)
+    now = {Subject("work_zone", zone_id): state for zone_id, state in zones.items()}
     rows = compare_with_plans(conn, map_name=map_name).rows if due["has_plans"] else []
     for row in rows:
-        if row.difference.kind not in (DifferenceKind.PERMITTED, DifferenceKind.NOT_LOOKED):
+        if row.rank is not None:
             now[Subject("plan_difference", row.difference.difference_id)] = _as_json(row.flat() | {"end": None})
     oldest = utc_from_ns(ns_from_utc(due["newest"]) - int(params.keep_ended_days * 86400e9)).isoformat()
     with map_transaction(conn, map_name):  # two that record at the same time see each other's notices
-        new = list(_changes(store.last_states(conn, info.map_id), now, oldest))
+        before = store.last_states(conn, info.map_id)
+        new = [(one, event, {**state, **_origin(one, before, state)}) if event == "began" else (one, event, state)
+               for one, event, state in _changes(before, now, oldest)]  # fmt: skip
         store.write_notices(conn, info.map_id, new, due["newest"])
     return len(new)
+
+
+def _read_states(conn: Connection, info: MapInfo, params: WorkZoneParams) -> dict[UUID, dict[str, Any]]:
+    found = read_zones(conn, map_name=info.map_name, as_of=None, lanes=None, params=params)
+    return {zone.history.zone_id: _zone_state(zone, info.srid) for zone in found.zones}
+
+
+def _keep_ids(conn: Connection, info: MapInfo, zones: Mapping[UUID, Mapping[str, Any]]) -> bool:
+    """Store under which ids zones were known whose ids are others now; whether there are any."""
+    with map_transaction(conn, info.map_name):
+        known = {one.subject_id: state for one, (event, state) in store.last_states(conn, info.map_id).items()
+                 if one.topic == "work_zone" and event != "withdrawn"}  # fmt: skip
+        lost, new = (
+            {zone_id: Stood(one["start"], one["end"], [device["xyz_m"] for device in one["devices"]])
+             for zone_id, one in some.items() if zone_id not in others}
+            for some, others in ((known, zones), (zones, known))
+        )  # fmt: skip
+        aliases = same_zones(lost, new, _SAME_PLACE_M)
+        stored = store.read_zone_aliases(conn, map_name=info.map_name)
+        aliases = {computed_id: zone_id for computed_id, zone_id in aliases.items() if computed_id not in stored}
+        store.write_zone_aliases(conn, info.map_id, aliases)
+    return bool(aliases)
+
+
+def _origin(
+    one: Subject, before: Mapping[Subject, tuple[str, Mapping[str, Any]]], state: Mapping[str, Any]
+) -> dict[str, Any]:
+    """The zone of which a new one is a part that was split off: it had most of its devices."""
+    if one.topic != "work_zone":
+        return {}
+    own = {device["feature_id"] for device in state["devices"]}
+    shared = {other.subject_id: len(own & {device["feature_id"] for device in known["devices"]})
+              for other, (event, known) in before.items()
+              if other.topic == one.topic and other != one and event in ("began", "changed")}  # fmt: skip
+    most = max(shared, key=lambda zone_id: (shared[zone_id], str(zone_id)), default=None)
+    return {"split_from": str(most)} if most is not None and shared[most] else {}
 
 
 def deliver(conn: Connection, info: MapInfo, receiver: Receiver) -> tuple[int, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, NamedTuple
 from uuid import UUID
@@ -21,20 +21,15 @@ from conetl.geometry.geodesy import to_geodetic, to_map
 from conetl.geometry.packing import horizontal_sigma_m
 from conetl.model.base import Record, ns_from_utc
 from conetl.model.errors import InputError
-from conetl.model.planned_zones import Difference, PlanFile, UnusedRecord
+from conetl.model.planned_zones import DIFFERENCE_COLUMNS, VERDICTS, WORST_FIRST, Difference, PlanFile, UnusedRecord
 from conetl.model.work_zone_params import PlanParams, WorkZoneParams
 from conetl.model.work_zone_records import WorkZone
 from conetl.pipeline.maps.work_zones import read_zones
 from conetl.workzones.looks import FoundZone, ZonePhase
-from conetl.workzones.plan_comparison import compare, shape_of
+from conetl.workzones.plan_comparison import PlacedPlan, compare, shape_of
 
-VERDICTS = ("confirmed", "accepted", "wrong", "open")
-#: Of a row in tables and files.
-COLUMNS = (
-    "difference_id", "kind", "list_name", "plan_id", "zone_id", "text", "amount", "unit", "sigma", "coverage", "confidence",
-    "planned_from", "planned_until", "absent_at", "absent_drive", "first_at", "first_drive", "last_at", "last_drive", "gone_at",
-    "gone_drive", "lon_deg", "lat_deg", "verdict", "note", "decided_by", "link", "images",
-)  # fmt: skip
+#: Differences that drives looked at so long before the last of them are older than last night.
+_NIGHT = timedelta(hours=24)
 
 
 class PlanRow(Record):
@@ -50,15 +45,20 @@ class PlanRow(Record):
     verdict: str = "open"
     note: str = ""
     decided_by: str | None = None
+    rank: int | None = None
+    """1: to be looked at first. Those that are open come before judged ones, then those of last night, then the worst kinds, the
+    most certain and the largest. None: no difference."""
+    last_night: bool = False
+    """A drive looked at it in the last 24 hours of drives."""
 
     def flat(self) -> dict[str, Any]:
-        """All values of a row of a table as JSON values, by the names of `COLUMNS`; passes as time and drive."""
+        """All values of a row of a table as JSON values, by the names of `DIFFERENCE_COLUMNS`; passes as time and drive."""
         values = self.model_dump(mode="json")
         values |= values.pop("difference")
         for name in ("absent", "first", "last", "gone"):
             sight = values.pop(name) or {}
             values |= {f"{name}_at": sight.get("at"), f"{name}_drive": sight.get("drive_id")}
-        return {name: values[name] for name in COLUMNS}
+        return {column.name: values[column.name] for column in DIFFERENCE_COLUMNS}
 
 
 class PlanComparison(NamedTuple):
@@ -66,10 +66,18 @@ class PlanComparison(NamedTuple):
 
     at: datetime
     rows: list[PlanRow]
+    plans: Sequence[PlacedPlan] = ()
+    """Those that were compared, and the zones."""
+    zones: Sequence[WorkZone] = ()
 
     @property
     def counts(self) -> Counter[str]:
         return Counter(str(row.difference.kind) for row in self.rows)
+
+    @property
+    def worst_first(self) -> list[PlanRow]:
+        """The differences by their rank."""
+        return sorted((row for row in self.rows if row.rank is not None), key=lambda row: row.rank or 0)
 
 
 def import_plans(
@@ -111,7 +119,40 @@ def compare_with_plans(
     drives = store.read_frames_near(conn, boxes, map_name=map_name, until=at)
     rows = compare(plans, on_map, drives, params, at_ns=ns_from_utc(at))
     first = {zone.history.zone_id: zone.first.feature_id for zone in found.zones}
-    return PlanComparison(at, _with_evidence(conn, rows, first, info, known_at))
+    return PlanComparison(at, _ranked(_with_evidence(conn, rows, first, info, known_at)), plans, found.zones)
+
+
+def _ranked(rows: Sequence[PlanRow]) -> list[PlanRow]:
+    """In the same order, with their ranks."""
+    looked_at = [row.difference.looked_at for row in rows]
+    newest = max((at for at in looked_at if at is not None), default=None)
+    made = [
+        row.model_copy(update={"last_night": at is not None and newest is not None and at > newest - _NIGHT})
+        for row, at in zip(rows, looked_at, strict=True)
+    ]
+
+    def urgency(row: PlanRow) -> tuple[Any, ...]:
+        one = row.difference
+        return (row.verdict != "open", not row.last_night, WORST_FIRST.index(one.kind), -one.confidence, -(one.amount or 0.0),
+            str(one.difference_id))  # fmt: skip
+
+    ordered = sorted((row for row in made if row.difference.kind in WORST_FIRST), key=urgency)
+    ranks = {row.difference.difference_id: rank for rank, row in enumerate(ordered, 1)}
+    return [row.model_copy(update={"rank": ranks.get(row.difference.difference_id)}) for row in made]
+
+
+def read_difference_table(
+    conn: Connection, *, map_name: str, as_of: datetime | None, view: str
+) -> list[dict[str, Any]] | None:
+    """The differences as rows of a table for people, the worst first; None: there are no plans. view: address of the web view."""
+    if not store.read_plans(conn, map_name=map_name):
+        return None
+    found = compare_with_plans(conn, map_name=map_name, as_of=as_of)
+    shown = ("rank", "kind", "plan_id", "text", "first_at", "last_at", "confidence", "verdict", "last_night")
+    flat = [row.flat() for row in found.worst_first]
+    return [
+        {name: row[name] for name in shown} | {"map": f"{view}/{row['link']}" if view else row["link"]} for row in flat
+    ]
 
 
 def found_zone(zone: WorkZone, params: WorkZoneParams) -> FoundZone:

@@ -12,6 +12,7 @@ import numpy as np
 from conetl.db.base_store import read_lanes_near
 from conetl.db.connection import Connection
 from conetl.db.map.map_store import read_paths, read_versions, require_map
+from conetl.db.map.notice_store import read_zone_aliases
 from conetl.exports import ZONE_FORMATS, zone_writer_of
 from conetl.exports.zone_feed import FeedContext, read_feed_info
 from conetl.model.base import ns_from_utc, utc_from_ns
@@ -20,7 +21,7 @@ from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.map_records import FeatureVersion, MapFeature
 from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, WorkZone, ZoneHistory
-from conetl.workzones.work_zones import zones_over_time
+from conetl.workzones.work_zones import with_kept_ids, zones_over_time
 from conetl.workzones.zone_layout import describe, layout_of
 
 #: Objects of other classes, as signs, neither found nor end a work zone.
@@ -88,7 +89,8 @@ def read_zones(
     versions = [v for v in every if v.feature.category in _IN_ROWS]
     paths = read_paths(conn, map_name=map_name, until=as_of)
     at_ns = None if as_of is None else ns_from_utc(as_of) + 999
-    histories = zones_over_time(versions, paths, params, map_name=info.id_name, at_ns=at_ns)
+    computed = zones_over_time(versions, paths, params, map_name=info.id_name, at_ns=at_ns)
+    histories = with_kept_ids(computed, read_zone_aliases(conn, map_name=map_name))
     lines, source = _lane_lines(conn, histories, lanes, _standing(every, at_ns), map_name=map_name, srid=info.srid)
     zones = [
         describe(history, layout_of(history, paths, some, params), params)

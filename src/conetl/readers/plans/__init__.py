@@ -9,6 +9,7 @@ from conetl.files.documents import read_json
 from conetl.model.errors import InputError
 from conetl.model.planned_zones import PlanFile
 from conetl.readers.plans.datex2 import read_datex2
+from conetl.readers.plans.national_highways import is_planned_works, read_planned_works
 from conetl.readers.plans.permits import Permits, read_permits
 from conetl.readers.plans.wzdx import is_feed, read_feed
 
@@ -31,4 +32,6 @@ def read_plans(
         return read_permits(path, document, Permits(crs, time_zone, dict(columns or {})))
     if crs or time_zone or columns:
         raise InputError(f"{path}: its format states CRS, times and fields: leave out --crs, --time-zone and --column")
-    return read_datex2(path) if suffix == ".xml" else read_feed(path, document)
+    if suffix == ".xml":
+        return read_planned_works(path) if is_planned_works(path) else read_datex2(path)
+    return read_feed(path, document)

@@ -27,18 +27,17 @@ from tipg.resources.response import GeoJSONResponse, ORJSONResponse
 
 from conetl.db.ogc_store import Degrees, MapDirectory
 from conetl.db.reader_pool import STATEMENT_TIMEOUT, AsyncReaderPool
-from conetl.model.columns import BY_NAME
 from conetl.model.errors import DatabaseError
 from conetl.web.models import Problem
 from conetl.web.ogc import parameters as p
-from conetl.web.ogc.collections import FILTERS, AsOfCollection, Page, as_ewkt
+from conetl.web.ogc.collections import FILTERS, AsOfCollection, Compare, Page, as_ewkt
 from conetl.web.parameters import BadParameterError, Interval
 
 TITLE = "conetl: maps of traffic cones"
 DESCRIPTION = (
-    "Each map has three collections: MAP.features, the cones and other point objects, and MAP.lane_markings, the lane markings, "
-    "both as of an instant (at, known_at), and MAP.changes, the changes of points between two instants (from, to, known_from, "
-    "known_to)."
+    "Each map has four collections: MAP.features, the cones and other point objects, and MAP.lane_markings, the lane markings, "
+    "both as of an instant (at, known_at), MAP.changes, the changes of points between two instants (from, to, known_from, "
+    "known_to), and MAP.differences, planned work zones against those that were found (at, known_at)."
 )
 _API_DEFINITION_TYPE = "application/vnd.oai.openapi+json;version=3.1"
 #: tipg itself would also claim HTML, OpenAPI 3.0 (the API definition is of 3.1) and filter expressions.
@@ -76,8 +75,8 @@ Properties = Annotated[
 _FORMS = (MediaType.geojson, MediaType.csv, MediaType.json, MediaType.geojsonseq, MediaType.ndjson)
 
 
-def create_ogc_app(pool: AsyncReaderPool, map_name: str) -> FastAPI:
-    """OGC API Features and tiles of all maps of a database; the collections of `map_name` come first."""
+def create_ogc_app(pool: AsyncReaderPool, map_name: str, compare: Compare) -> FastAPI:
+    """OGC API Features and tiles of all maps of a database; the collections of `map_name` come first. compare: of differences."""
     app = FastAPI(
         title=TITLE, description=DESCRIPTION, version="1.0.0", openapi_url=None, docs_url=None, redoc_url=None,
         dependencies=[Depends(p.prepare), Depends(p.read_instants)], redirect_slashes=False,
@@ -85,6 +84,7 @@ def create_ogc_app(pool: AsyncReaderPool, map_name: str) -> FastAPI:
     app.state.pool = pool
     app.state.maps = MapDirectory()
     app.state.map_name = map_name
+    app.state.compare = compare
     app.openapi = lambda: _definition(app)  # type: ignore[method-assign]
     for path, endpoint in (("/", _landing), ("/conformance", _conformance), ("/api", _api)):
         app.get(path, tags=["OGC Common"])(endpoint)
@@ -139,9 +139,9 @@ def _definition(app: FastAPI) -> dict[str, Any]:
         operation["parameters"] = parameters + [
             {
                 "name": name, "in": "query", "required": False, "schema": schema,
-                "description": f"Only items with this value: {BY_NAME[name].meaning}",
+                "description": f"Only items with this value: {meaning}",
             }
-            for name, schema in FILTERS.items() if path in _FILTERED and name not in names
+            for name, (schema, meaning) in FILTERS.items() if path in _FILTERED and name not in names
         ]  # fmt: skip
         operation["responses"].pop("422", None)
         for answer in operation["responses"].values():
@@ -300,7 +300,7 @@ def _row(collection: AsOfCollection, item: dict[str, Any]) -> dict[str, Any]:
 def _pinned(request: Request, collection: AsOfCollection) -> dict[str, str]:
     """The query of a request with the state of the database that it shows: links to other pages lead to the same state."""
     name = "known_to" if collection.table == "changes" else "known_at"
-    latest = collection.served.last_committed_at.isoformat().replace("+00:00", "Z")
+    latest = collection.served.last_written_at.isoformat().replace("+00:00", "Z")
     return {**request.query_params} | ({} if name in request.query_params else {name: latest})
 
 

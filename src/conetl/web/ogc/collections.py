@@ -1,9 +1,10 @@
-"""The collections of each map as tipg collections: points and lane markings as of an instant, changes of points between two."""
+"""The collections of each map as tipg collections: points and lane markings as of an instant, changes of points between two,
+differences from plans."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import Any
@@ -12,15 +13,18 @@ from uuid import UUID
 import asyncpg
 import orjson
 from cql2 import Expr
+from fastapi.concurrency import run_in_threadpool
 from morecantile import Tile, TileMatrixSet
 from tipg.collections import Column, PgCollection
 from tipg.errors import NotFound
 from tipg.model import Extent, Spatial, Temporal
 
 from conetl.db import ogc_store as store
-from conetl.db.ogc_store import Degrees, ItemRows, ServedMap
+from conetl.db.ogc_store import Degrees, GivenRows, ItemRows, ServedMap
 from conetl.model.base import TICK
 from conetl.model.columns import BY_NAME, Face, names
+from conetl.model.planned_zones import DIFFERENCE_COLUMNS
+from conetl.pipeline.maps.planned_zones import PlanComparison
 from conetl.web.parameters import BadParameterError, Interval, check_value
 from conetl.web.tiles import STORED_ZOOMS
 
@@ -61,8 +65,12 @@ class Page:
 
 _SCHEMAS: dict[str, dict[str, Any]] = {
     "text": {"type": "string"}, "integer": {"type": "integer"}, "float8": {"type": "number"},
-    "uuid": {"type": "string", "format": "uuid"}, "timestamptz": {"type": "string", "format": "date-time"},
+    "boolean": {"type": "boolean"}, "uuid": {"type": "string", "format": "uuid"},
+    "timestamptz": {"type": "string", "format": "date-time"},
 }  # fmt: skip
+_OF_DIFFERENCES = {column.name: column for column in DIFFERENCE_COLUMNS}
+#: All properties by name.
+_COLUMNS = _OF_DIFFERENCES | BY_NAME
 _FEATURES, _LINES, _CHANGED = (
     names(Face.OGC, "points"),
     names(Face.OGC, "lines"),
@@ -90,7 +98,17 @@ COLLECTIONS = {
         "those of removed cones are from before it.",
         _CHANGED, "Point",
     ),
+    "differences": (
+        "Differences from plans",
+        "Planned work zones against those that were found until the instant `at`, as known at `known_at`; `rank` 1 is the worst.",
+        tuple(column.name for column in DIFFERENCE_COLUMNS if column.name != "images"), "Point",
+    ),
 }  # fmt: skip
+
+
+#: Compares the plans of a map, as of an instant and as known at another one; a plain function, for a thread.
+Compare = Callable[[str, datetime | None, datetime | None], PlanComparison]
+Rows = ItemRows | GivenRows
 
 
 class AsOfCollection(PgCollection):
@@ -98,6 +116,7 @@ class AsOfCollection(PgCollection):
 
     served: ServedMap
     instants: Instants
+    compare: Compare
 
     @property
     def extent(self) -> Extent:
@@ -112,7 +131,7 @@ class AsOfCollection(PgCollection):
         kinds = {column.name: column.type for column in self.properties}
         for name, text in others.get("properties") or ():
             check_value(name, kinds[name], text)
-            if text not in (words := BY_NAME[name].words or (text,)):
+            if text not in (words := _COLUMNS[name].words or (text,)):
                 raise BadParameterError(f"{name}={text!r} should be one of {', '.join(words)}.")
         where = super().cql_where(**others)
         if not ids:
@@ -148,8 +167,8 @@ class AsOfCollection(PgCollection):
             "where": self._where_clause(where), "order": ", ".join(sql for _, sql in order), "columns": ", ".join(sorted(needed)),
             "properties": ", ".join(f"p.{name}" for name in columns),
         }  # fmt: skip
-        rows = self._rows(box, interval)
-        if not ids and self.table != "changes" and self._is_large(box):
+        rows = await self._rows(box, interval)
+        if not ids and isinstance(rows, ItemRows) and self.table != "changes" and self._is_large(box):
             return await self._page_of_many(conn, text, rows, limit, offset, links)
         items, returned = await _items(conn, text, rows, limit, offset, links)
         if returned < limit and (returned or not offset):  # the last page gives the number of all
@@ -178,7 +197,11 @@ class AsOfCollection(PgCollection):
             raise NotFound(f"There is no tile {tile.z}/{tile.x}/{tile.y}: the zoom levels are 0 to {MAX_ZOOM}.")
         box = asked.pop("bbox_filter", None)
         edges = tms.bounds(tile)
-        rows = self._rows(box, asked.pop("datetime_filter", None))
+        rows = await self._rows(box, asked.pop("datetime_filter", None))
+        if isinstance(rows, GivenRows):
+            asked["function_parameters"] = rows
+            whole: bytes = await super().get_tile(conn, tms=tms, tile=tile, **asked)
+            return whole
         if box is None:  # tipg itself tests the edges of the tile
             near = store.rows_near((edges.left, edges.bottom, edges.right, edges.top), self.served)
             rows = replace(rows, near=None if near == store.ALL_ROWS else near)
@@ -215,13 +238,23 @@ class AsOfCollection(PgCollection):
         params += arguments
         return f"FROM {sql}"
 
-    def _rows(self, box: Degrees | None, interval: Interval | None) -> ItemRows:
+    async def _rows(self, box: Degrees | None, interval: Interval | None) -> Rows:
         """Which rows a request means. Without a box if the whole map is requested: that is a separate statement with its plan."""
+        if self.table == "differences":
+            return await self._differences(box, interval)
         near = store.ALL_ROWS if box is None else store.rows_near(box, self.served)
         rows = ItemRows(self.table, self.served.map_name, self._times(interval))
         if box is None or near == store.ALL_ROWS:
             return rows
         return replace(rows, box=box, near=near, inner=store.rows_within(box, self.served))
+
+    async def _differences(self, box: Degrees | None, interval: Interval | None) -> GivenRows:
+        """As of an instant, or the end of an interval: those that last until its begin."""
+        begin, at = interval or (None, self.instants.at)
+        found = await run_in_threadpool(self.compare, self.served.map_name, at, self.instants.known_at)
+        ends = ((row, row.difference.span[1]) for row in found.rows)
+        rows = [row.flat() for row, end in ends if begin is None or begin == at or end is None or end >= begin]
+        return GivenRows("differences", orjson.dumps(rows).decode(), DIFFERENCE_COLUMNS, box)
 
     def _times(self, interval: Interval | None) -> dict[str, datetime | None]:
         """Instants by the parameter of the SQL function; None: the latest, or of a beginning the earliest."""
@@ -238,26 +271,28 @@ class AsOfCollection(PgCollection):
         }  # fmt: skip
 
 
-def collection_of(name: str, served: ServedMap, instants: Instants) -> AsOfCollection:
+def collection_of(name: str, served: ServedMap, instants: Instants, compare: Compare) -> AsOfCollection:
     """A collection of a map; name: of `COLLECTIONS`."""
     title, description, columns, geometry = COLLECTIONS[name]
     place = Column(name="geom", type="geometry", geometry_type=geometry, srid=4326, bounds=list(served.extent))
-    listed = [_column(column) for column in columns]
+    listed = [_column(column, name) for column in columns]
     return AsOfCollection(
         type="Table", id=f"{served.map_name}.{name}", table=name, schema="conetl", title=f"{title} of the map {served.map_name}",
         description=description, table_columns=[*listed, place], properties=[*listed, place], id_column=listed[0],
-        geometry_column=place, parameters=[], served=served, instants=instants,
+        geometry_column=place, parameters=[], served=served, instants=instants, compare=compare,
     )  # fmt: skip
 
 
-def _column(name: str) -> Column:
-    return Column(name=name, type=BY_NAME[name].kind, description=BY_NAME[name].meaning)
+def _column(name: str, collection: str) -> Column:
+    column = (_OF_DIFFERENCES if collection == "differences" else BY_NAME)[name]
+    return Column(name=name, type=column.kind, description=column.meaning)
 
 
-#: JSON Schema of the values of each property by which items are filtered.
+#: By property, by which items are filtered: JSON Schema of its values, and what it means.
 FILTERS = {
-    name: _SCHEMAS[BY_NAME[name].kind] | ({"enum": list(BY_NAME[name].words)} if BY_NAME[name].words else {})
-    for name in (*_CHANGED, *_LINES, *_FEATURES)
+    name: (_SCHEMAS[column.kind] | ({"enum": list(column.words)} if column.words else {}), column.meaning)
+    for name in dict.fromkeys(name for _, _, names_, _ in COLLECTIONS.values() for name in names_)
+    if (column := _COLUMNS[name])
 }
 
 
@@ -269,7 +304,7 @@ def as_ewkt(geometry: dict[str, Any]) -> str:
 
 
 async def _items(
-    conn: asyncpg.Connection, text: Mapping[str, str], rows: ItemRows, limit: int, offset: int, links: tuple[str, str]
+    conn: asyncpg.Connection, text: Mapping[str, str], rows: Rows, limit: int, offset: int, links: tuple[str, str]
 ) -> tuple[bytes, int]:
     """Items of one page as comma-separated JSON, and their number."""
     sql, arguments = rows.source(5)
@@ -277,7 +312,7 @@ async def _items(
     return (row["items"] or "").encode(), row["returned"]
 
 
-async def _count(conn: asyncpg.Connection, text: Mapping[str, str], rows: ItemRows) -> int:
+async def _count(conn: asyncpg.Connection, text: Mapping[str, str], rows: Rows) -> int:
     sql, arguments = rows.source(1)
     [row] = await store.fetch(conn, "count", {**text, "source": sql}, *arguments)
     return int(row[0])

@@ -65,7 +65,10 @@ async def prepare(request: Request) -> None:
 async def one_collection(
     request: Request,
     collectionId: Annotated[
-        str, Path(description="MAP.features, MAP.lane_markings or MAP.changes, where MAP is the name of a map")
+        str,
+        Path(
+            description="MAP.features, MAP.lane_markings, MAP.changes or MAP.differences, where MAP is the name of a map"
+        ),
     ],
     instants: RequestInstants,
 ) -> AsOfCollection:
@@ -74,9 +77,9 @@ async def one_collection(
     found = await _maps(request, map_name) if kind in COLLECTIONS and map_name.isprintable() else []
     if not found:
         raise NotFound(f"There is no collection {collectionId}: see /collections.")
-    latest = found[0].last_committed_at  # all queries of a request see one state
+    latest = found[0].last_written_at  # all queries of a request see one state
     pinned = replace(instants, known_at=instants.known_at or latest, known_end=instants.known_end or latest)
-    return collection_of(kind, found[0], pinned)
+    return collection_of(kind, found[0], pinned, request.app.state.compare)
 
 
 async def all_collections(
@@ -98,7 +101,7 @@ async def all_collections(
         if (box is None or parts_of_box(box, m.extent)) and (end is None or end >= m.since)
     ]
     found.sort(key=lambda m: (m.map_name != request.app.state.map_name, m.map_name))
-    listed = [collection_of(kind, m, instants) for m in found for kind in COLLECTIONS]
+    listed = [collection_of(kind, m, instants, request.app.state.compare) for m in found for kind in COLLECTIONS]
     page = listed[offset : offset + limit]
     following = offset + len(page)
     return CollectionList(
