@@ -302,7 +302,9 @@ def _linearise(values: Floats, sample: Floats, slopes: Floats, unknown: Floats, 
     if not normal[0, 0] * normal[1, 1] - normal[0, 1] ** 2 > 1e-9 * normal[0, 0] * normal[1, 1]:
         return None
     inverse = np.linalg.inv(normal + _PRIOR_NORMAL)
-    correlation = float((ts / noise).sum() / np.sqrt((tt / noise).sum() * (ss / noise).sum()))
+    correlation = min(
+        float((ts / noise).sum() / np.sqrt((tt / noise).sum() * (ss / noise).sum())), 1.0
+    )  # but for rounding
     residual = (stacked[:, 0] - gain[:, None] * stacked[:, 1]).T
     shift = means[:, 0] - gain * means[:, 1]
     return _Linearised(stacked, along, residual, noise, inverse, normal, pull, correlation, gain, shift)
