@@ -9,7 +9,6 @@ import numpy as np
 from conetl.files.documents import input_errors, shown
 from conetl.files.names import printable
 from conetl.geometry import geodesy
-from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
 from conetl.model.drive import SurveyedPoint
 from conetl.model.errors import InputError
@@ -20,6 +19,8 @@ from conetl.readers.trajectories.earth import in_wgs84
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 
+#: A surveyor measures a hundredth of them.
+MOST_POINTS = 200_000
 _NAMES = ("name", "id", "point", "point_id", "cone_id", "nr", "no")
 _SIGMAS = ("sigma_e_m", "sigma_n_m", "sigma_u_m")
 
@@ -33,6 +34,11 @@ def read_surveyed_points(
     unless the columns sigma_e_m, sigma_n_m, sigma_u_m state it. Raises InputError.
     """
     table = read_table(path)
+    if len(table) > MOST_POINTS:
+        raise InputError(
+            f"{path}: has {len(table):,} points, expected at most {MOST_POINTS:,} surveyed ones: leave out those "
+            "that are not near a cone"
+        )
     source = crs or (table.crs.to_wkt() if table.crs is not None else None)
     if source is None:
         raise InputError(f"{path}: does not state a coordinate reference system; give its crs (--crs), like EPSG:25832")
@@ -53,9 +59,9 @@ def read_surveyed_points(
     sigmas = _sigmas(table, sigma_m, path)
     require_exact(table, own_crs, sigmas)
     names = next((table.columns[name] for name in _NAMES if name in table.columns), None) or range(1, count + 1)
-    return [
-        SurveyedPoint(name=printable(str(name))[:60], xyz_m=vec3(p), sigma_m=vec3(s))
-        for name, p, s in zip(names, xyz, sigmas, strict=True)
+    return [  # whose values were checked as columns
+        SurveyedPoint.model_construct(name=printable(str(name))[:60], xyz_m=tuple(p), sigma_m=tuple(s))
+        for name, p, s in zip(names, xyz.tolist(), sigmas.tolist(), strict=True)
     ]
 
 

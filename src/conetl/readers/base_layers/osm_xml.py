@@ -7,8 +7,8 @@ is not as plain as programs write it (comments, both kinds of quotes, another en
 
 from __future__ import annotations
 
-import html
 import re
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -34,6 +34,7 @@ _OTHER_ENCODING = re.compile(rb"<\?xml[^>]*encoding=.(?!utf-?8)", re.IGNORECASE)
 #: Text before a value: the end of a tag, ends of elements and the beginning of the next one, if any; the name of the value.
 _BEFORE = re.compile(rb"(?:\s*(/?>)\s*((?:</\w+\s*>\s*)*)<(\w+))?\s+([\w:.-]+)\s*=\s*")
 _LAST = re.compile(rb"\s*(/?>)\s*((?:</\w+\s*>\s*)*)")
+_ENTITY = re.compile(r"&(?:(\w+)|#(\d{1,9})|#x([\da-fA-F]{1,8}));", re.ASCII)
 _QUOTES = (b'"', b"'")
 #: In place of an id that is not a whole number.
 NO_ID = -(2**63)
@@ -390,4 +391,12 @@ def _converted(text: bytes, kind: Callable[[bytes], Any], none: Any) -> Any:
 
 def _text(value: bytes) -> str:
     text = value.decode(errors="replace")
-    return html.unescape(text) if "&" in text else text
+    return _ENTITY.sub(_character, text) if "&" in text else text
+
+
+def _character(match: re.Match[str]) -> str:
+    name, decimal, hexadecimal = match.groups()
+    if name:
+        return {"amp": "&", "lt": "<", "gt": ">", "quot": '"', "apos": "'"}.get(name, match[0])
+    number = int(decimal or hexadecimal, 10 if decimal else 16)
+    return chr(number) if number <= sys.maxunicode else match[0]

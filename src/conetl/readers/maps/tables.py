@@ -10,6 +10,7 @@ import json
 import re
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
@@ -306,6 +307,9 @@ def _values(texts: Sequence[str], delimiter: str) -> list[str | None]:
 
 def numbers_of(path: Path, name: str, values: Sequence[Any], *, required: bool = False) -> Floats:
     """The values of a column (N,) as numbers, NaN for empty cells. Raises InputError, which names the row."""
+    if not (required and None in values):
+        with suppress(ValueError, TypeError, OverflowError):
+            return np.array(values, np.float64).reshape(-1)
     found = np.empty(len(values))
     for index, value in enumerate(values):
         try:
