@@ -61,6 +61,8 @@ HEIGHTS = (
 _OF_OBJECTS, _HIGHEST_OBJECT_M = HEIGHTS[-4:], 10.0
 _UNIT = re.compile(r"[_\[(](m|ft|feet|deg|°|met(?:re|er)s?|degrees?)[\])]?$")
 _UNITS_M = {"m": 1.0, "f": 0.3048}
+#: US survey feet and international ones differ by less, metres by more.
+_SAME_UNIT = 1e-3
 _DECIMAL_COMMA = re.compile(r"[-+]?(?:\d+(?:,\d*)?|,\d+)(?:[eE][-+]?\d+)?")
 #: The first bytes of a FlatGeobuf file, without the patch version.
 _FGB_MAGIC = b"fgb\x03fgb"
@@ -82,6 +84,8 @@ class MapTable:
     """Names of the file's layers with geometry, in its order; empty for formats without layers."""
     layer: str | None = None
     """The one that was read."""
+    unit_m: float | None = None
+    """Of easting and northing, by the names of their columns; None where they state none."""
     lines_left_out: int = 0
     """Lane markings of an export: only point objects are read."""
 
@@ -273,6 +277,7 @@ def _read_csv(path: Path) -> MapTable:
                 if len(line) != len(names):
                     raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
                 lines.append(line)
+    units_m = [unit_m for base, unit_m in map(_split, names) if unit_m and _POSITIONS.get(base, "").endswith("_m")]
     names = [_POSITIONS.get(_split(name)[0], name) for name in names]
     if len(set(names)) != len(names):
         raise InputError(f"{path}: the header contains a column name twice")
@@ -284,7 +289,8 @@ def _read_csv(path: Path) -> MapTable:
     horizontal = ("lon_deg", "lat_deg") if geographic else ("easting_m", "northing_m")
     axes = [numbers_of(path, name, columns.get(name, []), required=True) for name in horizontal]
     xyz = np.column_stack([*axes, np.full(len(lines), np.nan)])
-    return MapTable(path, CRS("OGC:CRS84") if geographic else None, xyz, columns)
+    unit_m = max(units_m) if units_m and not geographic else None
+    return MapTable(path, CRS("OGC:CRS84") if geographic else None, xyz, columns, unit_m=unit_m)
 
 
 def _short_lines(path: Path, file: TextIO) -> Iterator[str]:
@@ -333,6 +339,12 @@ def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:
     crs: of the positions. of_points: all names are those of points, not of objects above them. A column is removed if it has such
     a name. Raises InputError for heights of another system than that of the CRS.
     """
+    own_unit_m = float(crs.axis_info[0].unit_conversion_factor)
+    if table.unit_m is not None and crs.is_projected and abs(own_unit_m / table.unit_m - 1.0) > _SAME_UNIT:
+        raise InputError(
+            f"{table.path}: by the names of their columns, easting and northing are in units of {table.unit_m:g} m, but those of "
+            f"{crs.name} are {own_unit_m:g} m: state the CRS of the file's coordinates, or convert them"
+        )
     crs_unit_m = height_unit_m(crs)
     heights_m = table.xyz[:, 2] * crs_unit_m
     absent = np.isnan(heights_m) | (heights_m == 0.0 if not heights_m.any() else False)
