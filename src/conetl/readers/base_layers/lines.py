@@ -6,11 +6,12 @@ and its documentation, LinestringTagging). Nodes are WGS 84.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import shapely
 from pyproj import CRS
 
 from conetl.files.documents import shown
@@ -19,6 +20,11 @@ from conetl.model.errors import InputError
 from conetl.readers.base_layers.osm_xml import NO_ID, read_osm
 
 MAX_LINES = 500_000
+#: Largest deviation of vertices that are left out from the line.
+TOLERANCE_M = 0.01
+MAX_COORDINATE_M = 1e9
+#: Vertices that are simplified at once: the time for a curled line rises with the square of it; and those in memory at once.
+_BLOCK, _BATCH = 2_000, 200_000
 #: Lanelet2 line strings that bound lanes or the road; others (stop lines, signs, walls) do not.
 LANELET2_BOUNDARIES = frozenset({"line_thin", "line_thick", "curbstone", "road_border", "guard_rail", "virtual"})
 #: Ways of these types are lane boundaries even without a lanelet.
@@ -69,6 +75,56 @@ def bounds_lanes(kind: str, attributes: Mapping[str, Any]) -> bool:
 def full_kind(kind: str, attributes: Mapping[str, Any]) -> str:
     """`type/subtype` where a line has these attributes, for example `line_thin/dashed`."""
     return "/".join(str(attributes[name]) for name in ("type", "subtype") if attributes.get(name)) or kind
+
+
+def simplified(lines: Iterable[Line]) -> Iterator[Line]:
+    """The lines with the vertices required by plan or height within TOLERANCE_M, and every _BLOCK vertices one.
+
+    Raises ValueError.
+    """
+    batch: list[Line] = []
+    count = 0
+    for line in lines:
+        batch.append(line)
+        count += len(line.xyz)
+        if count > _BATCH:
+            yield from _simplified(batch)
+            batch, count = [], 0
+    if batch:
+        yield from _simplified(batch)
+
+
+def _simplified(lines: list[Line]) -> list[Line]:
+    """All at once, as blocks of vertices whose third coordinate is their number."""
+    all_xyz = np.concatenate([line.xyz for line in lines])
+    if not (np.abs(all_xyz) < MAX_COORDINATE_M).all():  # NaN fails too; GEOS does not return from some of them
+        raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")
+    line_of = np.repeat(np.arange(len(lines)), [len(line.xyz) for line in lines])
+    first = np.diff(line_of, prepend=-1) > 0
+    # Equal vertices are where a geometry is too short.
+    different = first | np.any(np.diff(all_xyz, axis=0, prepend=np.inf) != 0, axis=1)
+    xyz, line_of, first = all_xyz[different], line_of[different], first[different]
+    numbers = np.arange(len(xyz))
+    starts = numbers[first]
+    steps = np.linalg.norm(np.diff(xyz[:, :2], axis=0, prepend=xyz[:1, :2]), axis=1)
+    along = np.cumsum(np.where(first, 0.0, steps))
+    along -= along[starts][line_of]
+    at = numbers - starts[line_of]
+    begins = (at % _BLOCK == 0) & ~np.append(first[1:], True)  # a block of one vertex is the end of the one before
+    # The vertex between two blocks is in both.
+    twice = np.sort(np.concatenate([numbers, numbers[begins & (at > 0)]]))
+    block_of = np.cumsum(begins)[twice] - 1
+    shared = np.append(twice[1:] == twice[:-1], False)
+    block_of[shared] -= 1
+    keep = first | np.append(first[1:], True)
+    enough = np.bincount(block_of)[block_of] > 1
+    for flat in (xyz[:, :2], np.column_stack([along, xyz[:, 2]])):
+        vertices = np.column_stack([flat, numbers])[twice][enough]
+        blocks = shapely.linestrings(vertices, indices=block_of[enough])
+        kept = shapely.get_coordinates(shapely.simplify(blocks, TOLERANCE_M, preserve_topology=False), include_z=True)
+        keep[kept[:, 2].astype(np.int64)] = True
+    parts = np.split(xyz[keep], np.flatnonzero(np.diff(line_of[keep])) + 1)
+    return [line._replace(xyz=part) for line, part in zip(lines, parts, strict=True)]
 
 
 def read_lanelet2(path: Path) -> LineFile:

@@ -22,7 +22,7 @@ from conetl.files.documents import XmlFile, input_errors, library_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
-from conetl.readers.base_layers.lines import Line, LineFile, add_line
+from conetl.readers.base_layers.lines import Line, LineFile, add_line, simplified
 
 Element = ElementTree.Element
 
@@ -30,17 +30,10 @@ Element = ElementTree.Element
 STEP_M = 1.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _ARC_LENGTH_SAMPLES = 512
-#: Largest deviation of omitted vertices from the line.
-TOLERANCE_M = 0.01
 _MAX_ROAD_M = 100_000.0
 #: Points that are computed for all lines of a file, and how many of them a line costs at least.
 MAX_POINTS = 50_000_000
 _LINE_POINTS = 100
-MAX_COORDINATE_M = 1e9
-#: Vertices that are simplified at once: the time for a curled line rises with the square of it.
-_BLOCK = 2_000
-#: Vertices of the lines of a road that are in memory at once.
-_BATCH = 200_000
 #: Elements of a road, which are in memory at once.
 _MOST_ELEMENTS = 500_000
 
@@ -122,7 +115,7 @@ def lane_borders(
     return found
 
 
-class Frame(NamedTuple):
+class RoadFrame(NamedTuple):
     """Where a point at (s, t) is: base_m + t * left."""
 
     base_m: Floats
@@ -135,12 +128,12 @@ class Frame(NamedTuple):
         return self.base_m + t_m[:, None] * self.left
 
 
-def frame_of(pieces: Sequence[Piece], elevation: Floats, superelevation: Floats, s_m: Floats) -> Frame:
+def frame_of(pieces: Sequence[Piece], elevation: Floats, superelevation: Floats, s_m: Floats) -> RoadFrame:
     """At s (N,) of a road."""
     xy, heading = reference_line(pieces, s_m)
     roll = cubic_at(superelevation, s_m)
     left = np.column_stack([-np.sin(heading) * np.cos(roll), np.cos(heading) * np.cos(roll), np.sin(roll)])
-    return Frame(np.column_stack([xy, cubic_at(elevation, s_m)]), left)
+    return RoadFrame(np.column_stack([xy, cubic_at(elevation, s_m)]), left)
 
 
 def straight(ds: Floats) -> tuple[Floats, Floats]:
@@ -203,9 +196,8 @@ def read_opendrive(path: Path) -> LineFile:
             elif part.tag == "road":
                 what = f"road {shown(part.get('id', ''))}"
                 try:
-                    for batch in _batches(_road_lines(part, spend)):
-                        for line in _simplified(batch):
-                            add_line(line, f"{what}, {line.attributes.get('border')}", lines, refused)
+                    for line in simplified(_road_lines(part, spend)):
+                        add_line(line, f"{what}, {line.attributes.get('border')}", lines, refused)
                 except (ValueError, KeyError, shapely.errors.ShapelyError) as error:
                     refused.append(f"{what}: {error}")
         turn, shift = _offset_of(header)
@@ -283,7 +275,7 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
     whole = frame_of(pieces, elevation, roll, np.concatenate(samples))
     ends = np.cumsum([len(s) for s in samples])
     for elements, (section, start, _), s, stop in zip(lanes_of, spans, samples, ends.tolist(), strict=True):
-        frame = Frame(whole.base_m[stop - len(s) : stop], whole.left[stop - len(s) : stop])
+        frame = RoadFrame(whole.base_m[stop - len(s) : stop], whole.left[stop - len(s) : stop])
         if section is None:
             yield Line("reference_line", frame.base_m, {**about, "border": "reference line"})
             continue
@@ -355,51 +347,3 @@ def _offset_of(header: Element) -> tuple[Floats, Floats]:
     x, y, z, heading = (stated.get(name, 0.0) for name in ("x", "y", "z", "hdg"))
     cos, sin = math.cos(heading), math.sin(heading)
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, z])
-
-
-def _batches(lines: Iterator[Line]) -> Iterator[list[Line]]:
-    """Lines of about _BATCH vertices at a time."""
-    batch: list[Line] = []
-    for line in lines:
-        batch.append(line)
-        if sum(len(one.xyz) for one in batch) > _BATCH:
-            yield batch
-            batch = []
-    if batch:
-        yield batch
-
-
-def _simplified(lines: list[Line]) -> list[Line]:
-    """The lines with the vertices required by plan or height within TOLERANCE_M, and every _BLOCK vertices one.
-
-    All lines at once, as blocks of vertices whose third coordinate is their number. Raises ValueError.
-    """
-    all_xyz = np.concatenate([line.xyz for line in lines])
-    if not (np.abs(all_xyz) < MAX_COORDINATE_M).all():  # NaN fails too; GEOS does not return from some of them
-        raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")
-    line_of = np.repeat(np.arange(len(lines)), [len(line.xyz) for line in lines])
-    first = np.diff(line_of, prepend=-1) > 0
-    # Equal vertices are where a geometry is too short.
-    different = first | np.any(np.diff(all_xyz, axis=0, prepend=np.inf) != 0, axis=1)
-    xyz, line_of, first = all_xyz[different], line_of[different], first[different]
-    numbers = np.arange(len(xyz))
-    starts = numbers[first]
-    steps = np.linalg.norm(np.diff(xyz[:, :2], axis=0, prepend=xyz[:1, :2]), axis=1)
-    along = np.cumsum(np.where(first, 0.0, steps))
-    along -= along[starts][line_of]
-    at = numbers - starts[line_of]
-    begins = (at % _BLOCK == 0) & ~np.append(first[1:], True)  # a block of one vertex is the end of the one before
-    # The vertex between two blocks is in both.
-    twice = np.sort(np.concatenate([numbers, numbers[begins & (at > 0)]]))
-    block_of = np.cumsum(begins)[twice] - 1
-    shared = np.append(twice[1:] == twice[:-1], False)
-    block_of[shared] -= 1
-    keep = first | np.append(first[1:], True)
-    enough = np.bincount(block_of)[block_of] > 1
-    for flat in (xyz[:, :2], np.column_stack([along, xyz[:, 2]])):
-        vertices = np.column_stack([flat, numbers])[twice][enough]
-        blocks = shapely.linestrings(vertices, indices=block_of[enough])
-        kept = shapely.get_coordinates(shapely.simplify(blocks, TOLERANCE_M, preserve_topology=False), include_z=True)
-        keep[kept[:, 2].astype(np.int64)] = True
-    parts = np.split(xyz[keep], np.flatnonzero(np.diff(line_of[keep])) + 1)
-    return [line._replace(xyz=part) for line, part in zip(lines, parts, strict=True)]

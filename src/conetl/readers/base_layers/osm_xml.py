@@ -103,7 +103,7 @@ def _plain_blocks(path: Path) -> Iterator[bytes]:
 def _rewritten_blocks(path: Path) -> Iterator[bytes]:
     """The same, of any XML. Raises ExpatError, InputError."""
     parser, written, open_elements = expat.ParserCreate(), list[str](), list[str]()
-    objects = others = 0
+    objects, others, marks = 0, 0, {'"': "&quot;"}
 
     def start(name: str, attributes: dict[str, str]) -> None:
         nonlocal objects, others
@@ -118,7 +118,7 @@ def _rewritten_blocks(path: Path) -> Iterator[bytes]:
                     f"{path}: is not OSM XML: {others:,} elements are no nodes or ways; expected a Lanelet2 map"
                 )
             return
-        values = "".join(f" {key}={quoteattr(value, _ENTITIES)}" for key, value in attributes.items())
+        values = "".join(f" {key}={quoteattr(value, marks)}" for key, value in attributes.items())
         written.append(f'<{name} _=""{values}>')
 
     def end(name: str) -> None:
@@ -140,9 +140,6 @@ def _rewritten_blocks(path: Path) -> Iterator[bytes]:
                 yield text[:cut].encode()
         parser.Parse(b"", True)
     yield (kept + "".join(written)).encode()
-
-
-_ENTITIES = {'"': "&quot;"}
 
 
 # --------------------------------------------------------------------------- values of a block

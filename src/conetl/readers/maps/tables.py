@@ -29,7 +29,7 @@ from conetl.geometry.geodesy import ELLIPSOIDAL
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
-from conetl.readers.base_layers.georeferencing import height_unit_m, parse_crs
+from conetl.readers.base_layers.georeferencing import height_unit_m, parse_crs, require_unit
 
 #: Larger files are not cone maps and do not fit into memory.
 MAX_ROWS = 1_000_000
@@ -61,8 +61,6 @@ HEIGHTS = (
 _OF_OBJECTS, _HIGHEST_OBJECT_M = HEIGHTS[-4:], 10.0
 _UNIT = re.compile(r"[_\[(](m|ft|feet|deg|°|met(?:re|er)s?|degrees?)[\])]?$")
 _UNITS_M = {"m": 1.0, "f": 0.3048}
-#: US survey feet and international ones differ by less, metres by more.
-_SAME_UNIT = 1e-3
 _DECIMAL_COMMA = re.compile(r"[-+]?(?:\d+(?:,\d*)?|,\d+)(?:[eE][-+]?\d+)?")
 #: The first bytes of a FlatGeobuf file, without the patch version.
 _FGB_MAGIC = b"fgb\x03fgb"
@@ -289,8 +287,8 @@ def _read_csv(path: Path) -> MapTable:
     horizontal = ("lon_deg", "lat_deg") if geographic else ("easting_m", "northing_m")
     axes = [numbers_of(path, name, columns.get(name, []), required=True) for name in horizontal]
     xyz = np.column_stack([*axes, np.full(len(lines), np.nan)])
-    unit_m = max(units_m) if units_m and not geographic else None
-    return MapTable(path, CRS("OGC:CRS84") if geographic else None, xyz, columns, unit_m=unit_m)
+    crs = CRS("OGC:CRS84") if geographic else None
+    return MapTable(path, crs, xyz, columns, unit_m=max(units_m, default=None))
 
 
 def _short_lines(path: Path, file: TextIO) -> Iterator[str]:
@@ -339,12 +337,7 @@ def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:
     crs: of the positions. of_points: all names are those of points, not of objects above them. A column is removed if it has such
     a name. Raises InputError for heights of another system than that of the CRS.
     """
-    own_unit_m = float(crs.axis_info[0].unit_conversion_factor)
-    if table.unit_m is not None and crs.is_projected and abs(own_unit_m / table.unit_m - 1.0) > _SAME_UNIT:
-        raise InputError(
-            f"{table.path}: by the names of their columns, easting and northing are in units of {table.unit_m:g} m, but those of "
-            f"{crs.name} are {own_unit_m:g} m: state the CRS of the file's coordinates, or convert them"
-        )
+    require_unit(table.path, crs, table.unit_m)
     crs_unit_m = height_unit_m(crs)
     heights_m = table.xyz[:, 2] * crs_unit_m
     absent = np.isnan(heights_m) | (heights_m == 0.0 if not heights_m.any() else False)
