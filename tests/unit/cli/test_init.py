@@ -70,6 +70,17 @@ def test_what_a_log_does_not_state_is_asked_together(tmp_path: Path) -> None:
     assert code == 1 and set(listed) >= {"trajectory.date", "trajectory.heights", "sigmas.horizontal_m"}, said
 
 
+def test_angles_in_radians_are_proposed(tmp_path: Path) -> None:
+    root = folders(tmp_path, small_recording())
+    (root / "drive.csv").unlink()
+    rows = (f"2026-03-02T09:41:0{7 + n / 10}Z,0.85523{n},0.14713,116.2" for n in range(10))
+    (root / "log.csv").write_text("\n".join(["time,lat,lon,height", *rows]))
+    made = CliRunner().invoke(app, ["init", str(root), "--json"])
+    questions = {each["key"]: each for each in json.loads(made.stdout)["missing"]}
+    assert made.exit_code == 1 and questions["trajectory.angles"]["proposal"] == "radians", made.stdout
+    assert "in the Atlantic: are latitude and longitude in radians" in str(questions["trajectory.angles"])
+
+
 def test_two_files_with_times_are_a_question(tmp_path: Path) -> None:
     root = folders(tmp_path, small_recording(), name=number, times=relative_times)
     (root / "other.txt").write_text((root / "times.txt").read_text())

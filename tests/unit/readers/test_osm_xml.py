@@ -120,6 +120,13 @@ def test_ids_that_are_no_numbers_cost_their_object(tmp_path: Path) -> None:
     assert [text.partition(":")[0] for text in found.refused] == ["node '99999999999999999999'", "node '-5'", "way 'w'"]
 
 
+def test_an_encoding_that_does_not_exist_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.osm"
+    path.write_text(PLAIN.replace("UTF-8", "UTG-8"))
+    with pytest.raises(InputError, match=r"is not OSM XML .*unknown encoding"):
+        read_osm(path)
+
+
 def test_objects_without_values_and_an_empty_map(tmp_path: Path) -> None:
     path = tmp_path / "a.osm"
     for text in ("<osm/>", "<osm></osm>", "<osm> \n</osm>", "<osm><node/></osm>", "<gpx><node/></gpx>"):

@@ -68,9 +68,8 @@ def read_osm(path: Path) -> OsmMap:
         return _map_of(_plain_blocks(path))
     except _NotPlainError:
         pass
-    not_osm = library_errors(
-        f"{path}: is not OSM XML", expat.ExpatError, _NotPlainError, hint="; expected a Lanelet2 map"
-    )
+    kinds = (expat.ExpatError, LookupError, _NotPlainError)  # LookupError: an unknown encoding
+    not_osm = library_errors(f"{path}: is not OSM XML", *kinds, hint="; expected a Lanelet2 map")
     with not_osm, input_errors(path):
         return _map_of(_rewritten_blocks(path))
 

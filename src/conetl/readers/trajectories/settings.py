@@ -62,7 +62,7 @@ class TrajectoryFile(Record):
     """Dynamic frame of the positions at the times of the records, such as ITRF2020 ..."""
     map_frame: str | None = Field(default=None, min_length=1, max_length=100)
     """... and that of the map's coordinates, such as ETRF2000; without both they are taken as the same."""
-    angles: Literal["degrees", "radians"] | None = None
+    angles: Literal["degrees", "radians"] | None = setting("Unit of angles of which the file states none.", "radians")
 
     @field_validator("time")
     @classmethod
