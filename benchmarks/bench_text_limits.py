@@ -38,6 +38,8 @@ from tests.unit.readers import trajectory_files as logs
 
 #: A log of a working day at 10 Hz; logs may have a hundred times as many (20 million records, 2 GiB).
 LOG_RECORDS = 300_000
+#: A register of a large city; maps may have five times as many.
+MAP_ROWS = 200_000
 
 
 class Case(NamedTuple):
@@ -197,8 +199,8 @@ CASES: dict[str, Case] = {
     "rig: yaml": Case(MAX_YAML_BYTES // 14, written("rig.yaml", keys), read_rig),
     "rig: json": Case(MAX_JSON_BYTES // 20, written("rig.json", json_keys), read_rig),
     "rig: text": Case(MAX_JSON_BYTES // 45, written("calib.txt", kitti_lines), read_rig),
-    "map: csv": Case(MOST_POINTS, written("cones.csv", cone_rows), read_cones),
-    "map: geojson": Case(MOST_POINTS, written("cones.geojson", cone_features), read_cones),
+    "map: csv": Case(MAP_ROWS, written("cones.csv", cone_rows), read_cones),
+    "map: geojson": Case(MAP_ROWS, written("cones.geojson", cone_features), read_cones),
     "check points: csv": Case(
         MOST_POINTS, written("points.csv", cone_rows), lambda path: read_surveyed_points(path, 25832, crs="EPSG:25832")
     ),

@@ -20,7 +20,7 @@ from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 
 #: A surveyor measures a hundredth of them.
-MOST_POINTS = 200_000
+MOST_POINTS = 50_000
 _NAMES = ("name", "id", "point", "point_id", "cone_id", "nr", "no")
 _SIGMAS = ("sigma_e_m", "sigma_n_m", "sigma_u_m")
 
@@ -33,12 +33,7 @@ def read_surveyed_points(
     crs: of the file, unless it states one; heights: `ellipsoidal`, or their system, such as EPSG:5773. sigma_m: of the survey,
     unless the columns sigma_e_m, sigma_n_m, sigma_u_m state it. Raises InputError.
     """
-    table = read_table(path)
-    if len(table) > MOST_POINTS:
-        raise InputError(
-            f"{path}: has {len(table):,} points, expected at most {MOST_POINTS:,} surveyed ones: leave out those "
-            "that are not near a cone"
-        )
+    table = read_table(path, most_rows=MOST_POINTS)
     source = crs or (table.crs.to_wkt() if table.crs is not None else None)
     if source is None:
         raise InputError(f"{path}: does not state a coordinate reference system; give its crs (--crs), like EPSG:25832")
@@ -59,8 +54,8 @@ def read_surveyed_points(
     sigmas = _sigmas(table, sigma_m, path)
     require_exact(table, own_crs, sigmas)
     names = next((table.columns[name] for name in _NAMES if name in table.columns), None) or range(1, count + 1)
-    return [  # whose values were checked as columns
-        SurveyedPoint.model_construct(name=printable(str(name))[:60], xyz_m=tuple(p), sigma_m=tuple(s))
+    return [
+        SurveyedPoint(name=printable(str(name))[:60], xyz_m=tuple(p), sigma_m=tuple(s))
         for name, p, s in zip(names, xyz.tolist(), sigmas.tolist(), strict=True)
     ]
 
