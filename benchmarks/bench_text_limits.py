@@ -123,7 +123,7 @@ def cone_features(count: int) -> Iterator[str]:
     return features(
         count,
         lambda k: (
-            f'{{"type":"Point","coordinates":[{8 + 1.1e-7 * k:.8f},{49 + 1.1e-7 * (k % 977):.8f},{100 + k / 7:.3f}]}}'
+            f'{{"type":"Point","coordinates":[{8 + 1.1e-7 * k:.8f},{49 + 1.1e-7 * (k % 977):.8f},{100 + k % 17:.3f}]}}'
         ),
         lambda k: '"category":"traffic_cone","sigma_e_m":0.02,"sigma_n_m":0.02,"sigma_u_m":0.04',
     )
