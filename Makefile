@@ -110,6 +110,9 @@ bench-plans: setup  ## compare permits with the zones of a simulated city: preci
 bench-recordings: setup  ## ingest the sample drives and KITTI as videos and bags with nine logs, and compare the cones (ARGS='DRIVE --parts clocks' ...)
 	@$(BIN)/python benchmarks/bench_recordings.py $(ARGS)
 
+bench-text-limits: setup  ## read large text files of every kind: time and memory (ARGS='--only log --scale 0.1' ...)
+	@$(BIN)/python -m benchmarks.bench_text_limits $(ARGS)
+
 fuzz: setup     ## run all readers on mutated files: no crash, at most 2 s and 1 GB (ARGS='--cases 10000 --reader kitti')
 	@$(BIN)/python -m tests.fuzz.fuzz_readers $(ARGS)
 

@@ -60,6 +60,7 @@ from tests.unit.exports import test_datex2 as datex2
 from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import test_base_layers as layers
 from tests.unit.readers import test_device_rigs as device_rigs
+from tests.unit.readers import test_osm_xml as osm_texts
 from tests.unit.readers import test_plans as plans
 from tests.unit.readers import test_rig_formats as rig_files
 from tests.unit.readers import test_rig_kinds as rig_kinds
@@ -459,6 +460,7 @@ READERS: dict[str, Reader] = {
     "points_las": Reader(lambda f: layers.write_las(f / "a.las", 50), read_points),
     "points_laz": Reader(lambda f: layers.write_las(f / "a.laz", 50), read_points),
     "lanes_lanelet2": Reader(written("a.osm", layers.OSM), read_lines),
+    "lanes_osm": Reader(written("a.osm", osm_texts.PLAIN), read_lines),
     "lanes_opendrive": Reader(written("a.xodr", layers.XODR), read_lines),
     "lanes_geojson": Reader(write_lanes("a.geojson", "GeoJSON"), read_lines),
     "lanes_gpkg": Reader(write_lanes("a.gpkg", "GPKG"), read_lines),

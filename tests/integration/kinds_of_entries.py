@@ -129,6 +129,15 @@ def _add_for_init(kinds: _Kinds) -> None:
     # Archives
     with zipfile.ZipFile(kinds.kind("drive.zip", "not recognised", "an archive", "unzip"), "w") as archive:
         archive.write(kinds.root / "good" / "calib_cam_to_cam.txt", "drive/calib_cam_to_cam.txt")
+    for end, command in (
+        (".7z", "7z x"),
+        (".rar", "unrar x"),
+        (".csv.gz", "gunzip"),
+        (".mcap.zst", "unzstd"),
+        (".tar.lz4", "unlz4"),
+    ):
+        kinds.text(f"packed{end}", "not recognised", "an archive", command)
+    kinds.text("run.bag.active", "not recognised", "did not end", "rosbag reindex")
     with tarfile.open(kinds.kind("drive.tar.gz", "not recognised", "an archive", "tar -xf"), "w:gz") as archive:
         archive.add(kinds.root / "good" / "calib_cam_to_cam.txt")
 

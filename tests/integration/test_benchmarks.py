@@ -106,6 +106,10 @@ TINY = {
         "{drive} --parts logs --containers 'ROS 2 bag'",
         lambda f: len(f["logs"]) == 2 and all(row["held"] == "no" for row in f["logs"]),
     ),
+    "text_limits": Tiny(
+        "--scale 0.001 --only :",
+        lambda f: len(f) > 12 and sum(row["result"] == "read" for row in f) == len(f) - 3,  # three are no calibrations
+    ),
     "trajectory": Tiny("{drive}", lambda f: len(f) == 4 and all(row["largest shift of a cone m"] < 0.5 for row in f)),
     "view": Tiny(
         "--points 1000 --cones 20 --lines 8 --runs 1 --rows 100",

@@ -37,7 +37,12 @@ MARKER = "COMPLETE"
 #: Folders of a drive, in which no others are searched.
 _PARTS = frozenset({*(f"image_0{n}" for n in range(10)), "oxts", "velodyne_points", "left", "right", "mav0"})
 _BESIDE_DRIVES = frozenset({CAM_TO_CAM, VELO_TO_CAM, IMU_TO_VELO, MARKER})
-_TARS = (".tar", ".tgz", ".tar.gz", ".tar.bz2", ".tar.xz", ".tar.zst")
+#: Ends of the names of files that have to be unpacked -> the command that does; the first that fits counts.
+_PACKED = {
+    **dict.fromkeys((".tar", ".tgz", ".tar.gz", ".tar.bz2", ".tar.xz", ".tar.zst"), "tar -xf {path} -C {folder}"),
+    ".zip": "unzip {path} -d {folder}", ".7z": "7z x {path} -o{folder}", ".rar": "unrar x {path} {folder}/",
+    ".gz": "gunzip {path}", ".bz2": "bunzip2 {path}", ".xz": "unxz {path}", ".lz4": "unlz4 {path}", ".zst": "unzstd {path}",
+}  # fmt: skip
 #: More files of one kind in a folder are one entry.
 _MANY = 20
 Kind = Literal["drive", "needs init", "not recognised", "arriving", "hidden", "images"]
@@ -254,10 +259,12 @@ def _stray_files(files: Sequence[Path]) -> list[Entry]:
 
 def _stray_file(path: Path) -> Entry:
     name, suffix = path.name.lower(), path.suffix.lower()
-    if suffix == ".zip":
-        return _unknown(path, "an archive, which is not unpacked", f"unzip {quoted(path)} -d {quoted(path.parent)}")
-    if name.endswith(_TARS):
-        return _unknown(path, "an archive, which is not unpacked", f"tar -xf {quoted(path)} -C {quoted(path.parent)}")
+    if (unpack := next((command for end, command in _PACKED.items() if name.endswith(end)), None)) is not None:
+        command = unpack.format(path=quoted(path), folder=quoted(path.parent))
+        return _unknown(path, "an archive, which is not unpacked", command)
+    if name.endswith(".bag.active"):
+        why = "a ROS 1 bag whose recording did not end"
+        return _unknown(path, why, f"rosbag reindex {quoted(path)} && mv {quoted(path)} {quoted(path.with_suffix(''))}")
     if (error := zed_recording(path)) is not None:
         return _unknown(path, str(error), "svo_export.py --mode 0")
     if name.removesuffix(".zstd").endswith(".db3"):

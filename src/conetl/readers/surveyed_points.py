@@ -9,7 +9,6 @@ import numpy as np
 from conetl.files.documents import input_errors, shown
 from conetl.files.names import printable
 from conetl.geometry import geodesy
-from conetl.geometry.packing import vec3
 from conetl.model.arrays import Floats
 from conetl.model.drive import SurveyedPoint
 from conetl.model.errors import InputError
@@ -20,6 +19,8 @@ from conetl.readers.trajectories.earth import in_wgs84
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
 
+#: A surveyor measures a hundredth of them.
+MOST_POINTS = 50_000
 _NAMES = ("name", "id", "point", "point_id", "cone_id", "nr", "no")
 _SIGMAS = ("sigma_e_m", "sigma_n_m", "sigma_u_m")
 
@@ -32,7 +33,7 @@ def read_surveyed_points(
     crs: of the file, unless it states one; heights: `ellipsoidal`, or their system, such as EPSG:5773. sigma_m: of the survey,
     unless the columns sigma_e_m, sigma_n_m, sigma_u_m state it. Raises InputError.
     """
-    table = read_table(path)
+    table = read_table(path, most_rows=MOST_POINTS)
     source = crs or (table.crs.to_wkt() if table.crs is not None else None)
     if source is None:
         raise InputError(f"{path}: does not state a coordinate reference system; give its crs (--crs), like EPSG:25832")
@@ -54,8 +55,8 @@ def read_surveyed_points(
     require_exact(table, own_crs, sigmas)
     names = next((table.columns[name] for name in _NAMES if name in table.columns), None) or range(1, count + 1)
     return [
-        SurveyedPoint(name=printable(str(name))[:60], xyz_m=vec3(p), sigma_m=vec3(s))
-        for name, p, s in zip(names, xyz, sigmas, strict=True)
+        SurveyedPoint(name=printable(str(name))[:60], xyz_m=tuple(p), sigma_m=tuple(s))
+        for name, p, s in zip(names, xyz.tolist(), sigmas.tolist(), strict=True)
     ]
 
 

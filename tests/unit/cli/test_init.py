@@ -13,6 +13,7 @@ from conetl.cli.app import app
 from conetl.model.errors import InputError
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.camera_files import find_streams, sides_of, stream_of
+from conetl.readers.drives.image_times import texts_of_file
 from tests.fuzz.readers import small_recording
 from tests.recordings import folders, kitti_odometry, number, relative_times
 
@@ -70,11 +71,62 @@ def test_what_a_log_does_not_state_is_asked_together(tmp_path: Path) -> None:
     assert code == 1 and set(listed) >= {"trajectory.date", "trajectory.heights", "sigmas.horizontal_m"}, said
 
 
+def test_angles_in_radians_are_proposed(tmp_path: Path) -> None:
+    root = folders(tmp_path, small_recording())
+    (root / "drive.csv").unlink()
+    rows = (f"2026-03-02T09:41:0{7 + n / 10}Z,0.85523{n},0.14713,116.2" for n in range(10))
+    (root / "log.csv").write_text("\n".join(["time,lat,lon,height", *rows]))
+    made = CliRunner().invoke(app, ["init", str(root), "--json"])
+    questions = {each["key"]: each for each in json.loads(made.stdout)["missing"]}
+    assert made.exit_code == 1 and questions["trajectory.angles"]["proposal"] == "radians", made.stdout
+    assert "in the Atlantic: are latitude and longitude in radians" in str(questions["trajectory.angles"])
+
+
 def test_two_files_with_times_are_a_question(tmp_path: Path) -> None:
     root = folders(tmp_path, small_recording(), name=number, times=relative_times)
     (root / "other.txt").write_text((root / "times.txt").read_text())
     code, said = run(str(root))
     assert code == 1 and "other.txt, times.txt each have one time per image" in said, said
+
+
+def test_a_file_of_times_for_each_camera(tmp_path: Path) -> None:
+    recording = small_recording()
+    root = folders(tmp_path, recording, name=number)
+    for side in ("left", "right"):
+        (root / f"{side}_times.txt").write_text("".join(f"{frame.stamp_ns}\n" for frame in recording.frames))
+    code, said = run(str(root), "--yes")
+    assert code == 0, said
+    assert "right_timestamps: right_times.txt" in (root / "drive.yaml").read_text()
+
+
+TIMES = [f"177244446{n}.25" for n in range(7)]
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        TIMES,
+        ["# seconds", *TIMES],
+        ["timestamp [s]", *TIMES],
+        ["index,timestamp", *(f"{n},{time}" for n, time in enumerate(TIMES))],
+        [f"{n} {time}" for n, time in enumerate(TIMES, 1)],
+        [f"{n:06d};  {time}" for n, time in enumerate(TIMES)],
+        ["name time", *(f"{n:06d}.png {time}" for n, time in enumerate(TIMES))],
+    ],
+)
+def test_files_of_times(lines: list[str]) -> None:
+    assert texts_of_file(lines, [Path(f"{n:06d}.png") for n in range(7)]) == TIMES
+
+
+def test_numbers_that_do_not_count_the_images_are_times() -> None:
+    """Seconds and nanoseconds at 1 Hz; dates; and a last line that is cut."""
+    paths = [Path(f"{n:06d}.png") for n in range(7)]
+    for lines in (
+        [f"177244446{n} 0" for n in range(7)],
+        [f"2026-03-0{n + 1} 10:00:00" for n in range(7)],
+        ["0 1", "1 2", "2"],
+    ):
+        assert texts_of_file(lines, paths) == lines
 
 
 @pytest.mark.parametrize(

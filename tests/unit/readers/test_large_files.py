@@ -15,6 +15,7 @@ from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import read_header
 from conetl.readers.maps.tables import read_table
 from conetl.readers.rigs import read_rig
+from conetl.readers.surveyed_points import MOST_POINTS, read_surveyed_points
 from conetl.readers.trajectories import read_trajectory
 from conetl.readers.trajectories.text import MAX_TEXT_BYTES, line_blocks
 from tests.folders import SAMPLE
@@ -139,3 +140,12 @@ def test_more_lines_than_frame_pairs_are_refused(tmp_path: Path) -> None:
     path.write_bytes(b"\n" * (MAX_TABLE_LINES + 1))
     with pytest.raises(InputError, match="at most 200,000 lines"):
         read_table_bytes(path)
+
+
+@pytest.mark.usefixtures("limited")
+def test_more_points_than_a_survey_has_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    rows = "458300.123,5427800.456,160.1\n" * (MOST_POINTS + 1)
+    path.write_text(f"easting,northing,height\n{rows}")
+    with pytest.raises(InputError, match="more than 50,000 rows or .*: import it in parts"):
+        read_surveyed_points(path, 25832, crs="EPSG:25832", sigma_m=0.02)

@@ -403,3 +403,27 @@ def test_projected_lines_of_geojson_take_the_stated_crs(tmp_path: Path) -> None:
     same(geo.to_map(layer, np.concatenate([line.xyz for line in found.lines])))
     with pytest.raises(InputError, match=r"not degrees. State the CRS with --crs"):
         geo.check_coordinates(path, geo.resolve_crs(path, found.crs, None, GROUND)[0], WANTED[:, :2], GROUND)
+
+
+@pytest.mark.parametrize(
+    ("names", "crs", "problem"),
+    [
+        ("easting_ft,northing_ft,elevation_ft", "EPSG:25832", r"units of 0.3048 m, but those of .* are 1 m"),
+        ("East (ft),North (ft),Elevation (ft)", "EPSG:25832", r"units of 0.3048 m"),
+        ("easting [m],northing [m],elevation [m]", "EPSG:2225", r"units of 1 m, but those of .* are 0.3048"),
+    ],
+)
+def test_units_in_names_that_contradict_the_crs_are_refused(names: str, crs: str, problem: str, tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(f"{names}\n" + "".join(f"{6_000_000 + 7 * k},{2_000_000 + k},500\n" for k in range(5)))
+    with pytest.raises(InputError, match=problem):
+        read_surveyed_points(path, 25832, crs=crs, sigma_m=0.02)
+    with pytest.raises(InputError, match=problem):
+        read_map_file(path, ImportParams(), crs=crs, map_srid=26910, stated_at=SURVEYED)
+
+
+def test_feet_in_names_with_a_crs_in_feet(tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("easting_ft,northing_ft,elevation_ft\n6000000,2000000,500\n")
+    found = read_map_file(path, ImportParams(sigma_m=1.0), crs="EPSG:2225", map_srid=26910, stated_at=SURVEYED)
+    assert found.statements[0].feature.xyz_m[2] == pytest.approx(152.4, abs=1e-3)

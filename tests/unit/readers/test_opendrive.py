@@ -15,8 +15,8 @@ from conetl.readers.base_layers.opendrive import (
     Piece,
     clothoid,
     cubic_at,
+    frame_of,
     lane_borders,
-    offset_line,
     param_poly3,
     poly3,
     reference_line,
@@ -89,7 +89,7 @@ def test_lane_borders_add_up_from_the_centre():
 def test_heights_follow_elevation_and_superelevation():
     piece = straight(100.0)
     s = np.array([0.0, 50.0])
-    xyz = offset_line([piece], cubics((0.0, 100.0, 0.02)), cubics((0.0, 0.05)), s, np.array([4.0, 4.0]))
+    xyz = frame_of([piece], cubics((0.0, 100.0, 0.02)), cubics((0.0, 0.05)), s).at(np.array([4.0, 4.0]))
     assert xyz[:, 2] == pytest.approx([100 + 4 * math.sin(0.05), 101 + 4 * math.sin(0.05)])
     assert xyz[:, 1] == pytest.approx([4 * math.cos(0.05)] * 2)
 

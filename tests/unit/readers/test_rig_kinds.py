@@ -321,17 +321,18 @@ def test_lengths_in_any_unit(tmp_path: Path, kind: str, unit: str) -> None:
             read_rig(path, **options)
 
 
+@pytest.mark.parametrize("kind", ["opencv", "kalibr"])
 @pytest.mark.parametrize(("size", "centre", "wanted"), [
     ([720, 1280], (640, 360), (1280, 720)), ([1280, 720], (640, 360), (1280, 720)), ([480, 640], (325, 236), (640, 480)),
     ([1024, 1280], (630, 520), (1280, 1024)), ([1280, 1280], (600, 700), (1280, 1280)), ([1000, 1024], (512, 500), (1000, 1024)),
     ([1242, 375], (450, 250), (1242, 375)), ([375, 1242], (450, 250), (1242, 375)),
 ])  # fmt: skip
 def test_the_order_of_a_size_shows_in_the_principal_point(
-    tmp_path: Path, size: list[int], centre: tuple[int, int], wanted: tuple[int, int]
+    tmp_path: Path, kind: str, size: list[int], centre: tuple[int, int], wanted: tuple[int, int]
 ) -> None:
     """An almost square size is not turned."""
     k = [[900.0, 0, centre[0]], [0, 900.0, centre[1]], [0, 0, 1]]
-    values = {
+    opencv = {
         "K1": k,
         "D1": [0.0] * 4,
         "K2": k,
@@ -340,8 +341,11 @@ def test_the_order_of_a_size_shows_in_the_principal_point(
         "T": [-0.3, 0, 0],
         "imageSize": size,
     }
+    content = kalibr_content()
+    for camera in content.values():
+        camera |= {"intrinsics": [900.0, 900.0, *centre], "resolution": size}
     path = tmp_path / "stereo.yaml"
-    path.write_text(yaml.safe_dump(values))
+    path.write_text(yaml.safe_dump(opencv if kind == "opencv" else content))
     left = read_rig(path).left
     assert (left.width_px, left.height_px) == wanted
 

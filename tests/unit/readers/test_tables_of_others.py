@@ -449,3 +449,92 @@ def test_control_characters_of_a_file_do_not_reach_a_message(tmp_path: Path) -> 
             except InputError as error:
                 texts = [str(error)]
             assert all(map(str.isprintable, texts)), texts
+
+
+# --------------------------------------------------------------------------- units and heights that nothing states
+
+
+def turning(count: int = 60) -> files.Known:
+    """A drive whose heading is that of its course, about 60 degrees."""
+    heading = 60 + 40 * np.sin(np.arange(count) / 10)
+    steps = 1.5 * np.column_stack([np.cos(np.radians(heading)), np.sin(np.radians(heading))]) / [111_195.0, 73_000.0]
+    t = files.known(count)
+    llh, rph = t.llh.copy(), t.rph.copy()
+    llh[1:, :2] = llh[0, :2] + np.cumsum(steps, axis=0)[:-1]
+    rph[:, 2] = heading
+    return t._replace(llh=llh, rph=rph)
+
+
+def angle_rows(t: files.Known, factor: float, turned: bool) -> list[str]:
+    roll, pitch, heading = t.rph.T * factor
+    last = np.radians(90) / np.radians(1) * factor - heading if turned else heading
+    stamps = files.stamps("%Y-%m-%dT%H:%M:%S", t)
+    return [
+        f"{stamps[i]}Z,{a:.9f},{b:.9f},{h:.4f},{roll[i]:.6f},{pitch[i]:.6f},{last[i]:.6f}"
+        for i, (a, b, h) in enumerate(t.llh)
+    ]
+
+
+@pytest.mark.parametrize("name", ["heading", "yaw"])
+def test_angles_in_radians_without_a_unit_are_not_taken_for_degrees(name: str, tmp_path: Path) -> None:
+    t = turning()
+    rows = angle_rows(t, np.pi / 180, turned=name == "yaw")
+    path = files.write(tmp_path, "log.csv", [f"time,lat,lon,height,roll,pitch,{name}", *rows])
+    with pytest.raises(InputError, match=rf"column '{name}' is in radians.*trajectory: {{angles: radians}}"):
+        read_trajectory(path)
+    path = files.write(tmp_path, "log.csv", [f"time,lat [deg],lon [deg],height,roll,pitch,{name}", *rows])
+    found = read_trajectory(path, TrajectoryFile(angles="radians"))
+    assert apart_m(found.positions, t.llh) < 2e-3 and found.rotations is not None
+    np.testing.assert_allclose(
+        np.degrees(np.arctan2(found.rotations[:, 0, 0], found.rotations[:, 1, 0])), t.rph[:, 2], atol=0.01
+    )
+
+
+@pytest.mark.parametrize("course", [0.0, 90.0, 180.0, 270.0])
+def test_small_headings_in_degrees_are_degrees(course: float, tmp_path: Path) -> None:
+    """Straight to the north, and a camera that looks aside or back."""
+    t = turning()
+    llh, rph = t.llh.copy(), t.rph.copy()
+    llh[:, :2] = llh[0, :2] + np.arange(60)[:, None] * 1.5 * np.array(
+        [np.cos(np.radians(course)) / 111_195, np.sin(np.radians(course)) / 73_000]
+    )
+    rph[:, 2] = np.sin(np.arange(60) / 5)
+    rows = angle_rows(t._replace(llh=llh, rph=rph), 1.0, turned=False)
+    found = read_trajectory(files.write(tmp_path, "log.csv", ["time,lat,lon,height,roll,pitch,heading", *rows]))
+    assert found.rotations is not None and len(found.times_ns) == 60
+
+
+def test_positions_in_radians_without_a_unit_are_refused(tmp_path: Path) -> None:
+    t = files.known()
+    rows = [f"{s}Z,{a:.11f},{b:.11f},{h:.3f}" for s, (a, b, h) in zip(
+        files.stamps("%Y-%m-%dT%H:%M:%S", t), t.llh * [np.pi / 180, np.pi / 180, 1.0], strict=True)]  # fmt: skip
+    path = files.write(tmp_path, "log.csv", ["time,lat,lon,height", *rows])
+    with pytest.raises(InputError, match="in the Atlantic: are latitude and longitude in radians"):
+        read_trajectory(path)
+    is_trajectory(path, t, angles="radians")
+
+
+@pytest.mark.parametrize(
+    ("names", "ellipsoidal"),
+    [
+        ("height_msl,undulation", False), ("H-MSL,Undulation", False), ("orthometric_height,geoid_separation [m]", False),
+        ("elevation,geoid height", False), ("H-Ell,Undulation", True), ("Alt (HAE),Geoid Separation", True),
+        ("Alt (HAE),Alt (MSL)", True),
+    ],
+)  # fmt: skip
+def test_heights_with_the_separation_of_the_geoid(names: str, ellipsoidal: bool, tmp_path: Path) -> None:
+    t = files.known()
+    rows = [
+        f"{s}Z,{a:.9f},{b:.9f},{h if ellipsoidal else h - 48:.3f},{h - 48 if 'Alt (MSL)' in names else 48.0:.3f}"
+        for s, (a, b, h) in zip(files.stamps("%Y-%m-%dT%H:%M:%S", t), t.llh, strict=True)
+    ]
+    is_trajectory(files.write(tmp_path, "log.csv", [f"time,lat,lon,{names}", *rows]), t)
+
+
+def test_a_height_beside_a_separation_that_states_nothing_may_be_of_either(tmp_path: Path) -> None:
+    rows = [f"2024-02-07T09:15:0{k}Z,49.00{k},8.4,68.0,48.0" for k in range(5)]
+    path = files.write(tmp_path, "log.csv", ["time,lat,lon,altitude,undulation", *rows])
+    found = read_trajectory(path)
+    assert found.sigma[0, 2] == 100.0 and "does not state whether its heights are above sea level" in found.notes[0]
+    found = read_trajectory(path, TrajectoryFile(heights="ellipsoidal"))
+    assert found.positions[0, 2] == 68.0 and not found.sigma[0, 2] >= 100.0

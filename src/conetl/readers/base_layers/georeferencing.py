@@ -61,6 +61,16 @@ def height_unit_m(crs: CRS) -> float:
     return float(axes[0].unit_conversion_factor) if axes else 1.0
 
 
+def require_unit(path: Path, crs: CRS, stated_m: float | None) -> None:
+    """Raise InputError where a file states another unit of easting and northing (m) than that of their CRS."""
+    unit_m = float(crs.axis_info[0].unit_conversion_factor)
+    if stated_m is not None and crs.is_projected and abs(unit_m / stated_m - 1.0) > 1e-3:  # US feet are almost feet
+        raise InputError(
+            f"{path}: by the names of their columns, easting and northing are in units of {stated_m:g} m, but those of "
+            f"{crs.name} are {unit_m:g} m: state the CRS of the file's coordinates, or convert them"
+        )
+
+
 def layer_crs(crs: CRS, map_srid: int) -> LayerCrs:
     """The transformation from `crs` to the map. Raises ValueError for local and engineering CRSs."""
     parts = crs.sub_crs_list if crs.is_compound else []

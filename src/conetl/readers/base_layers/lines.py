@@ -6,20 +6,25 @@ and its documentation, LinestringTagging). Nodes are WGS 84.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
+import shapely
 from pyproj import CRS
 
-from conetl.files.documents import MAX_VALUES, XmlFile, input_errors, library_errors, shown
+from conetl.files.documents import shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
+from conetl.readers.base_layers.osm_xml import NO_ID, read_osm
 
 MAX_LINES = 500_000
+#: Largest deviation of vertices that are left out from the line.
+TOLERANCE_M = 0.01
+MAX_COORDINATE_M = 1e9
+#: Vertices that are simplified at once: the time for a curled line rises with the square of it; and those in memory at once.
+_BLOCK, _BATCH = 2_000, 200_000
 #: Lanelet2 line strings that bound lanes or the road; others (stop lines, signs, walls) do not.
 LANELET2_BOUNDARIES = frozenset({"line_thin", "line_thick", "curbstone", "road_border", "guard_rail", "virtual"})
 #: Ways of these types are lane boundaries even without a lanelet.
@@ -27,10 +32,6 @@ BOUNDARIES = frozenset(
     {"line_thin", "line_thick", "curbstone", "road_border", "guard_rail", "wall", "fence", "virtual", "bike_marking",
      "pedestrian_marking"}
 )  # fmt: skip
-
-
-#: References and tags of a node or way.
-_MOST_PARTS = 2000
 
 
 class Line(NamedTuple):
@@ -58,7 +59,7 @@ def add_line(line: Line, what: str, lines: list[Line], refused: list[str]) -> No
     xy = line.xyz[:, :2]
     if not np.isfinite(xy).all():
         refused.append(f"{what}: a coordinate is not a number")
-    elif len(xy) < 2 or not np.ptp(xy, axis=0).any():
+    elif not (xy != xy[:1]).any():
         refused.append(f"{what}: fewer than two different points")
     elif np.isinf(line.xyz[:, 2]).any():
         refused.append(f"{what}: a height is not a number")
@@ -76,24 +77,84 @@ def full_kind(kind: str, attributes: Mapping[str, Any]) -> str:
     return "/".join(str(attributes[name]) for name in ("type", "subtype") if attributes.get(name)) or kind
 
 
+def simplified(lines: Iterable[Line]) -> Iterator[Line]:
+    """The lines with the vertices required by plan or height within TOLERANCE_M, and every _BLOCK vertices one.
+
+    Raises ValueError.
+    """
+    batch: list[Line] = []
+    count = 0
+    for line in lines:
+        batch.append(line)
+        count += len(line.xyz)
+        if count > _BATCH:
+            yield from _simplified(batch)
+            batch, count = [], 0
+    if batch:
+        yield from _simplified(batch)
+
+
+def _simplified(lines: list[Line]) -> list[Line]:
+    """All at once, as blocks of vertices whose third coordinate is their number."""
+    all_xyz = np.concatenate([line.xyz for line in lines])
+    if not (np.abs(all_xyz) < MAX_COORDINATE_M).all():  # NaN fails too; GEOS does not return from some of them
+        raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")
+    line_of = np.repeat(np.arange(len(lines)), [len(line.xyz) for line in lines])
+    first = np.diff(line_of, prepend=-1) > 0
+    # Equal vertices are where a geometry is too short.
+    different = first | np.any(np.diff(all_xyz, axis=0, prepend=np.inf) != 0, axis=1)
+    xyz, line_of, first = all_xyz[different], line_of[different], first[different]
+    numbers = np.arange(len(xyz))
+    starts = numbers[first]
+    steps = np.linalg.norm(np.diff(xyz[:, :2], axis=0, prepend=xyz[:1, :2]), axis=1)
+    along = np.cumsum(np.where(first, 0.0, steps))
+    along -= along[starts][line_of]
+    at = numbers - starts[line_of]
+    begins = (at % _BLOCK == 0) & ~np.append(first[1:], True)  # a block of one vertex is the end of the one before
+    # The vertex between two blocks is in both.
+    twice = np.sort(np.concatenate([numbers, numbers[begins & (at > 0)]]))
+    block_of = np.cumsum(begins)[twice] - 1
+    shared = np.append(twice[1:] == twice[:-1], False)
+    block_of[shared] -= 1
+    keep = first | np.append(first[1:], True)
+    enough = np.bincount(block_of)[block_of] > 1
+    for flat in (xyz[:, :2], np.column_stack([along, xyz[:, 2]])):
+        vertices = np.column_stack([flat, numbers])[twice][enough]
+        blocks = shapely.linestrings(vertices, indices=block_of[enough])
+        kept = shapely.get_coordinates(shapely.simplify(blocks, TOLERANCE_M, preserve_topology=False), include_z=True)
+        keep[kept[:, 2].astype(np.int64)] = True
+    parts = np.split(xyz[keep], np.flatnonzero(np.diff(line_of[keep])) + 1)
+    return [line._replace(xyz=part) for line, part in zip(lines, parts, strict=True)]
+
+
 def read_lanelet2(path: Path) -> LineFile:
-    """Boundaries of a Lanelet2 file. Raises InputError where it is not one or has none."""
-    refused: list[str] = []
-    not_xml = library_errors(f"{path}: is not OSM XML", ElementTree.ParseError, hint="; expected a Lanelet2 map")
-    with not_xml, input_errors(path), XmlFile(path) as file:
-        nodes, ways, bounding = _read(file, path, refused)
+    """Boundaries of a Lanelet2 file. Raises InputError where it is not one, has none, or has local coordinates only."""
+    found = read_osm(path)
+    if found.has_local and not found.lon_lat_ele[:, :2].any():
+        raise InputError(
+            f"{path}: its nodes have local_x and local_y and no longitude and latitude: export it with both"
+        )
+    used = {
+        identity: way
+        for identity, way in found.ways.items()
+        if identity in found.lanelet_ways or way[1].get("type") in BOUNDARIES
+    }
     lines: list[Line] = []
-    for identity, (references, tags) in ways.items():
-        if identity not in bounding and tags.get("type") not in BOUNDARIES:
+    refused = found.refused
+    nodes = np.concatenate([np.empty(0, np.int64), *(references for references, _ in used.values())])
+    at = np.searchsorted(found.node_ids, nodes).clip(0, max(len(found.node_ids) - 1, 0))
+    exists = found.node_ids[at] == nodes if len(found.node_ids) else np.zeros(len(nodes), bool)
+    start = 0
+    for identity, (references, tags) in used.items():
+        own = slice(start, start + len(references))
+        start = own.stop
+        what = f"way {shown(str(identity))}"
+        if missing := references[~exists[own]].tolist():
+            first = "one whose id is not a number" if missing[0] == NO_ID else f"node {shown(str(missing[0]))}"
+            refused.append(f"{what}: {len(missing)} of its {len(references)} nodes are missing, {first} first")
             continue
-        missing = [r for r in references if r not in nodes]
-        if missing:
-            count = f"{len(missing)} of its {len(references)} nodes are missing"
-            refused.append(f"way {shown(identity)}: {count}, node {shown(missing[0])} first")
-            continue
-        attributes = {**tags, "way": identity, "bounds_a_lanelet": identity in bounding}
-        xyz = np.array([nodes[r] for r in references], np.float64).reshape(-1, 3)
-        add_line(Line(tags.get("type", "unknown"), xyz, attributes), f"way {shown(identity)}", lines, refused)
+        attributes = {**tags, "way": str(identity), "bounds_a_lanelet": identity in found.lanelet_ways}
+        add_line(Line(tags.get("type", "unknown"), found.lon_lat_ele[at[own]], attributes), what, lines, refused)
     if not lines:
         reason = f"{refused[-1]}; " if refused else ""
         raise InputError(
@@ -101,50 +162,3 @@ def read_lanelet2(path: Path) -> LineFile:
             f"{', '.join(sorted(BOUNDARIES))}"
         )
     return LineFile(lines, CRS.from_epsg(4326), refused)
-
-
-def _read(
-    file: XmlFile, path: Path, refused: list[str]
-) -> tuple[dict[str, tuple[float, float, float]], dict[str, tuple[list[str], dict[str, str]]], set[str]]:
-    """Nodes (longitude, latitude, height, NaN without) and ways (node ids, tags) by their ids; the ways that bound a lanelet.
-
-    Raises InputError where the nodes have local coordinates only.
-    """
-    nodes: dict[str, tuple[float, float, float]] = {}
-    ways: dict[str, tuple[list[str], dict[str, str]]] = {}
-    bounding: set[str] = set()
-    is_local, others = False, 0
-    for _, item in ElementTree.iterparse(file, events=("end",)):
-        identity = item.get("id", "")
-        if item.get("action") == "delete" or item.get("visible") == "false":
-            item.clear()  # an object that an editor (JOSM) has deleted, but not uploaded yet
-        elif item.tag == "node":
-            tags = _tags(item)
-            is_local |= "local_x" in tags
-            try:
-                height = float(tags["ele"]) if "ele" in tags else math.nan
-                nodes[identity] = (float(item.get("lon", "")), float(item.get("lat", "")), height)
-            except ValueError:
-                refused.append(f"node {shown(identity)}: longitude, latitude or height is not a number")
-        elif item.tag == "way":
-            ways[identity] = ([n.get("ref", "") for n in item.iter("nd")], _tags(item))
-        elif item.tag == "relation":
-            if _tags(item).get("type") == "lanelet":
-                bounding.update(m.get("ref", "") for m in item.iter("member") if m.get("role") in ("left", "right"))
-        else:
-            others += 1
-            if others > MAX_VALUES + _MOST_PARTS * (len(nodes) + len(ways) + len(bounding)):
-                raise InputError(
-                    f"{path}: is not OSM XML: {others:,} elements are no nodes or ways; expected a Lanelet2 map"
-                )
-            continue  # a part of one of these, read with it
-        item.clear()
-    if is_local and all(lon == 0 and lat == 0 for lon, lat, _ in nodes.values()):
-        raise InputError(
-            f"{path}: its nodes have local_x and local_y and no longitude and latitude: export it with both"
-        )
-    return nodes, ways, bounding
-
-
-def _tags(item: ElementTree.Element) -> dict[str, str]:
-    return {tag.get("k", ""): tag.get("v", "") for tag in item.iter("tag")}

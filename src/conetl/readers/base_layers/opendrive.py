@@ -22,7 +22,7 @@ from conetl.files.documents import XmlFile, input_errors, library_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
-from conetl.readers.base_layers.lines import Line, LineFile, add_line
+from conetl.readers.base_layers.lines import Line, LineFile, add_line, simplified
 
 Element = ElementTree.Element
 
@@ -30,21 +30,18 @@ Element = ElementTree.Element
 STEP_M = 1.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _ARC_LENGTH_SAMPLES = 512
-#: Largest deviation of omitted vertices from the line.
-TOLERANCE_M = 0.01
 _MAX_ROAD_M = 100_000.0
 #: Points that are computed for all lines of a file, and how many of them a line costs at least.
 MAX_POINTS = 50_000_000
 _LINE_POINTS = 100
-MAX_COORDINATE_M = 1e9
-#: Vertices that are simplified at once: the time for a curled line rises with the square of it.
-_BLOCK = 2_000
+#: Elements of a road, which are in memory at once.
+_MOST_ELEMENTS = 500_000
 
 
 #: Positions (N, 2) and turns (N,) at distances (N,) from the beginning of a geometry, whose heading there is 0.
 Curve = Callable[[Floats], tuple[Floats, Floats]]
 #: Attributes with the curvature at the beginning and at the end, by geometry.
-_CURVATURES = {"line": (), "arc": ("curvature", "curvature"), "spiral": ("curvStart", "curvEnd")}
+_CURVATURES = {"arc": ("curvature", "curvature"), "spiral": ("curvStart", "curvEnd")}
 
 
 class Piece(NamedTuple):
@@ -64,10 +61,13 @@ def cubic_at(pieces: Floats, s_m: Floats) -> Floats:
     0 where there are none or before the first.
     """
     s = np.asarray(s_m, np.float64)
-    start, a, b, c, d = np.vstack([[-np.inf, 0, 0, 0, 0], pieces[np.argsort(pieces[:, 0], kind="stable")]]).T
-    owner = np.searchsorted(start, s, side="right") - 1
-    ds = np.where(owner > 0, s - start[owner], 0.0)
-    return np.asarray(a[owner] + ds * (b[owner] + ds * (c[owner] + ds * d[owner])))
+    if not len(pieces):
+        return np.zeros(len(s))
+    ordered = pieces[np.argsort(pieces[:, 0], kind="stable")]
+    owner = np.searchsorted(ordered[:, 0], s, side="right") - 1
+    start, a, b, c, d = ordered[np.maximum(owner, 0)].T
+    ds = s - start
+    return np.where(owner >= 0, a + ds * (b + ds * (c + ds * d)), 0.0)
 
 
 def samples_m(pieces: Sequence[Piece], from_m: float, to_m: float) -> Floats:
@@ -115,17 +115,34 @@ def lane_borders(
     return found
 
 
-def offset_line(pieces: Sequence[Piece], elevation: Floats, superelevation: Floats, s_m: Floats, t_m: Floats) -> Floats:
-    """Points (N, 3) at (s, t): across the reference line, tilted by the superelevation (counter-clockwise seen along s)."""
+class RoadFrame(NamedTuple):
+    """Where a point at (s, t) is: base_m + t * left."""
+
+    base_m: Floats
+    """(N, 3) on the reference line, with the elevation."""
+    left: Floats
+    """(N, 3) unit vectors across it, tilted by the superelevation (counter-clockwise seen along s)."""
+
+    def at(self, t_m: Floats) -> Floats:
+        """(N, 3) points at t (N,)."""
+        return self.base_m + t_m[:, None] * self.left
+
+
+def frame_of(pieces: Sequence[Piece], elevation: Floats, superelevation: Floats, s_m: Floats) -> RoadFrame:
+    """At s (N,) of a road."""
     xy, heading = reference_line(pieces, s_m)
     roll = cubic_at(superelevation, s_m)
-    across = t_m * np.cos(roll)
-    left = np.column_stack([-np.sin(heading), np.cos(heading)])
-    return np.column_stack([xy + across[:, None] * left, cubic_at(elevation, s_m) + t_m * np.sin(roll)])
+    left = np.column_stack([-np.sin(heading) * np.cos(roll), np.cos(heading) * np.cos(roll), np.sin(roll)])
+    return RoadFrame(np.column_stack([xy, cubic_at(elevation, s_m)]), left)
+
+
+def straight(ds: Floats) -> tuple[Floats, Floats]:
+    """A line."""
+    return np.column_stack([ds, np.zeros(len(ds))]), np.zeros(len(ds))
 
 
 def clothoid(length_m: float, k0: float, k1: float, ds: Floats) -> tuple[Floats, Floats]:
-    """Line, arc, spiral, whose curvature changes linearly from k0 to k1 (1/m): the heading is a quadratic of s; its unit vector
+    """Arc, spiral, whose curvature changes linearly from k0 to k1 (1/m): the heading is a quadratic of s; its unit vector
     is integrated by Gauss-Legendre over short steps.
 
     (Fresnel integrals are the closed form, but lose all digits where the curvature hardly changes.)
@@ -157,15 +174,9 @@ def param_poly3(unit_m: float, u: Sequence[float], v: Sequence[float], ds: Float
 
 def read_opendrive(path: Path) -> LineFile:
     """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
-    not_xml = library_errors(f"{path}: is not XML", ElementTree.ParseError, hint="; expected an OpenDRIVE file")
-    with not_xml, input_errors(path), XmlFile(path) as file:
-        root = ElementTree.parse(file).getroot()
-    if root.tag != "OpenDRIVE":
-        raise InputError(f"{path}: its root is <{root.tag}>, expected <OpenDRIVE>")
     lines: list[Line] = []
     refused: list[str] = []
-    with input_errors(path):
-        move = _header_offset(root)
+    header = ElementTree.Element("header")
     left = float(MAX_POINTS)
 
     def spend(points: float) -> None:
@@ -177,22 +188,50 @@ def read_opendrive(path: Path) -> LineFile:
                 "import the file in parts"
             )
 
-    for road in root.iter("road"):
-        what = f"road {shown(road.get('id', ''))}"
-        try:
-            for line in _road_lines(road, spend):
-                moved = line._replace(xyz=_simplified(line.xyz) @ move[0].T + move[1])
-                add_line(moved, f"{what}, {line.attributes.get('border')}", lines, refused)
-        except (ValueError, KeyError, shapely.errors.ShapelyError) as error:
-            refused.append(f"{what}: {error}")
+    not_xml = library_errors(f"{path}: is not XML", ElementTree.ParseError, hint="; expected an OpenDRIVE file")
+    with not_xml, input_errors(path), XmlFile(path) as file:
+        for part in _parts(file, path):
+            if part.tag == "header":
+                header = part
+            elif part.tag == "road":
+                what = f"road {shown(part.get('id', ''))}"
+                try:
+                    for line in simplified(_road_lines(part, spend)):
+                        add_line(line, f"{what}, {line.attributes.get('border')}", lines, refused)
+                except (ValueError, KeyError, shapely.errors.ShapelyError) as error:
+                    refused.append(f"{what}: {error}")
+        turn, shift = _offset_of(header)
     if not lines:
         raise InputError(f"{path}: none of its roads can be used{'; ' + refused[0] if refused else ''}")
-    return LineFile(lines, *_crs(root, refused))
+    return LineFile([line._replace(xyz=line.xyz @ turn.T + shift) for line in lines], *_crs(header, refused))
 
 
-def _crs(root: Element, refused: list[str]) -> tuple[CRS | None, list[str], str]:
+def _parts(file: XmlFile, path: Path) -> Iterator[Element]:
+    """Header, roads and other elements below the root, each once and whole. Raises InputError, ParseError."""
+    open_elements: list[Element] = []
+    count = 0
+    for event, item in ElementTree.iterparse(file, ("start", "end")):
+        if event == "start":
+            open_elements.append(item)
+            count += 1
+            if open_elements[0].tag != "OpenDRIVE":
+                raise InputError(f"{path}: its root is <{item.tag}>, expected <OpenDRIVE>")
+            if count > _MOST_ELEMENTS:
+                part = open_elements[min(1, len(open_elements) - 1)]
+                raise InputError(
+                    f"{path}: <{part.tag}> {shown(part.get('id', ''))} has more than {_MOST_ELEMENTS:,} elements: split it"
+                )
+            continue
+        open_elements.pop()
+        if len(open_elements) == 1:
+            yield item
+            open_elements[0].clear()
+            count = 0
+
+
+def _crs(header: Element, refused: list[str]) -> tuple[CRS | None, list[str], str]:
     """The CRS of the coordinates, which are metres whatever it is; what was refused, and why there is none."""
-    reference = (root.findtext("header/geoReference") or "").strip()
+    reference = (header.findtext("geoReference") or "").strip()
     why = "the file has no geoReference"
     if reference:
         try:
@@ -221,20 +260,25 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
     roll = _cubics(road.findall("lateralProfile/superelevation"), "s")
     offset = _cubics(road.findall("lanes/laneOffset"), "s")
     about = {"road": road.get("id"), "road_name": road.get("name") or None}
-    spend(_points(pieces, 0.0, length))
-    s = samples_m(pieces, 0.0, length)
-    centre = offset_line(pieces, elevation, np.empty((0, 5)), s, np.zeros(len(s)))
-    yield Line("reference_line", centre, {**about, "border": "reference line"})
     sections = sorted(road.findall("lanes/laneSection"), key=lambda section: _number(section, "s"))
     starts = [_number(section, "s") for section in sections]
     if starts and not 0 <= starts[0] <= starts[-1] <= length:
         raise ValueError(f"its lane sections begin from {starts[0]:g} to {starts[-1]:g} m; expected 0 to {length:g} m")
-    for section, start, end in zip(sections, starts, [*starts[1:], length], strict=True):
-        if end <= start:
-            continue
-        elements = {int(_number(lane, "id")): lane for lane in section.iter("lane")}
+    spans = [(None, 0.0, length), *zip(sections, starts, [*starts[1:], length], strict=True)]
+    spans = [span for span in spans if span[1] < span[2]]
+    lanes_of = [
+        {} if one is None else {int(_number(lane, "id")): lane for lane in one.iter("lane")} for one, _, _ in spans
+    ]
+    for elements, (_, start, end) in zip(lanes_of, spans, strict=True):
         spend(_points(pieces, start, end) * (len(elements) + 1))
-        s = samples_m(pieces, start, end)
+    samples = [samples_m(pieces, start, end) for _, start, end in spans]
+    whole = frame_of(pieces, elevation, roll, np.concatenate(samples))
+    ends = np.cumsum([len(s) for s in samples])
+    for elements, (section, start, _), s, stop in zip(lanes_of, spans, samples, ends.tolist(), strict=True):
+        frame = RoadFrame(whole.base_m[stop - len(s) : stop], whole.left[stop - len(s) : stop])
+        if section is None:
+            yield Line("reference_line", frame.base_m, {**about, "border": "reference line"})
+            continue
         lanes = {
             number: (_cubics(lane.findall("width"), "sOffset"), _cubics(lane.findall("border"), "sOffset"))
             for number, lane in elements.items()
@@ -247,7 +291,7 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
                 continue
             kind = "lane_border" if paint == "none" else paint
             attributes = {**about, "border": f"lane {number}", "lane_type": None if lane is None else lane.get("type")}
-            yield Line(kind, offset_line(pieces, elevation, roll, s, t), attributes)
+            yield Line(kind, frame.at(t), attributes)
 
 
 def _points(pieces: Sequence[Piece], from_m: float, to_m: float) -> float:
@@ -264,9 +308,11 @@ def _piece(geometry: Element) -> Piece:
     shape = next(iter(geometry), None)
     kind = shape.tag if shape is not None else "line"
     curve: Curve
-    if shape is None or kind in _CURVATURES:
-        ends = [_number(shape, name) for name in _CURVATURES[kind]] if shape is not None else []
-        curve = partial(clothoid, length, *(ends or (0.0, 0.0)))
+    if shape is None or kind == "line":
+        curve = straight
+    elif kind in _CURVATURES:
+        k0, k1 = (_number(shape, name) for name in _CURVATURES[kind])
+        curve = partial(clothoid, length, k0, k1)
     elif kind == "poly3":
         curve = partial(poly3, length, [_number(shape, name) for name in "abcd"])
     elif kind == "paramPoly3":
@@ -294,28 +340,10 @@ def _number(element: Element, name: str) -> float:
     return value
 
 
-def _header_offset(root: Element) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and translation (3,) of header/offset, from the file's coordinates to those of its CRS."""
-    offset = root.find("header/offset")
+def _offset_of(header: Element) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and translation (3,) of the header's offset, from the file's coordinates to those of its CRS."""
+    offset = header.find("offset")
     stated = {} if offset is None else {k: _number(offset, k) for k in ("x", "y", "z", "hdg") if offset.get(k)}
     x, y, z, heading = (stated.get(name, 0.0) for name in ("x", "y", "z", "hdg"))
     cos, sin = math.cos(heading), math.sin(heading)
     return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.array([x, y, z])
-
-
-def _simplified(xyz: Floats) -> Floats:
-    """The vertices required by plan or height within TOLERANCE_M, and every _BLOCK vertices one. Raises ValueError."""
-    if not (np.abs(xyz) < MAX_COORDINATE_M).all():  # NaN fails too; GEOS does not return from some of them
-        raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")
-    # Equal ones are where a geometry is too short.
-    xyz = xyz[np.concatenate([[True], np.any(np.diff(xyz, axis=0) != 0, axis=1)])]
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xyz[:, :2], axis=0), axis=1))])
-    keep = np.zeros(len(xyz), bool)
-    keep[[0, -1]] = True
-    for flat in (xyz[:, :2], np.column_stack([along, xyz[:, 2]])):
-        for start in range(0, len(xyz) - 1, _BLOCK):
-            block = flat[start : start + _BLOCK + 1]
-            line = shapely.simplify(shapely.LineString(block), TOLERANCE_M, preserve_topology=False)
-            kept = {tuple(p) for p in shapely.get_coordinates(line).tolist()}
-            keep[start : start + _BLOCK + 1] |= np.array([tuple(p) in kept for p in block.tolist()])
-    return np.asarray(xyz[keep])

@@ -109,8 +109,17 @@ def times_of(
 
 
 def texts_of_file(lines: Sequence[str], paths: Sequence[Path]) -> list[str]:
-    """The time stamps of images in the lines of a file: beside their names, or one line per image."""
-    return _by_name(lines, paths) or of_images([x for x in lines if x.strip() and x[0] != "#"], paths)
+    """The time stamps of images in the lines of a file: beside their names, behind their numbers, or one line per image."""
+    if found := _by_name(lines, paths):
+        return found
+    rows = [line.strip() for line in lines if line.strip() and line[0] != "#"]
+    if rows[1:] and rows[0][0].isalpha() and rows[1][0].isdigit():  # names of the columns
+        rows = rows[1:]
+    numbers, *times = zip(*(re.split(r"[,;\s]+", row, maxsplit=1) for row in rows), strict=False) if rows else [()]
+    counted = [str(n) for n in range(len(rows))], [str(n) for n in range(1, len(rows) + 1)]
+    if times and len(times[0]) == len(rows) > 1 and [number.lstrip("0") or "0" for number in numbers] in counted:
+        rows = [*times[0]]
+    return of_images(rows, paths)
 
 
 def times_in(path: Path, paths: Sequence[Path]) -> list[str]:

@@ -10,6 +10,7 @@ import json
 import re
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
@@ -28,7 +29,7 @@ from conetl.geometry.geodesy import ELLIPSOIDAL
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
-from conetl.readers.base_layers.georeferencing import height_unit_m, parse_crs
+from conetl.readers.base_layers.georeferencing import height_unit_m, parse_crs, require_unit
 
 #: Larger files are not cone maps and do not fit into memory.
 MAX_ROWS = 1_000_000
@@ -81,6 +82,8 @@ class MapTable:
     """Names of the file's layers with geometry, in its order; empty for formats without layers."""
     layer: str | None = None
     """The one that was read."""
+    unit_m: float | None = None
+    """Of easting and northing, by the names of their columns; None where they state none."""
     lines_left_out: int = 0
     """Lane markings of an export: only point objects are read."""
 
@@ -88,14 +91,14 @@ class MapTable:
         return len(self.xyz)
 
 
-def read_table(path: Path, layer: str | None = None) -> MapTable:
+def read_table(path: Path, layer: str | None = None, *, most_rows: int = MAX_ROWS) -> MapTable:
     """All rows of a GeoJSON, CSV, GeoPackage, FlatGeobuf or GeoParquet file. Raises InputError naming the file, and the row.
 
-    layer: required for files with several.
+    layer: required for files with several; most_rows: a file with more is refused.
     """
-    read_vector = partial(_read_vector, layer=layer)
+    read_vector = partial(_read_vector, most_rows, layer=layer)
     readers: dict[str, Callable[[Path], MapTable]] = {
-        ".csv": _read_csv, **dict.fromkeys((".parquet", ".geoparquet"), _read_parquet),
+        ".csv": partial(_read_csv, most_rows), **dict.fromkeys((".parquet", ".geoparquet"), partial(_read_parquet, most_rows)),
         **dict.fromkeys((".geojson", ".json", ".gpkg", ".fgb"), read_vector),
     }  # fmt: skip
     reader = readers.get(path.suffix.lower())
@@ -108,7 +111,7 @@ def read_table(path: Path, layer: str | None = None) -> MapTable:
     if not path.is_file() or size == 0:
         raise InputError(f"{path} is {'empty' if path.is_file() else 'not a file'}: nothing to import")
     if path.suffix.lower() in TEXT_SUFFIXES:
-        require_few_features(path, MAX_ROWS)
+        require_few_features(path, most_rows)
     if layer is not None and reader is not read_vector:
         raise InputError(f"{path}: has no layers: leave out --layer")
     table = reader(path)
@@ -117,7 +120,7 @@ def read_table(path: Path, layer: str | None = None) -> MapTable:
     return table
 
 
-def _read_vector(path: Path, layer: str | None) -> MapTable:
+def _read_vector(most_rows: int, path: Path, layer: str | None) -> MapTable:
     import pyogrio  # GDAL takes half a second to load, and few drives come with points to read
 
     if path.suffix.lower() == ".fgb":
@@ -126,7 +129,7 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
         layers = tuple(str(name) for name, geometry in pyogrio.list_layers(path) if geometry is not None)
         layer = _choose_layer(path, layers, layer)
         info = pyogrio.read_info(path, layer=layer)
-        _check_claim(path, info["features"], "features", len(info["fields"]))
+        _check_claim(path, info["features"], "features", len(info["fields"]), most_rows)
         with input_errors(path):
             crs = None if info["crs"] is None else parse_crs(info["crs"])
         table = MapTable(path, crs, layers=layers, layer=layer)
@@ -141,7 +144,7 @@ def _read_vector(path: Path, layer: str | None) -> MapTable:
             name = meta["geometry_name"] or "wkb_geometry"
             if name not in reader.schema.names:
                 raise InputError(f"{path} has no geometry: a cone map is a layer of points")
-            _append_batches(table, reader, name)
+            _append_batches(table, reader, name, most_rows)
     if info["driver"].startswith("GeoJSON") and 2 * (np.abs(table.xyz[:, :2]) > 180).any(axis=1).sum() > len(table):
         table.crs = None  # its standard has degrees only, so that programs leave another CRS out
     return table
@@ -194,12 +197,12 @@ def _choose_layer(path: Path, layers: Sequence[str], wanted: str | None) -> str:
     return wanted or layers[0]
 
 
-def _read_parquet(path: Path) -> MapTable:
+def _read_parquet(most_rows: int, path: Path) -> MapTable:
     with library_errors(f"{path} cannot be read as GeoParquet"):
         file = pq.ParquetFile(path)
         metadata = file.metadata
         groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
-        _check_claim(path, metadata.num_rows, "rows", metadata.num_columns)
+        _check_claim(path, metadata.num_rows, "rows", metadata.num_columns, most_rows)
         if sum(group.total_byte_size for group in groups) > MAX_BYTES:
             raise InputError(f"{path} states more than {MAX_BYTES >> 30} GiB, too much for a cone map")
         geo = json.loads((metadata.metadata or {}).get(b"geo", b"null"))
@@ -212,11 +215,11 @@ def _read_parquet(path: Path) -> MapTable:
         crs = column.get("crs", "OGC:CRS84")  # the default of the standard
         table = MapTable(path, None if crs is None else CRS.from_user_input(crs))
         names = [field.name for field in file.schema_arrow if not pa.types.is_nested(field.type)]
-        _append_batches(table, file.iter_batches(_BATCH, columns=names), name)
+        _append_batches(table, file.iter_batches(_BATCH, columns=names), name, most_rows)
     return table
 
 
-def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry: str) -> None:
+def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry: str, most_rows: int) -> None:
     parts = []
     count = 0
     for every in batches:
@@ -238,15 +241,15 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
             raise InputError(f"{table.path}, row {count + int(bad[0]) + 1}: {kind} where a point is expected")
         parts.append(shapely.get_coordinates(points, include_z=True))
         count += batch.num_rows
-        if count > MAX_ROWS:
-            raise _too_many(table.path)
+        if count > most_rows:
+            raise _too_many(table.path, most_rows)
         for name, column in zip(batch.schema.names, batch.columns, strict=True):
             if name != geometry:
                 table.columns.setdefault(name, []).extend(column.to_pylist())
     table.xyz = np.concatenate(parts) if parts else table.xyz
 
 
-def _read_csv(path: Path) -> MapTable:
+def _read_csv(most: int, path: Path) -> MapTable:
     """Columns lon_deg, lat_deg (WGS 84), or easting_m, northing_m (their CRS has to be stated).
 
     The separator is the most frequent of comma, semicolon and tab in the header; names of columns may be in capitals, numbers
@@ -263,15 +266,16 @@ def _read_csv(path: Path) -> MapTable:
             rows = csv.reader(chain([header], texts), strict=True, delimiter=delimiter)
             names = [text.strip().lower() for text in next(rows, [])]
             lines = []
-            most_rows = min(MAX_ROWS, MAX_VALUES // max(1, len(names)))
+            most_rows = min(most, MAX_VALUES // max(1, len(names)))
             for number, line in enumerate(rows, start=1):
                 if number > most_rows:
-                    raise _too_many(path)
+                    raise _too_many(path, most_rows)
                 if not line:
                     continue
                 if len(line) != len(names):
                     raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
                 lines.append(line)
+    units_m = [unit_m for base, unit_m in map(_split, names) if unit_m and _POSITIONS.get(base, "").endswith("_m")]
     names = [_POSITIONS.get(_split(name)[0], name) for name in names]
     if len(set(names)) != len(names):
         raise InputError(f"{path}: the header contains a column name twice")
@@ -283,7 +287,8 @@ def _read_csv(path: Path) -> MapTable:
     horizontal = ("lon_deg", "lat_deg") if geographic else ("easting_m", "northing_m")
     axes = [numbers_of(path, name, columns.get(name, []), required=True) for name in horizontal]
     xyz = np.column_stack([*axes, np.full(len(lines), np.nan)])
-    return MapTable(path, CRS("OGC:CRS84") if geographic else None, xyz, columns)
+    crs = CRS("OGC:CRS84") if geographic else None
+    return MapTable(path, crs, xyz, columns, unit_m=max(units_m, default=None))
 
 
 def _short_lines(path: Path, file: TextIO) -> Iterator[str]:
@@ -306,6 +311,9 @@ def _values(texts: Sequence[str], delimiter: str) -> list[str | None]:
 
 def numbers_of(path: Path, name: str, values: Sequence[Any], *, required: bool = False) -> Floats:
     """The values of a column (N,) as numbers, NaN for empty cells. Raises InputError, which names the row."""
+    if not (required and None in values):
+        with suppress(ValueError, TypeError, OverflowError):
+            return np.array(values, np.float64).reshape(-1)
     found = np.empty(len(values))
     for index, value in enumerate(values):
         try:
@@ -329,6 +337,7 @@ def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:
     crs: of the positions. of_points: all names are those of points, not of objects above them. A column is removed if it has such
     a name. Raises InputError for heights of another system than that of the CRS.
     """
+    require_unit(table.path, crs, table.unit_m)
     crs_unit_m = height_unit_m(crs)
     heights_m = table.xyz[:, 2] * crs_unit_m
     absent = np.isnan(heights_m) | (heights_m == 0.0 if not heights_m.any() else False)
@@ -369,9 +378,9 @@ def _check_flatgeobuf_header(path: Path) -> None:
         )
 
 
-def _check_claim(path: Path, count: int, noun: str, columns: int) -> None:
-    if count > MAX_ROWS:
-        raise _too_many(path)
+def _check_claim(path: Path, count: int, noun: str, columns: int, most_rows: int) -> None:
+    if count > most_rows:
+        raise _too_many(path, most_rows)
     if count * columns > MAX_VALUES:
         raise InputError(
             f"{path} has {count:,} {noun} with {columns:,} columns, expected at most {MAX_VALUES:,} values: leave out columns"
@@ -381,7 +390,5 @@ def _check_claim(path: Path, count: int, noun: str, columns: int) -> None:
         raise InputError(f"{path} states {count} {noun}, but has {path.stat().st_size} bytes: truncated or damaged")
 
 
-def _too_many(path: Path) -> InputError:
-    return InputError(
-        f"{path} has more than {MAX_ROWS:,} rows or {MAX_VALUES:,} values: that is not a cone map; import it in parts"
-    )
+def _too_many(path: Path, most_rows: int) -> InputError:
+    return InputError(f"{path} has more than {most_rows:,} rows or {MAX_VALUES:,} values: import it in parts")

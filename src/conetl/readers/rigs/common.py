@@ -33,6 +33,8 @@ _METRES = {
 #: Characters between the numbers of a text.
 _BETWEEN = re.compile(r"[\s,;\[\]()]+")
 _SKEW_SHARE = 1e-6
+#: A size in the other order has the principal points nearer to the centre by at least this part of the image.
+_CLEARLY_NEARER = 0.05
 
 
 def write_yaml(path: Path, content: Mapping[str, Any]) -> None:
@@ -110,6 +112,13 @@ class Node(NamedTuple):
             raise self.bad(f"must be whole numbers of pixels, found {size[0]:g} x {size[1]:g}")
         return int(size[0]), int(size[1])
 
+    def size_by(self, *principal_points: Floats) -> Size:
+        """Width and height of a list in either order: the principal points (2,) are nearer to the centre of the right one."""
+        size = self.size()
+        points = np.array(principal_points)
+        off = [np.linalg.norm(points / one - 0.5, axis=1).mean() for one in (size, size[::-1])]
+        return size if off[0] < off[1] + _CLEARLY_NEARER else size[::-1]
+
     def rotation(self) -> Floats:
         """The rotation nearest to a (3, 3) matrix written with few digits."""
         matrix = self.numbers((3, 3))
@@ -168,9 +177,10 @@ class Node(NamedTuple):
         lens, kind = Lens(), lenses[bent.value]
         if kind is not None:
             lens = self.at(coefficients).lens(fisheye=kind == "fisheye")
-        numbers = self.at("intrinsics")
-        matrix = numbers._replace(value=matrix_of(*numbers.numbers((4,))))
-        return matrix.camera(self.at("resolution").size(), lens)
+        key = self.at("intrinsics")
+        numbers = key.numbers((4,))
+        matrix = key._replace(value=matrix_of(*numbers))
+        return matrix.camera(self.at("resolution").size_by(numbers[2:]), lens)
 
     def lens(self, *, fisheye: bool = False) -> Lens:
         """The smallest lens model that holds OpenCV's k1, k2, p1, p2[, k3[, k4, k5, k6[, s1..s4[, tx, ty]]]].

@@ -21,7 +21,6 @@ from conetl.files.documents import shown
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.geometry.camera import matrix_k
-from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.rig import SIDES, Rig, Side
 from conetl.readers.rigs.common import Node, Size, opencv_coefficients
@@ -53,8 +52,6 @@ _SIDE_LETTERS = {"left": "(left|l|1)", "right": "(right|r|2)"}
 MARKS = rf"(?i:{_MATRIX})|" + "|".join(
     f"(?i:{_NAMES['matrix'].format(side=side, s=s)})" for side, s in _SIDE_LETTERS.items()
 )
-#: A size in the other order has the principal points nearer to the centre by at least this part of the image.
-_CLEARLY_NEARER = 0.05
 
 
 def read_opencv_rig(file: Node, *, image_size: Size | None = None) -> Rig:
@@ -133,15 +130,7 @@ def _size(file: Node, side: Side, matrices: list[Node]) -> Size:
             "are missing: some OpenCV stereo files have no image size. Add both keys to the file, or make a rig.yaml from it: "
             "conetl rig convert with --image-size 1242x375"
         )
-    size = whole.size()
-    off = [_off_centre(matrices, np.array(one)) for one in (size, size[::-1])]
-    return size if off[0] < off[1] + _CLEARLY_NEARER else size[::-1]
-
-
-def _off_centre(matrices: list[Node], size: Floats) -> float:
-    """Mean distance of the principal points from the centre of images of this size (2,), in parts of it."""
-    points = np.array([matrix.numbers((3, 3))[:2, 2] for matrix in matrices])
-    return float(np.linalg.norm(points / size - 0.5, axis=1).mean())
+    return whole.size_by(*(matrix.numbers((3, 3))[:2, 2] for matrix in matrices))
 
 
 def write_opencv_rig(rig: Rig, path: Path) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from conetl.model.errors import InputError
 from conetl.readers.trajectories import axes, delimited, gpx, nmea, oxts, rtklib, sbet, tables
-from conetl.readers.trajectories.earth import UNSTATED_HEIGHT_SIGMA_M, in_wgs84
+from conetl.readers.trajectories.earth import in_wgs84, unstated_heights
 from conetl.readers.trajectories.recorded import Reading, RecordedTrajectory, assembled
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.text import head_bytes, head_lines
@@ -73,11 +73,7 @@ def remarks_on(path: Path, settings: TrajectoryFile, *, has_vertical_sigma: bool
     found = [gpx.cut_note(path) if name == "gpx" else nmea.unchecked_note(path) if name == "nmea" else None]
     known = has_vertical_sigma or settings.heights is not None or settings.crs is not None
     if name == "gpx" and not known and not gpx.states_geoid(path):
-        found.append(
-            f"{path}: does not state whether its heights are above sea level or the ellipsoid: vertical sigma "
-            f"{UNSTATED_HEIGHT_SIGMA_M:g} m. Put into drive.yaml, below trajectory, heights: 'EPSG:5773' "
-            "(sea level, EGM96) or heights: ellipsoidal"
-        )
+        found.append(unstated_heights(path))
     return [note for note in found if note is not None]
 
 

@@ -27,6 +27,8 @@ _NEAR_RAD, _FAR_RAD = float(np.radians(5.0)), float(np.radians(15.0))
 
 def resolved(path: Path, found: RecordedTrajectory, reading: Reading) -> RecordedTrajectory:
     """The trajectory with its yaw as the course shows it. Raises InputError where that does not show it, or another one."""
+    if reading.angle_column is not None and found.rotations is not None and not found.is_local:
+        _require_degrees(path, found, reading.angle_column)
     if reading.yaw_column is None or found.rotations is None or found.is_local:
         return found
     name, angles, word = shown(reading.yaw_column), _angles(found), reading.yaw_column[:60]
@@ -48,6 +50,27 @@ def resolved(path: Path, found: RecordedTrajectory, reading: Reading) -> Recorde
     yaw, pitch, roll = Rotation.from_matrix(found.rotations).as_euler("ZYX", degrees=True).T
     note = f"{path}: compared with the drive path, the column {name} counts clockwise from north (NED)"
     return found._replace(rotations=attitude(roll, pitch, yaw), notes=(*found.notes, note))
+
+
+def _require_degrees(path: Path, found: RecordedTrajectory, column: str) -> None:
+    """Raise InputError where angles without a unit, read as degrees, fit to the course only as radians."""
+    if (angles := _angles(found)) is None:
+        return
+    yaw, course = angles
+    turns = (yaw, np.pi / 2 - yaw)  # one of them is the column, the other one what it would be by the other axes
+
+    def apart(read_as: Floats) -> float:
+        return float(np.median(np.abs(np.angle(np.exp(1j * (read_as - course))))))
+
+    if min(map(apart, turns)) < _FAR_RAD:
+        return
+    for turn in turns:
+        written = np.degrees(np.angle(np.exp(1j * turn)))
+        if np.abs(written).max() <= 2 * np.pi and min(apart(written), apart(np.pi / 2 - written)) < _NEAR_RAD * 2:
+            raise InputError(
+                f"{path}: compared with the drive path, the column {shown(column)} is in radians, but nothing states so: put "
+                "trajectory: {angles: radians} into drive.yaml"
+            )
 
 
 def _angles(found: RecordedTrajectory) -> tuple[Floats, Floats] | None:

@@ -27,7 +27,7 @@ from conetl.readers.trajectories.columns import (
     sides_of,
     values_of,
 )
-from conetl.readers.trajectories.earth import is_geocentric
+from conetl.readers.trajectories.earth import is_geocentric, unstated_heights
 from conetl.readers.trajectories.names import aligned, is_unit, require_unit, role_of, scale_of
 from conetl.readers.trajectories.recorded import Reading
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
@@ -67,12 +67,18 @@ def read(path: Path, settings: TrajectoryFile, *, kind: FormatName = "table", ad
     if (match := _IN_WORDS.search(between)) is not None and settings.angles is None:
         raise InputError(f"{path}: the unit {match[1].lower()} is not supported; write degrees and metres")
     layout = _layout(path, header, settings, kind, notes)
+    if layout.heights == "unstated" and settings.heights is None and settings.crs is None:
+        notes.append(unstated_heights(path))
+    angle = layout.columns.get("heading", layout.columns.get("yaw"))
+    unitless = (
+        angle.name if angle is not None and angle.unit is None and settings.angles is None and not angle.dms else None
+    )
     yaw = layout.columns["yaw"].name if "yaw" in layout.columns and "heading" not in layout.columns else None
     stated = "yaw" in settings.columns or set(header.names) >= _OWN_NAMES
     relayout = None if settings.columns else partial(_next_layout, path, settings, layout, kind)
     progress = Progress(path)
     records = table_records(path, layout, settings, progress, adjust, relayout)
-    return Reading(records, layout.axes, layout.heights, yaw, stated, notes, progress)
+    return Reading(records, layout.axes, layout.heights, yaw, stated, notes, progress, unitless)
 
 
 def kind_of(lines: list[str]) -> FormatName | None:

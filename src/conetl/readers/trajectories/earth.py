@@ -34,6 +34,15 @@ _YEAR_NS = 365.2425 * 86400e9
 _GRID_SUFFIXES = (".tif", ".gtx")
 
 
+def unstated_heights(path: Path) -> str:
+    """What to say of a file whose heights may be of either kind."""
+    return (
+        f"{path}: does not state whether its heights are above sea level or the ellipsoid: vertical sigma "
+        f"{UNSTATED_HEIGHT_SIGMA_M:g} m. Put into drive.yaml, below trajectory, heights: 'EPSG:5773' (sea level, EGM96) or "
+        "heights: ellipsoidal"
+    )
+
+
 def in_wgs84(reading: Reading, settings: TrajectoryFile, path: Path) -> Iterator[Records]:
     """The records with latitude, longitude (degrees) and ellipsoidal height (m). Raises InputError.
 

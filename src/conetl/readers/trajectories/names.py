@@ -29,9 +29,10 @@ _ALIASES = {
     "lat": "lat latitude breite breitengrad geobreite latitud phi latitudens latns",
     "lon": "lon long lng longitude laenge laengengrad geolaenge longitud lambda longitudeew lonew",
     "height": "height h hell ellh ellipsoidalheight ellipsoidheight heightellipsoidal heightaboveellipsoid hae alt altitude "
-        "hoehe ellhoehe ellipsoidischehoehe",
+        "hoehe ellhoehe ellipsoidischehoehe althae altitudehae heighthae hgthae altellipsoid altitudeellipsoid",
     "height_msl": "hmsl heightmsl altmsl altitudemsl mslaltitude mslheight msl orthometricheight horth elevation ele "
         "elev nhn hoehenhn hnhn",
+    "separation": "undulation undul geoidundulation geoidseparation geoidsep geoidheight geoidhgt geoidalseparation",
     "height_system": "altitudesystem heightsystem altsystem",
     "easting": "easting east e rechtswert ostwert utmeast utme",
     "northing": "northing north n hochwert nordwert utmnorth utmn",

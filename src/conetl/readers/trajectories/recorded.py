@@ -91,6 +91,8 @@ class Reading(NamedTuple):
     """As in `RecordedTrajectory`; complete once the pieces are read."""
     progress: Progress | None = None
     """Of a text."""
+    angle_column: str | None = None
+    """The column of a heading or yaw whose unit neither the file nor the user states; it is read as degrees."""
 
 
 def check_fix(lat_deg: float, lon_deg: float, height_m: float) -> None:
@@ -231,6 +233,11 @@ def problems(piece: Records, is_local: bool) -> dict[int, str]:
             f"the height is not between {MIN_HEIGHT_M:g} and {MAX_HEIGHT_M:g} m",
         )
         add((a == 0.0) & (b == 0.0), "latitude and longitude are both 0: the receiver had no fix")
+        add(
+            (np.abs(a) <= np.pi / 2) & (np.abs(b) <= np.pi),
+            "the position is in the Atlantic: are latitude and longitude in radians? Then put trajectory: {angles: radians} into "
+            "drive.yaml",
+        )
     if piece.rotations is not None:
         add(
             ~np.isfinite(piece.rotations).all(axis=(1, 2)),

@@ -64,8 +64,7 @@ class TrajectoryFile(Record):
     """Dynamic frame of the positions at the times of the records, such as ITRF2020."""
     map_frame: str | None = Field(default=None, min_length=1, max_length=100)
     """Frame of the map's coordinates, such as ETRF2000; without both keys the two are taken as the same."""
-    angles: Literal["degrees", "radians"] | None = None
-    """Tables: unit of the angles, if the names of the columns do not state it."""
+    angles: Literal["degrees", "radians"] | None = setting("Unit of angles of which the file states none.", "radians")
 
     @field_validator("time")
     @classmethod

@@ -35,8 +35,8 @@ POSITIONS: dict[Axes, tuple[str, str, str]] = {
 QUATERNION = ("qw", "qx", "qy", "qz")
 SIGMAS = ("sigma_e", "sigma_n", "sigma_u", "sigma_roll", "sigma_pitch", "sigma_heading")
 ROLES = (
-    *TIMES, "lat", "lon", "height", "height_msl", "easting", "northing", "x", "y", "z", "roll", "pitch", "heading", "yaw",
-    *QUATERNION,
+    *TIMES, "lat", "lon", "height", "height_msl", "separation", "easting", "northing", "x", "y", "z", "roll", "pitch", "heading",
+    "yaw", *QUATERNION,
     *SIGMAS, "sigma_horizontal", "quality",
 )  # fmt: skip
 #: Columns that are not numbers, or not on their own.
@@ -179,6 +179,8 @@ def table_records(
         values = {role: _numbers(role, rows, column, now) for role, column in now.columns.items() if role not in _TEXTS}
         if "nanosecond" in values:
             times = times + np.nan_to_num(values["nanosecond"]).clip(-1e9, 1e9).astype(np.int64) * (times > 0)
+        if "separation" in values and settings.heights is None:
+            values["height"] = values["height"] + values["separation"]
         positions = np.column_stack([values[name] for name in POSITIONS[now.axes]])
         sigma = sigmas_of(values, len(rows))
         rotations = rotations_of(values, sigma)
@@ -310,12 +312,24 @@ def rotations_of(values: Mapping[str, Floats], sigma: Floats) -> Floats | None:
 def require(columns: dict[str, Column], path: Path, header: Sequence[str]) -> tuple[Axes, Heights]:
     """Axes and heights of a table's positions; heights above the sea become `height` where there are no others.
 
+    They are ellipsoidal with the `separation` of the geoid, which is kept only then. Beside a height that states nothing it shows
+    that this may be above the sea.
     Raises InputError where a column is missing.
     """
     heights: Heights = "ellipsoidal"
     above_sea = columns.pop("height_msl", None)
+    separation = columns.pop("separation", None)
     if above_sea is not None and "height" not in columns:
         columns["height"], heights = above_sea, "sea level"
+        if separation is not None:
+            columns["separation"], heights = separation, "ellipsoidal"
+    elif (
+        separation is not None
+        and above_sea is None
+        and "height" in columns
+        and not re.search("ell|hae", columns["height"].name, re.I)
+    ):
+        heights = "unstated"
     shown_header = ", ".join(header)[:200]
     also = "" if "time" in columns else "a time and "
     missing = f"columns for {also}a position (lat, lon, height; easting, northing, height; or x, y, z)"

@@ -126,6 +126,9 @@ def _add_times(root: Path, left: Stream, proposal: Proposal) -> None:
             folders = sorted({root, left.paths[0].parent, *(f for f in above if f.is_relative_to(root))})
             files = [folder / name for folder in folders for name in names_in(folder, TABLE_SUFFIXES)]
             names = [file.relative_to(root).as_posix() for file in files if has_times(file, left.paths, settings)]
+            sides = with_likely_sides({}, names) if len(names) == len(SIDES) else {}
+            if len(sides) == len(SIDES):
+                images["right_timestamps"], names = sides["right"], [sides["left"]]
             if len(names) != 1:
                 found = f"{', '.join(names)} each have one time per image. " if names else ""
                 proposal.need(error.key, found + error.cause)

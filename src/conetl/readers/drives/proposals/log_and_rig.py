@@ -29,9 +29,9 @@ _TAKEN = {
     "heights": "heights taken as ellipsoidal; if they are not, set trajectory.heights, like EPSG:7837",
 }
 #: Keys that a trajectory may need: the error of its reader says how to state them in drive.yaml.
-_UNSTATED = ("columns", "date", "time", "crs", "heights")
+_UNSTATED = ("columns", "date", "time", "crs", "heights", "angles")
 #: What is tried, and proposed, for keys that a table does not state.
-_TRIED = {"time": "utc", "heights": "ellipsoidal"}
+_TRIED = {"time": "utc", "heights": "ellipsoidal", "angles": "radians"}
 _TIME_OF_DAY = re.compile(r"found '\d\d?:\d\d")
 #: What those errors advise, which a template has its own place for.
 _REMEDY = re.compile(r"(?:[:;.?]) (?:put|name them) (?=.*drive\.yaml)", re.IGNORECASE)
