@@ -147,5 +147,5 @@ def test_more_points_than_a_survey_has_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     rows = "458300.123,5427800.456,160.1\n" * (MOST_POINTS + 1)
     path.write_text(f"easting,northing,height\n{rows}")
-    with pytest.raises(InputError, match="more than 50,000 rows or .*: import it in parts"):
+    with pytest.raises(InputError, match=r"more than 50,000 rows or .*: import it in parts"):
         read_surveyed_points(path, 25832, crs="EPSG:25832", sigma_m=0.02)
