@@ -27,10 +27,9 @@ _SAME = 0.95
 def without_alike(frame_pairs: Sequence[FramePair], read: ImageReader, params: SelectionParams) -> list[FramePair]:
     """The frame pairs that are worth a search, in order, with the first one.
 
-    Of a fast camera a pair is left out if the next one is still near the last that is kept: of 12 pairs per second all are kept.
-    Of a vehicle that stands or crawls, one that is hardly any distance from it by the log, if the left images agree as well as
-    that distance suggests: a log may stand still while the vehicle drives. read: of grey left images; those of fast cameras are
-    not read.
+    A pair is left out if the next one is still near the last that is kept: of 12 pairs per second all are kept, and of a stop the
+    first and the last. Near is little time and distance; or hardly any distance by the log, if the left images agree as well as
+    that suggests: a log may stand still while the vehicle drives. read: of grey left images; those of fast cameras are not read.
     """
     poses = np.array([map_SE3_body(pair.pose) for pair in frame_pairs])
     times_s = np.array([pair.captured_at_ns - frame_pairs[0].captured_at_ns for pair in frame_pairs]) * 1e-9
@@ -44,7 +43,7 @@ def without_alike(frame_pairs: Sequence[FramePair], read: ImageReader, params: S
         if later_s[1] <= params.dense_s and shift_m[1] <= params.dense_m:
             continue
         own = None
-        if shift_m[0] < params.standing_m and turn_rad[0] <= params.standing_rad:
+        if shift_m.max() < params.standing_m and turn_rad.max() <= params.standing_rad:
             own, view = _view(frame_pairs[k], read), _view(frame_pairs[kept[-1]], read) if view is None else view
             lost = (1 - params.standing_correlation) * shift_m[0] / params.standing_m
             if _agree(view, own) >= min(1 - lost, _SAME):

@@ -66,10 +66,10 @@ def test_at_high_speed_all_pairs_count() -> None:
     assert kept(frames) == list(range(31))
 
 
-def test_a_stop_counts_once() -> None:
+def test_a_stop_counts_at_its_beginning_and_its_end() -> None:
     along_m = [0.0, 1.0, *[2.0] * 600, 3.0, 4.0]
     frames = pairs([k / 10 for k in range(len(along_m))], along_m)
-    assert kept(frames, [50 * round(x) for x in along_m]) == [0, 1, 2, 602, 603]
+    assert kept(frames, [50 * round(x) for x in along_m]) == [0, 1, 2, 601, 602, 603]
 
 
 def test_a_log_that_stands_while_the_images_move_is_not_believed() -> None:
@@ -83,9 +83,9 @@ def test_a_log_that_repeats_each_pose_is_not_believed() -> None:
     assert kept(frames, [2 * k for k in range(9)]) == list(range(9))
 
 
-def test_a_jam_counts_every_third_of_a_metre() -> None:
+def test_a_jam_counts_every_0_3_m_at_least() -> None:
     frames = pairs([k / 10 for k in range(13)], [0.11 * k for k in range(13)])
-    assert kept(frames, [0] * 13) == [0, 3, 6, 9, 12]
+    assert kept(frames, [0] * 13) == [0, 2, 4, 6, 8, 10, 12]
 
 
 def test_an_image_that_cannot_be_read_is_left_to_the_search() -> None:
