@@ -150,7 +150,7 @@ def projections(settings: Settings) -> str:
                 maps = list_maps(conn)
     for one in maps:
         map_crs(f"EPSG:{one['srid']}" + (f"+{one['vertical_srid']}" if one["vertical_srid"] else ""))
-    return f"PROJ, grids of {ui.counted(len(maps), 'map')} of a running database"
+    return f"grids of {ui.counted(len(maps), 'map')}" if maps else "EPSG codes; no map was read that names grids"
 
 
 def prefect(settings: Settings) -> str:
