@@ -1,13 +1,15 @@
-"""MkDocs hook: the reference of the command line, drive.yaml, checks, fields and database, from the code."""
+"""MkDocs hook: the reference of the command line, drive.yaml, checks, fields, database and what 1.x keeps, from the code."""
 
 from __future__ import annotations
 
 import ast
 import html
 import inspect
+import json
 import re
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, get_origin
 
 import typer
@@ -21,9 +23,11 @@ from conetl.db.connection import sql_directory
 from conetl.exports.wzdx import SOURCES
 from conetl.files.documents import nested_model
 from conetl.model.columns import as_markdown
+from conetl.model.errors import EXIT_CODES
 from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.drives.proposals.template import in_yaml
 
+PROMISE = Path(__file__).resolve().parents[1] / "tests" / "integration" / "promise.json"
 _COMMENT = re.compile(
     r"^comment on (table|view|function|column|type) conetl\.([\w.]+) is\s+((?:'(?:[^']|'')*'\s*)+);", re.MULTILINE
 )
@@ -40,6 +44,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         "reference/database.md": schema_as_markdown,
         "reference/drive_yaml.md": keys_as_markdown,
         "reference/fields.md": as_markdown,
+        "reference/stability.md": promise_as_markdown,
         "reference/wzdx.md": feed_as_markdown,
     }
     if page.file.src_uri in made:
@@ -48,12 +53,26 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
 
 
 def commands_as_markdown() -> str:
-    """The help of all commands."""
+    """The exit codes, and the help of all commands."""
+    codes = "\n".join(["## Exit codes", "", *(f"- {code}: {meaning}" for code, meaning in EXIT_CODES.items()), "", ""])
     command = typer.main.get_command(app)
     with (context := typer.Context(command, info_name="conetl")):
         text = get_docs_for_click(obj=command, ctx=context, name="conetl")
     text = text.replace("# `conetl`\n", "## `conetl`\n", 1).replace("\n## `", "\n### `")
-    return text.replace("\n### `conetl`", "\n## `conetl`", 1)
+    return codes + text.replace("\n### `conetl`", "\n## `conetl`", 1)
+
+
+def promise_as_markdown() -> str:
+    """What 1.x keeps, by group. tests/integration/test_promise.py compares the file with the code and the database."""
+    lines: list[str] = []
+    for group, names in json.loads(PROMISE.read_text(encoding="utf-8")).items():
+        lines += [
+            "",
+            f"## {group}",
+            "",
+            *(f"- `{name}`" + (f": `{parts}`" if parts else "") for name, parts in names.items()),
+        ]
+    return "\n".join([*lines, ""])
 
 
 def keys_as_markdown() -> str:

@@ -49,6 +49,7 @@ ELSEWHERE = {
     "up": ("integration/test_operations.py", '"up"'),
     "down": ("integration/test_operations.py", '"down"'),
     "status": ("integration/test_operations.py", '"status"'),
+    "doctor": ("integration/test_doctor.py", '"doctor"'),
     "drive": ("integration/test_reports.py", '"drive", "accept"'),
     "zones notify": ("integration/test_notices.py", '"zones", "notify"'),
     "calibrate": ("integration/test_tools.py", "calibrate("),

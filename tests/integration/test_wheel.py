@@ -56,3 +56,19 @@ def test_code_model_flows_front_end_and_sql_come_from_the_wheel(
     for file in files:
         assert Path(file).is_relative_to(installed) and Path(file).is_file()
     assert "passed" in "\n".join(audits)
+
+
+def test_every_tracked_file_of_the_packages_is_in_the_wheel(installed: Path) -> None:
+    places = {
+        "src/": "",
+        "sql/": "conetl/sql/",
+        "data/models/": "conetl/data/models/",
+        "prefect.yaml": "flows/prefect.yaml",
+    }
+    command = ["git", "ls-files", "flows", *places]
+    tracked = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert len(tracked) > 400
+    wanted = [
+        next((to + name.removeprefix(of) for of, to in places.items() if name.startswith(of)), name) for name in tracked
+    ]
+    assert [name for name in wanted if not (installed / name).is_file()] == []

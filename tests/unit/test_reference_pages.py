@@ -22,5 +22,5 @@ def test_every_key_of_drive_yaml_is_explained() -> None:
 
 def test_every_command_is_in_the_reference() -> None:
     page = commands_as_markdown()
-    assert page.startswith("## `conetl`\n")
+    assert page.startswith("## Exit codes\n\n- 0: done\n") and "\n## `conetl`\n" in page
     assert all(f"### `conetl {name}`" in page for name in ("ingest", "map export", "zones plan import"))

@@ -250,7 +250,7 @@ CHECKS = (
     ),
     Check(
         name="control points", measured="how many surveyed cones agree with each other and with the log",
-        observable="surveyed points near cones", limit="[control points](../reference/drives.md#control-points)",
+        observable="surveyed points near cones", limit="[control points](../record/check_points.md#control-points)",
         follows=Verdict.NOTE,
         follows_from={
             "not adjusted": Verdict.HOLD,

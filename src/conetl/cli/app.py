@@ -19,6 +19,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from conetl.cli.console import note, say, start_logging
+from conetl.model.errors import EXIT_CODES
 
 #: Heading of the first help page -> name of a command -> its module below `conetl.cli` and function, and the arguments of its
 #: examples; nothing of a group.
@@ -47,6 +48,7 @@ _COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
         "up": ("services:up", "", "--workers 4 --map night_survey"),
         "down": ("services:down", ""),
         "status": ("services:status", "", "--json"),
+        "doctor": ("doctor:doctor", "", "--json"),
         "db": (),
         "user": (),
     },
@@ -263,9 +265,7 @@ app = typer.Typer(
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
-    epilog="Exit codes: 0 done; 1 done, but needs attention (too many records rejected, a drive on hold, files "
-    "or events not published); 2 bad usage or input, nothing written; 3 a service (database, Prefect, storage) is "
-    "unavailable, nothing written; 70 internal error.",
+    epilog=f"Exit codes: {'; '.join(f'{code} {meaning}' for code, meaning in EXIT_CODES.items())}.",
 )
 
 

@@ -32,7 +32,7 @@ from conetl.db.map.notice_store import undelivered
 from conetl.db.schema import prefect_database
 from conetl.files.home import PREFECT_LOGIN, home_access, login_address, share_home, view_token
 from conetl.model.errors import EXIT_SERVICE_MISSING, DatabaseError, ServiceError
-from conetl.pipeline.database import MapDatabase
+from conetl.pipeline.database import MapDatabase, running_url
 from conetl.pipeline.settings import (
     SERVER_AUTH,
     Settings,
@@ -43,6 +43,7 @@ from conetl.pipeline.settings import (
 )
 from conetl.services import processes
 
+PREFECT_PORT, VIEW_PORT = 4200, 8791
 _TIMEOUT_S = 180
 _log = logging.getLogger(__name__)
 
@@ -55,8 +56,8 @@ def up(
         str,
         typer.Option(help="Address that Prefect listens on. To open it to other machines, put a TLS proxy in front."),
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of Prefect.")] = 4200,
-    view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the map viewer, on 127.0.0.1.")] = 8791,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Port of Prefect.")] = PREFECT_PORT,
+    view_port: Annotated[int, typer.Option(min=1, max=65535, help="Port of the map viewer, on 127.0.0.1.")] = VIEW_PORT,
     decisions: DecisionsOption = False,
     group: Annotated[
         str | None,
@@ -245,10 +246,8 @@ def _status(settings: Settings) -> dict[str, Any]:
 
 def _undelivered(settings: Settings) -> list[dict[str, Any]]:
     """Notices that could not be delivered, of all maps; none where no database is running or ready."""
-    given = settings.database_url
-    url = given.get_secret_value() if given else cluster_status(settings.home.resolve()).url
     with suppress(ServiceError, DatabaseError):
-        if url is not None:
+        if url := running_url(settings):
             with closing(connect(url)) as conn:
                 return [dict(row) for row in undelivered(conn)]
     return []

@@ -66,6 +66,16 @@ def migrate(conn: Connection, *, directory: Path | None = None) -> list[str]:
     return done
 
 
+def require_usable(conn: Connection) -> None:
+    """Raise DatabaseError, with what to do, if `migrate` would refuse this database or lack an extension; changes nothing."""
+    wanted = _migration_files(db.sql_directory() / "migrations")
+    with db.transaction(conn, "The state of the database cannot be read"):
+        applied = _applied(conn) if db.query(conn, "schema.status")[0]["has_schema"] else {}
+        _check_history(applied, wanted)
+        for name in [name for name in wanted if name not in applied][:1]:
+            _require_extensions(conn, name)
+
+
 def applied_migrations(conn: Connection) -> list[str]:
     """Names of the migrations of this database, oldest first."""
     return sorted(_applied(conn))

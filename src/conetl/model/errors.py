@@ -13,6 +13,15 @@ EXIT_SERVICE_MISSING = 3
 EXIT_BUG = 70
 #: Ctrl-C: 128 + SIGINT, as in shells.
 EXIT_INTERRUPTED = 130
+#: What each means, for help pages and the reference.
+EXIT_CODES = {
+    EXIT_DONE: "done",
+    EXIT_NEEDS_ATTENTION: "done, but needs attention (too many records rejected, a drive on hold, files or events not published)",
+    EXIT_BAD_INPUT: "bad usage or input, nothing written (with several drives, the valid ones are on the map)",
+    EXIT_SERVICE_MISSING: "a service (database, Prefect, storage) is unavailable, nothing written (backfill: other drives are)",
+    EXIT_BUG: "internal error",
+    EXIT_INTERRUPTED: "interrupted with Ctrl-C",
+}
 
 
 class ConetlError(Exception):

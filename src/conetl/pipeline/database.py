@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from functools import cached_property
 
-from conetl.db.cluster.cluster import cluster_up
+from conetl.db.cluster.cluster import cluster_status, cluster_up
 from conetl.db.connection import Connection, connect
 from conetl.db.receipt_store import is_alive
 from conetl.db.schema import migrate
@@ -19,6 +19,12 @@ _log = logging.getLogger(__name__)
 def database_url(settings: Settings) -> str:
     """Address of the map's database; starts the private cluster if it is not running."""
     return settings.database_url.get_secret_value() if settings.database_url else cluster_up(settings.home)
+
+
+def running_url(settings: Settings) -> str | None:
+    """Address of the map's database; None where the private cluster is not running."""
+    given = settings.database_url
+    return given.get_secret_value() if given else cluster_status(settings.home.resolve()).url
 
 
 def open_database(settings: Settings) -> Connection:

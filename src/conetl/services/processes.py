@@ -236,6 +236,16 @@ def require_access(api: str, auth: str | None, variable: str) -> None:
         )
 
 
+def require_configured(api: str, auth: str | None) -> None:
+    """Raise ServiceError if the server of PREFECT_API_URL does not answer, or rejects `auth` (PREFECT_API_AUTH_STRING)."""
+    if not is_healthy(api):
+        raise ServiceError(
+            f"no Prefect server answers at PREFECT_API_URL, {api}. Start it, or unset PREFECT_API_URL to let conetl start one "
+            "for this command. Nothing was written."
+        )
+    require_access(api, auth, "PREFECT_API_AUTH_STRING")
+
+
 def unavailable(error: BaseException) -> ServiceError | None:
     """The error if a Prefect server, or its database, stopped answering, or a disk is full; None for other causes.
 

@@ -98,7 +98,7 @@ def find_location(home: Path) -> ClusterLocation | None:
 def make_location(home: Path) -> ClusterLocation:
     """Choose and create the folder of a new cluster."""
     home = home.resolve()
-    user = _server_user()
+    user = server_user()
     directory = home / "postgres"
     if not _prepare(directory, user):
         directory = SYSTEM_DIRECTORY / _digest(home)
@@ -184,14 +184,8 @@ def working_folder(location: ClusterLocation, pid: int) -> str | None:
     return done.stdout if done.returncode == 0 else None
 
 
-def _location(directory: Path, user: pwd.struct_passwd) -> ClusterLocation:
-    socket_directory = directory / "socket"
-    if len(os.fsencode(socket_directory / ".s.PGSQL.00000")) > MAX_SOCKET_PATH_BYTES:
-        socket_directory = Path("/tmp") / f"conetl-{_digest(directory)}"
-    return ClusterLocation(directory, socket_directory, user, _name_of(os.geteuid()))
-
-
-def _server_user() -> pwd.struct_passwd:
+def server_user() -> pwd.struct_passwd:
+    """The user who runs a new cluster of this user. Raises DatabaseError if root finds none."""
     if os.geteuid() != 0:
         return _user_of(os.geteuid())
     for name in UNPRIVILEGED_USERS:
@@ -201,6 +195,13 @@ def _server_user() -> pwd.struct_passwd:
         f"PostgreSQL refuses to run as root and there is neither a user {' nor a user '.join(UNPRIVILEGED_USERS)}: "
         f"run as an ordinary user, {OWN_DATABASE_HINT}."
     )
+
+
+def _location(directory: Path, user: pwd.struct_passwd) -> ClusterLocation:
+    socket_directory = directory / "socket"
+    if len(os.fsencode(socket_directory / ".s.PGSQL.00000")) > MAX_SOCKET_PATH_BYTES:
+        socket_directory = Path("/tmp") / f"conetl-{_digest(directory)}"
+    return ClusterLocation(directory, socket_directory, user, _name_of(os.geteuid()))
 
 
 def _user_of(uid: int, what: str = "") -> pwd.struct_passwd:
