@@ -354,6 +354,8 @@ class SelectionParams(Params):
     standing_correlation: Fraction = 0.5
     """Least correlation of small left images at `standing_m`, in the median of their blocks: 0.6 on KITTI. It must be higher at
     less distance."""
+    fewest_pairs: int = Field(default=10, ge=1)
+    """All pairs are searched where fewer would be left, as of a vehicle that stands all the time."""
 
 
 class MarkingParams(Params):

@@ -50,7 +50,7 @@ def without_alike(frame_pairs: Sequence[FramePair], read: ImageReader, params: S
                 continue
         kept.append(k)
         view = own
-    return [frame_pairs[k] for k in kept]
+    return [frame_pairs[k] for k in kept] if len(kept) >= params.fewest_pairs else list(frame_pairs)
 
 
 def _view(pair: FramePair, read: ImageReader) -> Floats:

@@ -18,7 +18,7 @@ from conetl.model.rig import Side
 from conetl.perception.alike_pairs import without_alike
 from conetl.perception.images import ImageFileError
 
-PARAMS = SelectionParams()
+PARAMS = SelectionParams(fewest_pairs=1)
 RNG = np.random.default_rng(5)
 STREET = RNG.integers(0, 256, (128, 800), dtype=np.uint8)
 
@@ -72,6 +72,12 @@ def test_a_stop_counts_at_its_beginning_and_its_end() -> None:
     assert kept(frames, [50 * round(x) for x in along_m]) == [0, 1, 2, 601, 602, 603]
 
 
+def test_all_pairs_of_a_vehicle_that_only_stands_are_searched() -> None:
+    frames = pairs([k / 10 for k in range(39)], [0.0] * 39)
+    assert kept(frames, [0] * 39) == [0]
+    assert kept(frames, [0] * 39, SelectionParams()) == list(range(39))
+
+
 def test_a_log_that_stands_while_the_images_move_is_not_believed() -> None:
     frames = pairs([k / 10 for k in range(9)], [0.0] * 9)
     assert kept(frames, [40 * k for k in range(9)]) == list(range(9))
@@ -100,7 +106,7 @@ def test_an_image_that_cannot_be_read_is_left_to_the_search() -> None:
 
 def test_nothing_is_left_out_on_request() -> None:
     frames = pairs([k / 30 for k in range(9)], [0.0] * 9)
-    everything = SelectionParams(dense_s=0, standing_rad=0, standing_m=0)
+    everything = SelectionParams(dense_s=0, standing_rad=0, standing_m=0, fewest_pairs=1)
     assert kept(frames, params=everything) == list(range(9))
 
 
