@@ -83,13 +83,16 @@ def folder_of_others(mode: int) -> Iterator[Path]:
 def test_a_home_that_cannot_be_written(mode: int) -> None:
     before = (  # what other users cannot import here
         "import os, platform, importlib.metadata\nfrom conetl.cli import doctor\n"
-        "doctor.CHECKS = (doctor.home,)\n"
+        "doctor.CHECKS = (doctor.home, doctor.database)\n"
         f"os.chdir('/'); os.setuid({NOBODY})"
     )
     with folder_of_others(mode) as folder:
         done = conetl("doctor", before=before, CONETL_HOME=folder / "new" / "home")
     assert done.returncode == 1, done.stderr
-    assert str(folder) in done.stdout and "export CONETL_HOME=" in done.stdout
+    assert (
+        f"home: {folder} is no folder that this user may write to" in done.stdout
+        and "export CONETL_HOME=" in done.stdout
+    )
 
 
 def test_files_that_are_damaged_or_open_to_others(home: Path) -> None:

@@ -90,15 +90,17 @@ def words_of(promise: Promise) -> set[tuple[str, str, str]]:
 
 
 def unexplained(before: Promise, now: Promise, changes: str) -> list[str]:
-    """What is gone and not named in the changes."""
+    """What is gone and not named in the changes, as code."""
+    named = {word for code in re.findall(r"`([^`]+)`", changes) for word in (code, *code.split())}
     gone = sorted(words_of(before) - words_of(now))
-    return [f"{name} {part}".strip() for _, name, part in gone if (part or name).removeprefix("conetl ") not in changes]
+    return [f"{name} {part}".strip() for _, name, part in gone if (part or name) not in named]
 
 
 def test_what_is_gone_must_be_explained() -> None:
     before, now = {"Commands": {"conetl a": "--x --y", "conetl b": ""}}, {"Commands": {"conetl a": "--x"}}
     assert unexplained(before, now, "") == ["conetl a --y", "conetl b"]
-    assert unexplained(before, now, "`conetl b` and its option `--y` are gone") == []
+    assert unexplained(before, now, "`conetl b` and the option --y of `conetl a` are gone") == ["conetl a --y"]
+    assert unexplained(before, now, "`conetl b` and `conetl a --y` are gone") == []
     assert unexplained(now, before, "") == []
 
 

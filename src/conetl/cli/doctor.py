@@ -74,24 +74,30 @@ def _finding(look: Callable[[Settings], str], settings: Settings) -> Diagnosis:
     tests = (inspect.getdoc(look) or "").partition(".")[0]
     try:
         return Diagnosis(look.__name__, tests, True, look(settings))
-    except ConetlError as error:
+    except (ConetlError, OSError) as error:
         return Diagnosis(look.__name__, tests, False, str(error))
 
 
 def packages(_: Settings) -> str:
-    """All required packages are installed, in versions that work together. Raises InputError."""
-    required = [Requirement(line) for line in metadata.requires("conetl") or ()]
-    required = [one for one in required if one.marker is None or one.marker.evaluate({"extra": ""})]
-    wrong = {}
-    for one in required:
+    """All required packages, and those that they require, are installed in versions that fit. Raises InputError."""
+    waiting, wrong = [Requirement("conetl")], {}
+    seen: set[str] = set()
+    while waiting:
+        one = waiting.pop()
+        if str(one) in seen or not (one.marker is None or one.marker.evaluate({"extra": ""})):
+            continue
+        seen.add(str(one))
         found = next(iter(metadata.distributions(name=one.name)), None)
+        wanted = f"{one.name}{one.specifier}"
         if found is None or not one.specifier.contains(found.version, prereleases=True):
-            wrong[str(one)] = "missing" if found is None else f"{found.version} is installed"
+            wrong[wanted] = "missing" if found is None else f"{found.version} is installed"
+        else:
+            waiting += map(Requirement, found.requires or ())
     if wrong:
         command = " ".join([sys.executable, "-m pip install", *(f'"{wanted}"' for wanted in wrong)])
         listed = ", ".join(f"{wanted} ({why})" for wanted, why in wrong.items())
         raise InputError(f"conetl requires {listed}: run `{command}`")
-    return f"conetl {metadata.version('conetl')}, Python {platform.python_version()}, {len(required)} packages"
+    return f"conetl {metadata.version('conetl')}, Python {platform.python_version()}, all packages"
 
 
 def home(settings: Settings) -> str:
