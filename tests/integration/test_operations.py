@@ -403,9 +403,10 @@ def test_a_folder_that_is_no_drive_notifies_a_person_once(desk: Desk) -> None:
         shutil.copytree(SAMPLES[0], folder)
         (folder / "drive.yaml").write_text("rigg: rig.yaml\n")
         (folder / "COMPLETE").touch()
-        for name in ("NotRecognised", "NeedsAttention"):
-            run = desk.ended(desk.start(DROP_FOLDER, {}))
-            assert run["state_name"] == name, run["state"]["message"]
+        runs = [desk.ended(desk.start(DROP_FOLDER, {})) for _ in range(2)]
+        # A scheduled run may have been the first to find it.
+        assert runs[0]["state_name"] in ("NotRecognised", "NeedsAttention"), runs[0]["state"]["message"]
+        assert runs[1]["state_name"] == "NeedsAttention", runs[1]["state"]["message"]
         heard = [told.get(timeout=60), told.get(timeout=60)]
     by_subject = {one["subject"]: one["body"] for one in heard}
     assert set(by_subject) == {"conetl: a folder was not recognised", "conetl: a run failed"}

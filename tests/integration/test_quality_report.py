@@ -224,7 +224,7 @@ def test_a_state_before_the_drives_has_none_of_their_figures(filled, conetl_at, 
 
 
 #: Folder with the schemas of ISO as HOST/PATH, as their imports name them: standards.iso.org/iso/19157/-2/mdq/1.0/mdq.xsd ...
-ISO_XSD = Path(os.environ.get("CONETL_ISO_XSD") or ROOT.parent / "shared" / "data" / "iso_xsd")
+ISO_XSD = Path(os.environ.get("ISO_XSD_FOLDER") or ROOT.parent / "shared" / "data" / "iso_xsd")
 MDQ = "http://standards.iso.org/iso/19157/-2/mdq/1.0"
 GML = "http://www.opengis.net/gml/3.2"
 
@@ -289,7 +289,7 @@ def test_the_report_as_iso_xml_has_the_values_of_the_json(filled, conetl_at, tmp
 
 def test_the_xml_is_valid_by_the_schemas_of_iso(filled, conetl_at, tmp_path):
     if not ISO_XSD.is_dir():
-        pytest.skip(f"no schemas of ISO: neither CONETL_ISO_XSD nor {ISO_XSD} names a folder of them")
+        pytest.skip(f"no schemas of ISO: neither ISO_XSD_FOLDER nor {ISO_XSD} names a folder of them")
     schema = iso_schema()
     for points in ((), ("--checkpoints", write_points(tmp_path / "points.csv", 40)[0], "--crs", "EPSG:32632")):
         tree, _ = xml_report(filled, conetl_at, tmp_path, *points)
