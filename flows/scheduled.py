@@ -42,8 +42,8 @@ def publish_map(
     """Write the map in several formats to a new folder, and point `latest` at it.
 
     All files show the same state of the map; `report.html` covers the last 24 hours. Where there are plans of work zones, the
-    differences from them are a table. Fails for an unknown format or a folder that
-    cannot be written; the last publication stays then.
+    differences from them are a table. Fails for an unknown format or a folder that cannot be written; the last publication stays
+    then.
 
     Args:
         map_name: Name of the map; default: CONETL_MAP_NAME of the worker.

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args
 from uuid import UUID
 
 from pydantic import AwareDatetime, ConfigDict, Field, model_validator
@@ -114,8 +114,9 @@ class DifferenceKind(StrEnum):
     ENDED_EARLY = "gone before the end"
 
 
-#: What a person may say about a difference.
-VERDICTS = ("confirmed", "accepted", "wrong", "open")
+#: What a person may say about a difference; open takes a verdict back.
+PlanVerdict = Literal["confirmed", "accepted", "wrong", "open"]
+VERDICTS: tuple[str, ...] = get_args(PlanVerdict)
 #: What a person judges, the worst kind first.
 WORST_FIRST = (
     DifferenceKind.NO_PERMIT, DifferenceKind.OVERRUN, DifferenceKind.OTHER_LANES, DifferenceKind.ELSEWHERE, DifferenceKind.LONGER,
@@ -225,5 +226,5 @@ DIFFERENCE_COLUMNS = (
     *_of("text", note="Note of the verdict.", decided_by="Who said so."),
     *_of("integer", rank="1: to be looked at first; null: no difference."),
     *_of("boolean", last_night="Whether a drive looked at it in the last 24 hours of drives."),
-    *_of("text", link="Of the web view, from its address on.", images="Left images of the passes first and last."),
+    *_of("text", link="Of the map viewer, from its address on.", images="Left images of the passes first and last."),
 )  # fmt: skip

@@ -112,7 +112,7 @@ def analyse(
         card, extras = read_model_card(settings.model_path), _extra_steps(params)
         card.require_categories(set(params.detection.categories) - set(LINE_CLASSES))
 
-        # Select: of frame pairs that show the same, the first.
+        # Select: leave out frame pairs that show what others show.
         read = len(drive.frame_pairs)
         drive = _without_alike(drive, params.selection)
         alike = read - len(drive.frame_pairs)
@@ -169,7 +169,7 @@ def _without_alike(drive: Drive, params: SelectionParams) -> Drive:
     fewer = len(drive.frame_pairs) - len(kept)
     if not fewer:
         return drive
-    _log.info("%d of %d frame pairs show what those before show and are left out", fewer, len(drive.frame_pairs))
+    _log.info("%d of %d frame pairs show what others show and are left out", fewer, len(drive.frame_pairs))
     return drive.model_copy(
         update={"frame_pairs": tuple(kept), "expected_frame_count": drive.expected_frame_count - fewer}
     )

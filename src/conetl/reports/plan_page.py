@@ -23,7 +23,7 @@ _NOTE = "Set up between the passes `absent` and `first seen`, taken away between
 
 
 def write_plan_page(path: Path, map_name: str, at: datetime, rows: Sequence[Mapping[str, Any]], view: str) -> Path:
-    """Write the page, differences first. rows: by column; view: address of the web view, for links. Raises InputError."""
+    """Write the page, differences first. rows: by column; view: address of the map viewer, for links. Raises InputError."""
     rows = sorted(rows, key=lambda row: row["rank"] or 0)
     sections = []
     for kind in (*WORST_FIRST, DifferenceKind.PERMITTED, DifferenceKind.NOT_LOOKED):

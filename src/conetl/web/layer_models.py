@@ -7,7 +7,7 @@ from typing import Literal
 from uuid import UUID
 
 from conetl.model.base import Record, Vec3
-from conetl.model.planned_zones import Difference
+from conetl.model.planned_zones import Difference, PlanVerdict
 from conetl.web.models import Cov2, Listing
 
 
@@ -77,7 +77,7 @@ class DifferenceRow(Difference):
     rank: int | None
     """1: the worst."""
     last_night: bool
-    verdict: Literal["confirmed", "accepted", "wrong", "open"]
+    verdict: PlanVerdict
     note: str
     decided_by: str | None
     at_m: tuple[float, float, float | None]
@@ -100,7 +100,7 @@ class Differences(Listing):
 
 class DifferenceVerdict(Record):
     difference_id: UUID
-    verdict: str
+    verdict: PlanVerdict
     decided_by: str
 
 

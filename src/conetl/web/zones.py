@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from contextlib import closing
 from datetime import UTC, datetime, timedelta
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 from uuid import UUID
 
 import numpy as np
@@ -20,6 +20,7 @@ from conetl.db.map.notice_store import round_due
 from conetl.db.reader_pool import ReaderPool
 from conetl.model.base import Record, Vec3, utc_from_ns
 from conetl.model.errors import ConflictError, DatabaseError, InputError
+from conetl.model.planned_zones import PlanVerdict
 from conetl.model.work_zone_params import WorkZoneParams
 from conetl.model.work_zone_records import WorkZone
 from conetl.pipeline.maps.planned_zones import PlanComparison, PlanRow, compare_with_plans, judge
@@ -90,7 +91,7 @@ def _has_many(conn: Connection, map_name: str, as_of: datetime | None) -> bool:
 class VerdictRequest(Record):
     """What a person says about a difference; `open` takes it back."""
 
-    verdict: Literal["confirmed", "accepted", "wrong", "open"]
+    verdict: PlanVerdict
     decided_by: Name
     note: str = Field(default="", max_length=500, pattern=r"^[^\x00-\x1f\x7f]*$")
 

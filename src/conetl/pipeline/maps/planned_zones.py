@@ -41,7 +41,7 @@ class PlanRow(Record):
     images: tuple[str, ...] = ()
     """Left images of the passes `first` and `last`."""
     link: str
-    """Of the web view, from its address on."""
+    """Of the map viewer, from its address on."""
     verdict: str = "open"
     note: str = ""
     decided_by: str | None = None
@@ -144,7 +144,7 @@ def _ranked(rows: Sequence[PlanRow]) -> list[PlanRow]:
 def read_difference_table(
     conn: Connection, *, map_name: str, as_of: datetime | None, view: str
 ) -> list[dict[str, Any]] | None:
-    """The differences as rows of a table for people, the worst first; None: there are no plans. view: address of the web view."""
+    """The differences as rows of a table for people, the worst first; None: there are no plans. view: of the map viewer."""
     if not store.read_plans(conn, map_name=map_name):
         return None
     found = compare_with_plans(conn, map_name=map_name, as_of=as_of)

@@ -177,9 +177,7 @@ class _Block(NamedTuple):
 def _block_of(text: bytes, known: dict[bytes, _Before]) -> _Block | None:
     """None where a block has no values. Raises _NotPlainError."""
     data = np.frombuffer(b">" + text, np.uint8)  # as if it followed the name of the root
-    quote = min((text.find(mark) % (len(text) + 1), mark) for mark in _QUOTES)[
-        1
-    ]  # the first; another one is of a value
+    _, quote = min((text.find(mark) % (len(text) + 1), mark) for mark in _QUOTES)  # the first; another is of a value
     is_quote = data == ord(quote)
     at = np.flatnonzero(is_quote)
     if len(at) % 2:
