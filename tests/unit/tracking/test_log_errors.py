@@ -108,9 +108,27 @@ def test_shares_are_found_whatever_the_spectrum(
 
 
 def test_a_constant_error_is_told_from_one_that_changes() -> None:
+    """By what an error is expected to have in common with that of 30 s later."""
+
+    def common(shares: ErrorShares) -> float:
+        apart = 3**0.5 * 30 / shares.smooth_s
+        return shares.slow * np.exp(-30 / shares.slow_s) + shares.smooth * (1 + apart) * np.exp(-apart)
+
     changes, lasts = (found(1, errors, 0.3).horizontal for errors in (lambda rng, t: walk(rng, t, 20.0), constant))
-    assert changes.slow > 0.9 and changes.slow_s < 100
-    assert lasts.smooth > 0.9 and lasts.smooth_s > 50
+    assert changes.white + changes.fast < 0.1 and common(changes) < 0.4
+    assert common(lasts) > 0.7
+
+
+@pytest.mark.parametrize("part", [0.25, 0.5])
+def test_the_rate_of_a_wave_is_found_of_which_a_drive_shows_a_part(part: float) -> None:
+    """It is smoother than a Matern process of the same rate, which took it for a slower one."""
+
+    def wave(rng: np.random.Generator, t: Floats) -> Floats:
+        angle = 2 * np.pi * part * t[:, None] / t[-1]
+        return np.asarray(np.cos(angle) * rng.normal(0, 1, 3) + np.sin(angle) * rng.normal(0, 1, 3))
+
+    rates = [(3 * one.smooth) ** 0.5 / one.smooth_s for one in (found(k, wave, 0.3).horizontal for k in range(5))]
+    assert 0.6 < np.median(rates) / (2 * np.pi * part / ((FRAMES - 1) * STEP_S)) < 1.7, rates
 
 
 @pytest.mark.parametrize("errors", [white, lambda rng, t: walk(rng, t, 1.0)])
