@@ -143,7 +143,7 @@ def analyse(
         matches = matches_at_stamp(matches, drive.frame_pairs, drive.rig)
 
         # Fuse: the positions of an object into a track, the points of a line into a lane marking.
-        fused = partial(executor.run, fuse, drive, detections, params, card.evidence, trajectory)
+        fused = partial(executor.run, fuse, drive, detections, params, card.evidence, motion_error(trajectory))
         tracks, unfused = fused(matches, positions)
         errors = pose_cov(trajectory, params.trajectory)
         if trajectory.covariance is not None:
@@ -302,18 +302,16 @@ def fuse(
     detections: list[Detection],
     params: IngestParams,
     evidence: DetectorEvidence | None,
-    trajectory: RefinedTrajectory,
+    motion: MotionError | None,
     matches: list[StereoMatch],
     positions: list[Position],
 ) -> tuple[list[Track], list[Rejection]]:
     """Tracks of the whole drive. evidence: measured response of the model; None if it was not measured.
 
-    trajectory: the source of the poses of `drive`; if it was not refined, the error of relative motion is a fixed share of the
-    distance.
+    motion: error of the motion between frames; None if the trajectory was not refined: then it is a fixed share of the distance.
     """
-    motion, evidence = motion_error(trajectory), evidence or UNMEASURED
     data = drive_data(
-        drive.frame_pairs, drive.rig, detections, matches, params, evidence, motion,
+        drive.frame_pairs, drive.rig, detections, matches, params, evidence or UNMEASURED, motion,
         common_errors=drive.common_errors, corrected=bool(drive.control_points),
     )  # fmt: skip
     return fuse_tracks(positions, data)

@@ -36,8 +36,8 @@ PoseCov = Callable[[Sequence[int]], Floats]
 _LEAST_SHARE = 1e-10
 #: Least sigma of each of the six pose errors (m, rad).
 _LEAST_SIGMA = 1e-9
-#: Motions between frames whose covariances are kept for the next cone.
-_MOTIONS_KEPT = 256
+#: Motions between frames whose covariances are kept, for the next cone and the next estimate of all of them.
+_MOTIONS_KEPT = 10_000
 #: Frames whose poses' errors are followed together: others count as the nearest of them, because their number squared is kept.
 _MOST_STATES = 200
 

@@ -116,12 +116,12 @@ def test_a_constant_error_is_told_from_one_that_changes() -> None:
 
     changes, lasts = (found(1, errors, 0.3).horizontal for errors in (lambda rng, t: walk(rng, t, 20.0), constant))
     assert changes.white + changes.fast < 0.1 and common(changes) < 0.4
-    assert common(lasts) > 0.7
+    assert common(lasts) > 0.6
 
 
 @pytest.mark.parametrize("part", [0.25, 0.5])
 def test_the_rate_of_a_wave_is_found_of_which_a_drive_shows_a_part(part: float) -> None:
-    """It is smoother than a Matern process of the same rate, which took it for a slower one."""
+    """A Matern process of order 3/2 takes it for a slower one: a wave is smoother."""
 
     def wave(rng: np.random.Generator, t: Floats) -> Floats:
         angle = 2 * np.pi * part * t[:, None] / t[-1]

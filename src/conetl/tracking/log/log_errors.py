@@ -1,8 +1,9 @@
 """The model of a log's errors, which the adjustment of the poses and all checks of them share, and its estimate from one drive.
 
-The error of each coordinate and angle is the sum of a smooth part (Gaussian covariance: a drift, in the limit a constant; of
-positions only), a slow one (first-order Gauss-Markov, as of receivers), a fast one (lasting up
-to seconds: corrections once a second, interpolation, vibration) and white noise; the stamps of the records jitter.
+The error of each coordinate and angle is the sum of a smooth part (Matern process of order 5/2: a drift, in the limit a constant;
+of positions only), a slow one (first-order Gauss-Markov, as of receivers), a fast one (lasting up to seconds: corrections once a
+second, interpolation, vibration) and white noise; the stamps of the records jitter. The adjustment follows the smooth part as a
+process of order 3/2 of the same rate: here it would take a wave of which the drive shows a part for a slower one.
 A log states the variance of the sum. How it is shared differs from receiver to receiver, and images show it: visual odometry is
 accurate to millimetres from frame to frame. So the shares are estimated for each drive by restricted maximum likelihood
 (variance components, e.g. Koch 1999, ch. 3.6) with priors, from the difference between the logged and the measured path. If they
@@ -44,7 +45,7 @@ _SPACED, _RUNS, _RUN = 48, 3, 24
 _PRIOR_SIGMA = np.array([8.0, 8.0, 8.0, 0.7, 2.0, 1.5, 1.0, 0.7])
 _FAST_SHARE, _SLOW_SHARE, _FAST_S = 0.01, 1.0, 0.7
 #: Of the times, s.
-_RANGES_S = (0.15, 3.0), (5.0, 600.0), (2.0, 6000.0)
+_RANGES_S = (0.15, 3.0), (5.0, 600.0), (0.5, 6000.0)
 #: Logarithms of white, fast and slow over smooth share where the search begins, of positions and of attitudes: the likelihood has
 #: one maximum for white and one for fast errors.
 _STARTS, _ATTITUDE_STARTS = ((2.0, -4.6, -4.0), (-4.6, 2.0, -4.0)), ((-4.6, -4.6, 4.0),)
@@ -53,10 +54,6 @@ _LEAST_JITTER_S, _MOST_FACTOR = 1e-6, 20.0
 _SIGNIFICANT = 3.84
 #: Unknowns that are fitted to the same records.
 _FITTED = 5
-#: Length scale of the adjustment's smooth error (Matern process of order 3/2: it can be followed from frame to frame) over that of
-#: the one here: of the same rate as a sine wave whose curvature is that of the latter. A Matern process here takes a sine wave,
-#: which is smoother than it, for a slower one: by a factor of 2 in rate in drives that show a third of it.
-_ADJUSTED_LENGTH = 3**0.25
 #: Share of its sampling error that a share of nearly 1 leaves to the slow part.
 _LEFT = 0.1
 #: Variance of the mean of a fast error relative to that of its changes.
@@ -87,7 +84,7 @@ class ErrorShares(NamedTuple):
     slow_s: float
     """Correlation time of the slow part."""
     smooth_s: float
-    """Length scale of the smooth part in the adjustment (`_ADJUSTED_LENGTH`)."""
+    """Of the smooth part: the root of 3 over the rate of a sine wave that has the same curvature."""
     jitter_s: float = 0.0
     """Sigma of the time stamps' jitter, in addition to the stated variance."""
     factor: float = 1.0
@@ -345,8 +342,8 @@ def _parts(part: DifferenceTerms, fast_s: float, slow_s: float, smooth_s: float)
 
     Where a stated sigma exceeds the smallest one, what exceeds it is not smooth, but slow.
     """
-    slowly, apart = np.exp(-part.apart_s / slow_s), _ADJUSTED_LENGTH / smooth_s * part.apart_s
-    smooth = part.common * np.exp(-(apart**2) / 2) + part.beyond * slowly
+    slowly, apart = np.exp(-part.apart_s / slow_s), 3**0.5 / smooth_s * part.apart_s
+    smooth = part.common * (1 + apart + apart**2 / 3) * np.exp(-apart) + part.beyond * slowly
     fast = part.stated * np.exp(-part.apart_s / fast_s)
     return np.stack([np.diag(np.diagonal(part.stated)), fast, part.changed * slowly, smooth])
 
@@ -371,15 +368,15 @@ def _misfit(part: DifferenceTerms, values: Floats) -> tuple[float, Floats]:
     by_cov = (inverse - np.outer(solved, solved)) / 2
     by_parts = factor * np.tensordot(parts, by_cov, 2)
     mean = float(shares @ by_parts)
-    apart = _ADJUSTED_LENGTH / smooth_s * part.apart_s
-    of_smooth = part.common * np.exp(-(apart**2) / 2)
-    beyond = parts[3] - of_smooth
+    apart = 3**0.5 / smooth_s * part.apart_s
+    of_smooth = part.common * np.exp(-apart)
+    beyond = parts[3] - of_smooth * (1 + apart + apart**2 / 3)
     later = by_cov * part.apart_s
     slope = np.array([
         *(shares * (by_parts - mean))[:3],
         factor * shares[1] * float((later * parts[1]).sum()) / fast_s,
         factor * float((later * (shares[2] * parts[2] + shares[3] * beyond)).sum()) / slow_s,
-        factor * shares[3] * float((by_cov * of_smooth * apart**2).sum()),
+        factor * shares[3] * float((by_cov * of_smooth * (1 + apart) * apart**2).sum()) / 3,
         2 * jitter * float(np.diagonal(by_cov) @ part.jitter), mean,
     ])  # fmt: skip
     value = float(np.log(np.diagonal(factor_of)).sum()) + float(part.off @ solved) / 2
