@@ -17,6 +17,8 @@ from tests.unit.readers.test_base_layers import geojson, line
 
 #: The darkest points and the painted lines, as in web/src/base.ts.
 LINE = (0x8A, 0x74, 0x43)
+#: Lane boundaries and new cones in the colours of the paper's Figure 6, as in web/src/theme.ts.
+PAPER_LINE, PAPER_NEW = (0x12, 0x83, 0x3A), (0x0A, 0x45, 0xD6)
 POINT_COUNT, LINE_COUNT = 100_000, 200
 
 
@@ -86,6 +88,43 @@ def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):
     page.evaluate("location.hash += '&colours=safe'")  # of older links: there are no others any more
     page.keyboard.press("2")
     page.wait_for_url(lambda url: "lines=0" in url and "colours" not in url)
+
+
+def test_the_preset_of_the_paper_is_one_click_and_a_link(page, address, features):
+    """Figure 6 of Lagahit & Tseng: LiDAR red, lane boundaries green, the new cone blue, before beside after."""
+    open_view(page, address)
+    page.click(".map-tools button:text-is('Layers')")
+    page.click("#paper")
+    page.wait_for_selector("canvas[data-swipe='split']")
+    page.click(".map-tools button:text-is('Layers')")
+    all_drawn(page)
+    shown = screenshot(page)
+    before, after = np.split(shown[:, : shown.shape[1] // 2 * 2], 2, axis=1)
+    for half in (before, after):
+        red, green, blue = np.moveaxis(half, 2, 0)
+        assert ((red - green > 50) & (red - blue > 50)).sum() > 1_000
+        assert pixels_of(half, PAPER_LINE) > 100 > sandy(half) and pixels_of(half, LINE) == 0
+    assert pixels_of(before, PAPER_NEW) == 0 and pixels_of(after, PAPER_NEW) > 40
+    click_cone(page, features["comes"])  # it stands in the right half
+    page.wait_for_selector(f".panel h2:text-is('{features['comes'][:8]}')")
+    page.keyboard.press("Escape")
+    link = page.url
+    assert "mode=compare" in link and "swipe=split" in link and "look=paper" in link
+    page.goto("about:blank")
+    page.goto(link)
+    page.wait_for_selector("canvas[data-swipe='split']")
+    all_drawn(page)
+    again = screenshot(page)
+    assert pixels_of(again[:, again.shape[1] // 2 :], PAPER_NEW) > 40
+    x, y = page.evaluate("id => window.conetlProject(id)", features["goes"])
+    page.click("canvas", position={"x": x - again.shape[1] / 2, "y": y})  # where it stood before
+    page.wait_for_selector(f".panel h2:text-is('{features['goes'][:8]}')")
+    page.keyboard.press("Escape")
+    page.click(".map-tools button:text-is('Layers')")
+    page.click("#paper")
+    page.wait_for_function("() => !/paper|swipe|mode/.test(location.hash)")
+    all_drawn(page)
+    assert sandy(screenshot(page)) > 1_000
 
 
 def test_cones_are_found_among_points_and_each_tile_comes_once(page, address, features):

@@ -5,6 +5,8 @@ import { SCENE, type Colouring, type Grid, type SceneState } from "./scene_state
 export interface LayerActions {
   change(values: Partial<SceneState>): void;
   measure(): void;
+  /** The last drive in the paper's colours, before beside after; or the ordinary picture again. */
+  paper(on: boolean): void;
 }
 
 export function createLayers(host: HTMLElement, actions: LayerActions) {
@@ -30,7 +32,9 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
     const { colouring: c, size: s, opacity: o, basemap: b, grid: g } = SCENE;
     actions.change({ colouring: c, size: s, opacity: o, basemap: b, grid: g });
   } }); // prettier-ignore
-  const panel = el("div", { class: "layers-panel", id: "layers-panel", hidden: true }, points, tiles, row("Grid", grid), reset);
+  const paper = el("button", { type: "button", id: "paper", textContent: "Paper", title: "As in Figure 6 of the paper: LiDAR red, lane boundaries green, the new cone blue; before | after side by side",
+    onclick: () => actions.paper(paper.getAttribute("aria-pressed") !== "true") }); // prettier-ignore
+  const panel = el("div", { class: "layers-panel", id: "layers-panel", hidden: true }, row("Show as in", paper), points, tiles, row("Grid", grid), reset);
   const toggle = el("button", { type: "button", textContent: "Layers", aria: { expanded: "false", controls: "layers-panel" } });
   const open = (on: boolean) => {
     panel.hidden = !on;
@@ -57,6 +61,7 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
     show(scene: SceneState): void {
       plan.textContent = scene.plan ? "3D" : "Plan";
       measure.setAttribute("aria-pressed", String(scene.measure !== null));
+      paper.setAttribute("aria-pressed", String(scene.paper));
       colouring.value = scene.colouring;
       grid.value = scene.grid;
       for (const [node, value] of [[size, scene.size], [opacity, scene.opacity], [basemap, scene.basemap]] as const) {

@@ -16,6 +16,7 @@ import { listenToInput } from "./input";
 import { createLayout } from "./layout";
 import { createLists } from "./lists";
 import { listen } from "./live";
+import { isQuiet } from "./markings";
 import { createOverlays } from "./overlays";
 import { changeQueue, differenceQueue, passesOf } from "./queues";
 import { changesetOf, changesOfState, drivesShown, shownInstant, unknownChangeset, withChanges } from "./query";
@@ -28,7 +29,7 @@ import { createSites, nearTo } from "./sites";
 import { parseState, type State } from "./state";
 import "./style.css";
 import "./table.css";
-import { themeSwitch } from "./theme";
+import { setPaper, themeSwitch } from "./theme";
 import { changesOf, createTimeline } from "./timeline";
 import { createTiles, seenArea } from "./tiles";
 import { createTools } from "./tools";
@@ -74,10 +75,13 @@ const tools = createTools(stage, layout.view, cones, {
     tools.apply(state);
   },
   cones: () => visible(),
+  paper: (on) => void showPaper(on),
   trouble: (text) => layout.toast(text, null),
   redraw: () => draw(),
 });
 
+/** Of the surroundings of a change that are shown with it. */
+const AROUND_M = 6;
 let maps: MapItem[] = [];
 let timeline: Timeline | null = null;
 /** All that is drawn one by one: what changed, and what stands, in view. */
@@ -594,6 +598,7 @@ function drawMark(): void {
 const restKind = (): Kind => (showsChanges() ? "unchanged" : "standing");
 
 function draw(): void {
+  setPaper(state.scene.paper);
   const shown = visible();
   cones.show(shown);
   input.shown(shown);
@@ -645,6 +650,20 @@ function fit(): void {
     stage.setPose([a[0], a[1], a[2], heading - Math.PI / 2 + 0.5, 0.95, 30]);
   }
   stage.fit([...points, ...(points.length ? near : path)]);
+}
+
+/** The shown drive, else the last one of the map, in the paper's colours: before beside after, near to what changed. */
+async function showPaper(on: boolean): Promise<void> {
+  const items = timeline?.changesets ?? [];
+  const last = state.mode === "drive" && state.changeset !== null ? changeset(state.changeset) : items.filter((t) => t.counts).at(-1);
+  const at = items.findIndex((t) => t === last);
+  const scene = { ...state.scene, paper: on, swipe: on ? "split" as const : null };
+  state = !on ? { ...state, mode: "instant", valid: null, scene }
+    : { ...state, mode: "compare", from: items[at - 1]?.changeset_no ?? 0, to: at === items.length - 1 ? null : last?.changeset_no ?? null, known: null, points: true, lines: true, scene }; // prettier-ignore
+  address.writeChoice();
+  await refresh();
+  const changed = visible().filter((c) => !isQuiet(c.kind));
+  if (on && changed.length) stage.fit(changed.flatMap(({ xyz: [x, y, z] }) => [-AROUND_M, AROUND_M].flatMap((d): Vec3[] => [[x + d, y, z], [x, y + d, z]])));
 }
 
 /** Before the first picture a card says why; later the picture stays, and the controls say again what it shows. */

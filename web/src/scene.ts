@@ -45,6 +45,8 @@ export function createStage(host: HTMLElement) {
   const planCamera = new OrthographicCamera();
   planCamera.far = 2 * PLAN_HEIGHT_M;
   let plan = false;
+  /** The middle of the picture is drawn twice, side by side. */
+  let split = false;
   camera.up.set(0, 0, 1);
   camera.position.set(0, -30, 20);
   const controls = new OrbitControls(camera, canvas);
@@ -158,7 +160,7 @@ export function createStage(host: HTMLElement) {
     const seen = points.map((p) => axes.map((axis) => new Vector3(...p).dot(axis)));
     const middle = axes.map((_, i) => (least(seen.map((s) => s[i] ?? 0)) + most(seen.map((s) => s[i] ?? 0))) / 2);
     const tanV = TAN * 0.8;
-    const tanH = tanV * camera.aspect;
+    const tanH = (tanV * camera.aspect) / (split ? 2 : 1);
     const [across = 0, up = 0, towards = 0] = middle;
     const distance = ([a = 0, b = 0, c = 0]: number[]) =>
       c - towards + Math.max(Math.abs(a - across) / tanH, Math.abs(b - up) / tanV);
@@ -234,19 +236,23 @@ export function createStage(host: HTMLElement) {
   /** The point of the ground under a pixel of the canvas; null above the horizon. */
   function groundAt(px: number, py: number): Vec3 | null {
     if (!drawing) placeCameras(); // it may have moved since the last frame
-    ray.set((px / canvas.clientWidth) * 2 - 1, 1 - (py / canvas.clientHeight) * 2, 0.5).unproject(stage.camera);
+    ray.set((unsplit(px) / canvas.clientWidth) * 2 - 1, 1 - (py / canvas.clientHeight) * 2, 0.5).unproject(stage.camera);
     if (plan) return [ray.x, ray.y, ground];
     ray.sub(camera.position);
     const t = (ground - camera.position.z) / ray.z;
     return t > 0 && Number.isFinite(t) ? [camera.position.x + t * ray.x, camera.position.y + t * ray.y, ground] : null;
   }
 
+  const halfShift = () => (split ? canvas.clientWidth / 4 : 0);
+  /** From the half of a split picture to the whole one. */
+  const unsplit = (px: number) => px + (px < canvas.clientWidth / 2 ? 1 : -1) * halfShift();
+
   controls.addEventListener("change", changed);
   new ResizeObserver(resize).observe(host);
   resize();
 
   const stage = {
-    scene, canvas, renderer, draw, fit, setPose, key, sees, groundAt, pixelsAtDepth,
+    scene, canvas, renderer, draw, fit, setPose, key, sees, groundAt, pixelsAtDepth, unsplit, halfShift,
     get camera(): PerspectiveCamera | OrthographicCamera {
       return plan ? planCamera : camera;
     },
@@ -270,6 +276,11 @@ export function createStage(host: HTMLElement) {
       setControls();
       if (keep) draw();
       else setPose([...at, on ? 0 : theta, on ? PLAN_PHI : PHI, radius] as CameraPose);
+    },
+    /** Both halves show the middle of the picture. */
+    setSplit(on: boolean): void {
+      split = on;
+      controls.zoomToCursor = !on;
     },
     showGrid(on: boolean): void {
       minor.visible = major.visible = on;
@@ -302,11 +313,12 @@ export function createStage(host: HTMLElement) {
       ground = height_m;
       draw();
     },
-    /** Pixels from the canvas's top left; null behind the camera. */
+    /** Pixels from the canvas's top left, of a split picture in its right half; null behind the camera, and beside that half. */
     project(point: Vec3): [number, number] | null {
       const v = new Vector3(...point).project(stage.camera);
       if (v.z > 1 || v.z < -1) return null;
-      return [((v.x + 1) / 2) * canvas.clientWidth, ((1 - v.y) / 2) * canvas.clientHeight];
+      const x = ((v.x + 1) / 2) * canvas.clientWidth + halfShift();
+      return split && x < canvas.clientWidth / 2 ? null : [x, ((1 - v.y) / 2) * canvas.clientHeight];
     },
   };
   setControls();
