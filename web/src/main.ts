@@ -148,7 +148,7 @@ const showTimeline = createTimeline(layout.timeline, {
   decided: () => void newDecision(),
   decisions: () => decisions?.decisions ?? [],
 });
-const viewer = createViewer(document.body, { walked: (start) => selection.walked(start), camera: (view) => selection.camera(view) });
+const viewer = createViewer(document.body, { walked: (start) => selection.walked(start), camera: (view) => selection.camera(view), follow: followImages });
 const selection = createSelection(layout.panel, stage, overlays, viewer, {
   state: () => state,
   timeline: () => timeline,
@@ -613,6 +613,7 @@ function draw(): void {
   base.apply(state);
   tools.show(tiles.isWhole() ? all : overview.map((xyz) => ({ xyz, kind: restKind() })));
   tools.apply(state);
+  viewer.follows(state.scene.follow);
   overlays.showLabels(shown, state.feature);
   sidebar.show(state, all, shown.length, counts, tiles.isWhole() ? 0 : [...counts.values()].reduce((sum, n) => sum + n, 0) - all.length);
   showTimeline(state, timeline?.changesets ?? []);
@@ -650,6 +651,11 @@ function fit(): void {
     stage.setPose([a[0], a[1], a[2], heading - Math.PI / 2 + 0.5, 0.95, 30]);
   }
   stage.fit([...points, ...(points.length ? near : path)]);
+}
+
+function followImages(follow: boolean): void {
+  change({ scene: { ...state.scene, follow, plan: state.scene.plan && !follow } }, false);
+  selection.followImage();
 }
 
 /** The shown drive, else the last one of the map, in the paper's colours: before beside after, near to what changed. */
@@ -710,6 +716,7 @@ function handleKey(event: KeyboardEvent): boolean {
     case "n": case "N": viewer.step(1); return true;
     case "p": case "P": viewer.step(-1); return true;
     case "i": case "I": viewer.cover(); return true;
+    case "f": case "F": followImages(!state.scene.follow); return true;
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
     case "r": case "R": review.set(true); return true;

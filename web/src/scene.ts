@@ -7,6 +7,7 @@ import {
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { Vec3 } from "./api";
 import { el } from "./dom";
+import type { FrameView } from "./judging";
 import type { CameraPose } from "./state";
 import { colours, onTheme } from "./theme";
 
@@ -18,6 +19,8 @@ const PHI = 0.95;
 /** Of the plan's camera over the ground. */
 const PLAN_HEIGHT_M = 2000;
 const [LEAST_M, MOST_M] = [0.6, 2e6];
+/** To the point that is turned around, where the camera follows an image. */
+const AHEAD_M = 10;
 const GRID_LINES = 60;
 const PIECE_CELLS = 5;
 /** z is up in the map; three's spherical angles want y up. */
@@ -144,6 +147,18 @@ export function createStage(host: HTMLElement) {
     changed();
   }
 
+  /** From where an image was taken, along its axis and with all of it in view; null: with the usual field of view. Its roll is left out. */
+  function lookFrom(view: FrameView | null): void {
+    const reach = (centre: number, size: number, focal: number) => Math.max(centre, size - centre) / focal;
+    camera.zoom = view ? Math.min((TAN * camera.aspect) / reach(view.cx_px, view.width_px, view.fx_px), TAN / reach(view.cy_px, view.height_px, view.fy_px)) : 1;
+    if (!view) return draw();
+    const back = view.map_R_camera.map((row) => -row[2]) as Vec3;
+    const { theta, phi } = new Spherical().setFromVector3(toYUp(new Vector3(...back)));
+    const level = Math.min(phi, controls.maxPolarAngle);
+    const from = toZUp(new Vector3().setFromSphericalCoords(AHEAD_M, level, theta));
+    setPose([view.xyz_m[0] - from.x, view.xyz_m[1] - from.y, view.xyz_m[2] - from.z, theta, level, AHEAD_M]);
+  }
+
   function changed(): void {
     const now = current();
     for (const callback of cameraCallbacks) callback(now);
@@ -152,6 +167,7 @@ export function createStage(host: HTMLElement) {
 
   function fit(points: Vec3[]): void {
     if (!points.length) return;
+    camera.zoom = 1;
     const [, , , theta, phi] = current();
     // In the axes of the present view: across, up and towards the camera.
     const view = toZUp(new Vector3().setFromSphericalCoords(1, phi, theta));
@@ -172,7 +188,7 @@ export function createStage(host: HTMLElement) {
   /** Pixels per metre at a depth; in the plan everywhere the same. */
   function pixelsAtDepth(depth_m: number): number {
     const depth = plan ? camera.position.distanceTo(controls.target) : Math.max(depth_m, 0.05);
-    return canvas.clientHeight / (2 * TAN * depth);
+    return (canvas.clientHeight * (plan ? 1 : camera.zoom)) / (2 * TAN * depth);
   }
 
   const seenAt = new Vector3();
@@ -252,7 +268,7 @@ export function createStage(host: HTMLElement) {
   resize();
 
   const stage = {
-    scene, canvas, renderer, draw, fit, setPose, key, sees, groundAt, pixelsAtDepth, unsplit, halfShift,
+    scene, canvas, renderer, draw, fit, setPose, key, sees, groundAt, pixelsAtDepth, lookFrom, unsplit, halfShift,
     get camera(): PerspectiveCamera | OrthographicCamera {
       return plan ? planCamera : camera;
     },
@@ -306,6 +322,7 @@ export function createStage(host: HTMLElement) {
       setPose([x, y, z, 0, phi, radius]);
     },
     lookAt(point: Vec3, distance_m: number): void {
+      camera.zoom = 1;
       const [, , , theta, phi] = current();
       setPose([...point, theta, phi, distance_m]);
     },

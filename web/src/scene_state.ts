@@ -17,6 +17,8 @@ export interface SceneState {
   grid: Grid;
   /** Compare; null: one map with the changes. */
   swipe: Swipe | null;
+  /** The camera is where the shown image was taken. */
+  follow: boolean;
   /** The colours of the paper's Figure 6. */
   paper: boolean;
   /** What is measured, as measure.ts writes it; null while nothing is. */
@@ -25,7 +27,7 @@ export interface SceneState {
   at: [number, number] | null;
 }
 
-export const SCENE: SceneState = { plan: false, colouring: "intensity", size: 1, opacity: 1, basemap: 1, grid: "lines", swipe: null, paper: false, measure: null, at: null };
+export const SCENE: SceneState = { plan: false, colouring: "intensity", size: 1, opacity: 1, basemap: 1, grid: "lines", swipe: null, follow: false, paper: false, measure: null, at: null };
 const COLOURINGS: Colouring[] = ["intensity", "height", "one"];
 const GRIDS: Grid[] = ["none", "lines", "labels"];
 
@@ -46,6 +48,7 @@ export function parseScene(p: URLSearchParams): SceneState {
     basemap: within(p.get("basemap"), 0, 1, SCENE.basemap),
     grid: GRIDS.find((g) => g === p.get("grid")) ?? SCENE.grid,
     swipe: p.get("swipe") === "split" ? "split" : Number.isNaN(swipe) ? null : swipe,
+    follow: p.get("follow") === "1",
     paper: p.get("look") === "paper",
     measure: p.get("measure"),
     at: at.length === 2 && at.every(Number.isFinite) ? (at as [number, number]) : null,
@@ -60,6 +63,7 @@ export function formatScene(p: URLSearchParams, scene: SceneState, compares: boo
   if (scene.grid !== SCENE.grid) p.set("grid", scene.grid);
   if (compares && scene.swipe !== null) p.set("swipe", scene.swipe === "split" ? scene.swipe : scene.swipe.toFixed(3).replace(/\.?0+$/, "") || "0");
   if (scene.paper) p.set("look", "paper");
+  if (scene.follow) p.set("follow", "1");
   if (scene.at !== null) p.set("at", scene.at.map((v) => v.toFixed(3)).join(","));
   if (scene.measure !== null) p.set("measure", scene.measure);
 }

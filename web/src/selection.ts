@@ -43,6 +43,8 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
   /** Number of the latest selection: answers to earlier ones are dropped. */
   let selecting = 0;
   let shownImages = "";
+  /** The camera of the image that is shown. */
+  let imaged: FrameView | null = null;
 
   const panel = createPanel(host, {
     close: () => void select(null),
@@ -142,6 +144,11 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
     }
   }
 
+  function follow(view: FrameView | null): void {
+    const { follow: on, plan } = page.state().scene;
+    stage.lookFrom(on && !plan ? view : null);
+  }
+
   function centre(): void {
     const now = chosen && (stateOf(chosen) ?? chosen.history[0]);
     if (now) stage.lookAt(now.xyz_m, 9);
@@ -160,9 +167,13 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
       page.writeChoice();
     },
     camera(view: FrameView | null): void {
+      if (view !== imaged) follow(view);
+      imaged = view;
       const now = chosen && (stateOf(chosen) ?? chosen.history[0]);
       overlays.showCamera(view, now?.xyz_m ?? null);
     },
+    /** The choice to follow images changed. */
+    followImage: () => follow(imaged),
     /** Read it again if another state of the database is shown. */
     follow: () => {
       if (chosen && chosen.known !== shown().known) void select(chosen.id);

@@ -54,6 +54,8 @@ export interface ViewerEvents {
   walked(start: Start): void;
   /** Another image is shown; null: none. */
   camera(view: FrameView | null): void;
+  /** A person wants the map's camera to follow the images, or not. */
+  follow(on: boolean): void;
 }
 
 export function createViewer(host: HTMLElement, events: ViewerEvents) {
@@ -79,6 +81,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
   const text = el("p", { class: "viewer-text", role: "status", aria: { live: "polite" } });
   const stepper = (by: number, sign: string, label: string) => el("button", { type: "button", class: "step", textContent: sign, title: label, aria: { label }, onclick: () => step(by) });
   const button = (label: string, key: string, run: () => void) => el("button", { type: "button", title: `${label} (${key})`, textContent: label, onclick: run });
+  const followBox = el("input", { type: "checkbox", id: "follow", onchange: () => events.follow(followBox.checked) });
   const zoom = button("Zoom to the cone", "Z", () => zoomToCone(CONE_SHARE));
   const compareRow = el("label", { class: "check" }, compareBox, "Compare with", others, el("kbd", { textContent: "C" }));
   const dialog = el("dialog", { class: "viewer", aria: { label: "Images" } },
@@ -91,7 +94,8 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
       zoom, button("Whole image", "0", () => setView(WHOLE))),
     panesHost,
     el("footer", {}, el("div", { class: "viewer-line" }, drives, play, stepper(-1, "‹", "Previous frame pair (←)"), el("div", { class: "viewer-track" }, ticks, slider), stepper(1, "›", "Next frame pair (→)"),
-      el("button", { type: "button", class: "enlarge", textContent: "Enlarge", title: "Over the whole page, with all tools (I)", onclick: () => cover() })), text)); // prettier-ignore
+      el("button", { type: "button", class: "enlarge", textContent: "Enlarge", title: "Over the whole page, with all tools (I)", onclick: () => cover() })), text,
+      el("label", { class: "check follow", title: "The map is seen from where the image was taken (F)" }, followBox, "Camera follows image", el("kbd", { textContent: "F" })))); // prettier-ignore
   host.append(dialog);
 
   let subject: Subject | null = null;
@@ -478,6 +482,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
     },
     key,
     step,
+    follows: (on: boolean) => void (followBox.checked = on),
     get dock() {
       return dock;
     },
