@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from conetl.web.decisions import Writer
 from tests.integration.drives_of_days import merge, survey
 from tests.view_map import serving, with_images
 
+AXE = Path(__file__).resolve().parents[2] / "web/node_modules/axe-core/axe.min.js"
 TOKEN = "a-token-that-nobody-guesses"
 HOLD = "GNSS/INS jumps by 5.0 m."
 
@@ -92,6 +94,50 @@ def test_a_removed_cone_shows_its_empty_position_and_why(page, address, changed)
     page.keyboard.press("Escape")
     page.wait_for_selector(".viewer:modal", state="detached")
     assert page.locator(".panel h2").is_visible(), "Escape closes the images only"
+
+
+def test_before_and_after_are_a_swipe_that_keys_move(page, address, changed):
+    open_cone(page, address, changed["removed"])
+    page.wait_for_selector(".panel-images .pane >> nth=1 >> path.cone.dashed")
+    page.check(".wipe-on")
+    page.wait_for_selector(".pair")
+
+    def visible_before() -> float:
+        """Right edge of the image before, as a share of the image."""
+        box, clip = page.locator(".pair > :first-child").first.evaluate(
+            "n => [n.clientWidth, getComputedStyle(n).clipPath]"
+        )
+        cut = re.fullmatch(r"inset\(0px (\d+)%? 0px 0px\)", clip)
+        assert box > 300 and cut, clip
+        return 1 - float(cut[1]) / 100
+
+    assert visible_before() == 0.5
+    before, now = (page.locator(f".pair > .pane:nth-child({i})") for i in (1, 2))
+    assert before.bounding_box() == now.bounding_box()  # one over the other
+    assert (
+        "before" in before.locator("figcaption").inner_text() and "this drive" in now.locator("figcaption").inner_text()
+    )
+    frame = frame_of(page)
+    page.focus(".wipe")
+    page.keyboard.press("End")
+    assert visible_before() == 1.0
+    page.keyboard.press("Home")
+    page.keyboard.press("ArrowRight")
+    assert visible_before() == pytest.approx(0.01) and frame_of(page) == frame
+    page.keyboard.press("i")
+    page.wait_for_selector(".viewer:modal")
+    page.keyboard.press("c")
+    page.wait_for_selector(".viewer:modal .pair >> nth=1")
+    page.focus(".wipe")
+    page.keyboard.press("ArrowRight")
+    assert visible_before() == pytest.approx(0.02) and frame_of(page) == frame
+    if AXE.is_file():
+        page.evaluate(AXE.read_text())
+        assert page.evaluate("() => axe.run().then((r) => r.violations.map((v) => [v.id, v.nodes[0].html]))") == []
+    page.keyboard.press("w")
+    page.wait_for_selector(".pair", state="detached")
+    assert page.locator(".viewer .pane").count() == 4
+    page.keyboard.press("Escape")
 
 
 def camera_of(page: Any) -> tuple[np.ndarray, np.ndarray]:

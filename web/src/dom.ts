@@ -24,6 +24,9 @@ export function el<K extends keyof HTMLElementTagNameMap>(
   return node;
 }
 
+/** Keys of a slider that has the focus. */
+export const MOVES_SLIDER = /^(Arrow|Home|End|Page)/;
+
 export function fill(node: Element, ...children: Child[]): void {
   node.replaceChildren(...children.filter((child): child is Node | string => Boolean(child)));
 }
