@@ -24,6 +24,7 @@ import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
 import { createMarker, createSearch } from "./search";
 import { createSelection, subjectAfter } from "./selection";
+import { EMBEDDED, shareButton } from "./share";
 import { createSidebar } from "./sidebar";
 import { createSites, nearTo } from "./sites";
 import { parseState, type State } from "./state";
@@ -83,6 +84,7 @@ const tools = createTools(stage, layout.view, cones, {
 /** Of the surroundings of a change that are shown with it. */
 const AROUND_M = 6;
 let maps: MapItem[] = [];
+let embeddable = false;
 let timeline: Timeline | null = null;
 /** All that is drawn one by one: what changed, and what stands, in view. */
 let all: Cone[] = [];
@@ -305,6 +307,7 @@ async function openMap(): Promise<void> {
   try {
     const answer = await api.maps();
     maps = answer.maps;
+    embeddable = answer.embeddable;
     if (!state.map) state.map = nameOf(answer);
     tools.basemap(answer.basemap);
     sidebar.showMaps(maps, state.map);
@@ -386,7 +389,7 @@ async function readDecisions(): Promise<void> {
   try {
     const answer = await api.decisions(map);
     if (map !== state.map) return;
-    decisions = answer;
+    decisions = EMBEDDED ? { ...answer, writable: false, decides_drives: false } : answer;
     writer.logIn(answer.person);
     layout.person(answer.person);
     showDecisionList(answer);
@@ -701,6 +704,7 @@ function comeNearer(x: number, y: number): boolean {
 }
 
 function handleKey(event: KeyboardEvent): boolean {
+  if (EMBEDDED && "rRdDlL/?".includes(event.key)) return false;
   const items = timeline?.changesets ?? [];
   const at = items.findIndex((t) => t === changeset(state.changeset));
   const step = (by: number) => {
@@ -753,5 +757,5 @@ window.conetlPickTime = (x, y) => {
 };
 
 fill(layout.brand, el("b", { textContent: "conetl" }), " map");
-layout.brand.parentElement?.querySelector(".status")?.after(themeSwitch());
+layout.tools.more.prepend(shareButton({ write: address.write, mayEmbed: () => embeddable, said: layout.toast }), themeSwitch());
 void openMap();

@@ -70,6 +70,7 @@ export const onTheme = (callback: () => void) => void callbacks.push(callback);
 function apply(): void {
   const root = document.documentElement;
   root.dataset["theme"] = isDark() ? "dark" : "light";
+  for (const [name, value] of [["--points", colours().dark], ["--lines", colours().line]] as const) root.style.setProperty(name, value);
   for (const kind of KIND_ORDER) root.style.setProperty(`--kind-${kind}`, colourOf(kind));
   for (const callback of callbacks) callback();
 }

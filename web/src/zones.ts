@@ -107,6 +107,6 @@ const threes = (flat: number[]): Vec3[] => Array.from({ length: flat.length / 3 
 const twos = (flat: number[], z: number): Vec3[] => Array.from({ length: flat.length / 2 }, (_, i): Vec3 => [flat[2 * i] ?? 0, flat[2 * i + 1] ?? 0, z]);
 
 function wordsOf(zone: WorkZone): string {
-  const lanes = zone.closed_lane_count === null ? "closed" : `${plural(zone.closed_lane_count, "lane")} closed`;
+  const lanes = zone.closed_lane_count === null ? "closed" : zone.closed_lane_count === 0 ? "no lane closed" : `${plural(zone.closed_lane_count, "lane")} closed`;
   return `Work zone · ${zone.closed_side === null ? "" : `${lanes} on the ${zone.closed_side} · `}${Math.round(zone.length_m)} m`;
 }
