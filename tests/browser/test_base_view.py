@@ -12,7 +12,7 @@ from pyproj import CRS, Transformer
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from tests.browser.test_view import click_cone, open_view, pixels_of, screenshot, settle
+from tests.browser.test_view import ADDED, click_cone, open_view, pixels_of, screenshot, settle
 from tests.unit.readers.test_base_layers import geojson, line
 
 #: The darkest points and the painted lines, as in web/src/base.ts.
@@ -38,6 +38,7 @@ def base_layers(module_database_url: str, features: dict[str, str], tmp_path_fac
     las = laspy.LasData(header)
     las.x, las.y = rng.uniform(457_960, 458_060, POINT_COUNT), rng.uniform(5_427_980, 5_428_060, POINT_COUNT)
     las.z = 114.48 + rng.normal(0, 0.01, POINT_COUNT)
+    las.y[::5], las.z[::5] = 5_428_030.0, rng.uniform(114.5, 118.0, POINT_COUNT // 5)  # a wall
     las.intensity = rng.integers(0, 255, POINT_COUNT)
     las.write(folder / "street.laz")
     to_wgs84 = Transformer.from_crs(32632, 4326, always_xy=True)
@@ -125,6 +126,22 @@ def test_the_preset_of_the_paper_is_one_click_and_a_link(page, address, features
     page.wait_for_function("() => !/paper|swipe|mode/.test(location.hash)")
     all_drawn(page)
     assert sandy(screenshot(page)) > 1_000
+
+
+def test_points_are_lit_by_depth_and_cones_stay_before_them(page, address, features):
+    open_view(page, f"{address}#map=default&mode=drive&size=2")
+    all_drawn(page)
+    flat = screenshot(page)
+    page.click(".map-tools button:text-is('Layers')")
+    page.check("#shading")
+    page.wait_for_url("**shading=1**")
+    page.click(".map-tools button:text-is('Layers')")
+    all_drawn(page)
+    lit = screenshot(page)
+    assert ((flat - lit).min(axis=2) > 40).sum() > 200  # points behind nearer ones are darker
+    assert pixels_of(lit, ADDED) == pytest.approx(pixels_of(flat, ADDED), rel=0.2) and pixels_of(lit, LINE) > 200
+    click_cone(page, features["comes"])
+    page.wait_for_selector(f".panel h2:text-is('{features['comes'][:8]}')")
 
 
 def test_cones_are_found_among_points_and_each_tile_comes_once(page, address, features):

@@ -25,12 +25,13 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
   const opacity = range("point-opacity", 0.1, 1, 0.05, (v) => actions.change({ opacity: v }));
   const basemap = range("basemap-opacity", 0, 1, 0.05, (v) => actions.change({ basemap: v }));
   const grid = select<Grid>("grid", [["lines", "lines"], ["labels", "lines with coordinates (plan only)"], ["none", "none"]], (g) => actions.change({ grid: g }));
+  const shading = el("input", { id: "shading", type: "checkbox", onchange: () => actions.change({ shading: shading.checked }) });
   const row = (text: string, control: HTMLElement) => el("label", { htmlFor: control.id }, el("span", { textContent: text }), control);
-  const points = el("div", { class: "group" }, row("Point colour", colouring), row("Point size", size), row("Point opacity", opacity));
+  const points = el("div", { class: "group" }, row("Point colour", colouring), row("Point size", size), row("Point opacity", opacity), row("Light by depth", shading));
   const tiles = row("Base map opacity", basemap);
   const reset = el("button", { type: "button", class: "link", textContent: "Reset", onclick: () => {
-    const { colouring: c, size: s, opacity: o, basemap: b, grid: g } = SCENE;
-    actions.change({ colouring: c, size: s, opacity: o, basemap: b, grid: g });
+    const { colouring, shading, size, opacity, basemap, grid } = SCENE;
+    actions.change({ colouring, shading, size, opacity, basemap, grid });
   } }); // prettier-ignore
   const paper = el("button", { type: "button", id: "paper", textContent: "Paper", title: "As in Figure 6 of the paper: LiDAR red, lane boundaries green, the new cone blue; before | after side by side",
     onclick: () => actions.paper(paper.getAttribute("aria-pressed") !== "true") }); // prettier-ignore
@@ -62,6 +63,7 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
       plan.textContent = scene.plan ? "3D" : "Plan";
       measure.setAttribute("aria-pressed", String(scene.measure !== null));
       paper.setAttribute("aria-pressed", String(scene.paper));
+      shading.checked = scene.shading;
       colouring.value = scene.colouring;
       grid.value = scene.grid;
       for (const [node, value] of [[size, scene.size], [opacity, scene.opacity], [basemap, scene.basemap]] as const) {

@@ -9,6 +9,8 @@ export interface SceneState {
   /** Orthographic, seen from above; else in perspective. */
   plan: boolean;
   colouring: Colouring;
+  /** Eye-dome lighting of LiDAR points. */
+  shading: boolean;
   /** Size of LiDAR points, a factor. */
   size: number;
   /** Of LiDAR points and of the base map, 0 to 1. */
@@ -27,7 +29,7 @@ export interface SceneState {
   at: [number, number] | null;
 }
 
-export const SCENE: SceneState = { plan: false, colouring: "intensity", size: 1, opacity: 1, basemap: 1, grid: "lines", swipe: null, follow: false, paper: false, measure: null, at: null };
+export const SCENE: SceneState = { plan: false, colouring: "intensity", shading: false, size: 1, opacity: 1, basemap: 1, grid: "lines", swipe: null, follow: false, paper: false, measure: null, at: null };
 const COLOURINGS: Colouring[] = ["intensity", "height", "one"];
 const GRIDS: Grid[] = ["none", "lines", "labels"];
 
@@ -43,6 +45,7 @@ export function parseScene(p: URLSearchParams): SceneState {
   return {
     plan: p.get("view") === "plan",
     colouring: COLOURINGS.find((c) => c === p.get("colour")) ?? SCENE.colouring,
+    shading: p.get("shading") === "1",
     size: within(p.get("size"), 0.5, 4, SCENE.size),
     opacity: within(p.get("opacity"), 0.05, 1, SCENE.opacity),
     basemap: within(p.get("basemap"), 0, 1, SCENE.basemap),
@@ -59,6 +62,7 @@ export function parseScene(p: URLSearchParams): SceneState {
 export function formatScene(p: URLSearchParams, scene: SceneState, compares: boolean): void {
   if (scene.plan) p.set("view", "plan");
   if (scene.colouring !== SCENE.colouring) p.set("colour", scene.colouring);
+  if (scene.shading) p.set("shading", "1");
   for (const name of ["size", "opacity", "basemap"] as const) if (scene[name] !== SCENE[name]) p.set(name, String(scene[name]));
   if (scene.grid !== SCENE.grid) p.set("grid", scene.grid);
   if (compares && scene.swipe !== null) p.set("swipe", scene.swipe === "split" ? scene.swipe : scene.swipe.toFixed(3).replace(/\.?0+$/, "") || "0");

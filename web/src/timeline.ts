@@ -43,6 +43,8 @@ export const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf
 export function createTimeline(host: HTMLElement, actions: TimelineActions) {
   let [now, drives]: [State | null, TimelineItem[]] = [null, []];
   const modeTabs = segmented("View mode", MODES, (mode) => {
+    // On low screens all but these tabs is folded away until one is chosen, and when it is chosen again.
+    host.classList.toggle("open", mode !== now?.mode || !host.classList.contains("open"));
     const neverChosen = mode === "compare" && now?.from === 0 && now.to === null;
     actions.change({ mode, ...(neverChosen && { from: beforeLastDay(drives) }) });
   });

@@ -46,7 +46,8 @@ function createAreas(stage: Stage, host: HTMLElement, name: string, edge: "below
       node.hidden = !pixel || shown.some(([x, y]) => Math.abs(x - pixel[0]) < 2 * APART_PX && Math.abs(y - pixel[1]) < 24);
       if (node.hidden || !pixel) continue;
       shown.push(pixel);
-      node.style.transform = `translate(${Math.round(pixel[0])}px, ${Math.round(pixel[1])}px) translate(-50%, ${edge === "below" ? "8px" : "calc(-100% - 8px)"})`;
+      const beside = edge === "below" ? "+ 8px" : "- 8px - 100%";
+      node.style.transform = `translate(clamp(4px, ${Math.round(pixel[0])}px - 50%, ${width - 4}px - 100%), calc(${Math.round(pixel[1])}px ${beside}))`;
     }
   });
 
