@@ -134,7 +134,7 @@ def test_before_and_after_are_a_swipe_that_keys_move(page, address, changed):
     if AXE.is_file():
         page.evaluate(AXE.read_text())
         assert page.evaluate("() => axe.run().then((r) => r.violations.map((v) => [v.id, v.nodes[0].html]))") == []
-    page.keyboard.press("w")
+    page.keyboard.press("v")
     page.wait_for_selector(".pair", state="detached")
     assert page.locator(".viewer .pane").count() == 4
     page.keyboard.press("Escape")

@@ -25,7 +25,7 @@ const SHORTCUTS: [string, string][] = [
   ["B, C", "before or after the drive, changes"],
   ["1, 2", "show or hide LiDAR points, lane boundaries"],
   ["P, N", "previous, next image along the drive"],
-  ["I, F, W", "full images of the selected cone, camera follows image, before and after as a swipe"],
+  ["I, F, V", "full images of the selected cone, camera follows image, before and after as a swipe"],
   ["R, D", "review changes, differences from plans"],
   ["/", "search"],
   ["L", "open or close the list"],

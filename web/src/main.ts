@@ -720,8 +720,7 @@ function handleKey(event: KeyboardEvent): boolean {
     case "n": case "N": viewer.step(1); return true;
     case "p": case "P": viewer.step(-1); return true;
     case "i": case "I": viewer.cover(); return true;
-    case "w": case "W": return viewer.key(event);
-    case "f": case "F": followImages(!state.scene.follow); return true;
+    case "v": case "V": case "f": case "F": return viewer.key(event);
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
     case "r": case "R": review.set(true); return true;

@@ -82,7 +82,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
   const stepper = (by: number, sign: string, label: string) => el("button", { type: "button", class: "step", textContent: sign, title: label, aria: { label }, onclick: () => step(by) });
   const button = (label: string, key: string, run: () => void) => el("button", { type: "button", title: `${label} (${key})`, textContent: label, onclick: run });
   const wipeBox = el("input", { type: "checkbox", class: "wipe-on", onchange: () => draw() });
-  const wipeRow = el("label", { class: "check", title: "One over the other, with a divider (W)" }, wipeBox, "Swipe", el("kbd", { textContent: "W" }));
+  const wipeRow = el("label", { class: "check", title: "One over the other, with a divider (V)" }, wipeBox, "Swipe", el("kbd", { textContent: "V" }));
   const wipe = el("input", { type: "range", class: "wipe", min: "0", max: "100", value: "50", aria: { label: "Divider between before and after" }, oninput: () => wipeTo() });
   const followBox = el("input", { type: "checkbox", id: "follow", onchange: () => events.follow(followBox.checked) });
   const zoom = button("Zoom to the cone", "Z", () => zoomToCone(CONE_SHARE));
@@ -155,7 +155,8 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
     else if (event.key === "0") setView(WHOLE);
     else if (event.key.toLowerCase() === "z") zoomToCone(CONE_SHARE);
     else if (event.key.toLowerCase() === "c") setCompare(!compare);
-    else if (event.key.toLowerCase() === "w" && !wipeRow.hidden) wipeBox.click();
+    else if (event.key.toLowerCase() === "v" && !wipeRow.hidden) wipeBox.click();
+    else if (event.key.toLowerCase() === "f" && isDocked()) followBox.click();
     else if (event.key.toLowerCase() === "i") isCovering() ? dialog.close() : cover();
     else return false;
     return true;
