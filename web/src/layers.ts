@@ -1,5 +1,5 @@
 // How the scene is drawn: colouring, size and opacity of LiDAR points, base map, grid; and the buttons of the map.
-import { el } from "./dom";
+import { el, popup } from "./dom";
 import { SCENE, type Colouring, type Grid, type SceneState } from "./scene_state";
 
 export interface LayerActions {
@@ -37,18 +37,7 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
     onclick: () => actions.paper(paper.getAttribute("aria-pressed") !== "true") }); // prettier-ignore
   const panel = el("div", { class: "layers-panel", id: "layers-panel", hidden: true }, row("Show as in", paper), points, tiles, row("Grid", grid), reset);
   const toggle = el("button", { type: "button", textContent: "Layers", aria: { expanded: "false", controls: "layers-panel" } });
-  const open = (on: boolean) => {
-    panel.hidden = !on;
-    toggle.setAttribute("aria-expanded", String(on));
-  };
-  toggle.addEventListener("click", () => open(panel.hidden));
-  const onKey = (event: Event) => {
-    if (!(event instanceof KeyboardEvent) || event.key !== "Escape" || panel.hidden) return;
-    event.stopPropagation();
-    open(false);
-    toggle.focus();
-  };
-  for (const part of [toggle, panel]) part.addEventListener("keydown", onKey);
+  popup(toggle, panel);
   const plan = el("button", { type: "button", id: "plan", title: "Switch between plan and 3D (T)", onclick: () => actions.change({ plan: plan.textContent === "Plan" }) });
   const measure = el("button", { type: "button", id: "measure", textContent: "Measure", title: "Measure distances and areas (M)", onclick: () => actions.measure() });
   host.append(el("div", { class: "map-tools", role: "toolbar", aria: { label: "Map" } }, plan, measure, toggle, panel));

@@ -5,9 +5,8 @@ import {
   PerspectiveCamera, Scene, Spherical, TOUCH, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import type { Vec3 } from "./api";
+import type { FrameView, Vec3 } from "./api";
 import { el } from "./dom";
-import type { FrameView } from "./judging";
 import type { CameraPose } from "./state";
 import { colours, onTheme } from "./theme";
 

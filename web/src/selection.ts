@@ -1,10 +1,9 @@
 // The selected feature: its details in the panel, its ellipse and camera in the scene, its images.
-import { api, type Decisions, type HistoryItem, type Sighting, type Timeline } from "./api";
+import { api, type Decisions, type FrameView, type HistoryItem, type Sighting, type Timeline } from "./api";
 import { aboutFeature } from "./decisions";
 import { shortId } from "./dom";
 import { isGone, type Cone, type Kind } from "./kinds";
 import { ellipse95, niceFactor, type Overlays } from "./overlays";
-import type { FrameView } from "./judging";
 import { createPanel, stateOf, type Chosen } from "./panel";
 import { shownState } from "./query";
 import type { Stage } from "./scene";

@@ -1,11 +1,11 @@
 // The image viewer: whole images of a frame pair, zoomed and panned, with boxes, the projected cone and epipolar lines; played along
 // the drive, and beside the drive before. It is docked in a part of the page, or covers the page.
-import { api, type HistoryItem, type Sighting, type Trajectory } from "./api";
+import { api, type DrivePass, type Frame, type FrameView, type HistoryItem, type PassFrame, type Side, type Sighting, type Trajectory } from "./api";
 import { el, fill, messageOf, MOVES_SLIDER, plural, utc, when } from "./dom";
 import { createFrameCache, type LoadedImage } from "./frame_cache";
 import { createPane, type Pane, type Picture, type Shape, type View } from "./image_pane";
-import { bestFrame, judging, type DrivePass, type Frame, type FrameView, type PassFrame, type Side } from "./judging";
 import { isGone, STYLES } from "./kinds";
+import { apart, bestFrame, bestSide, counterpart, firstOf, othersOf } from "./passes";
 import { ellipseOutline, epipolarLine, outlineOf, project, type Point } from "./projection";
 import "./viewer.css";
 
@@ -461,7 +461,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
   async function passesOf(next: Subject): Promise<DrivePass[]> {
     if (next.id === null || !next.now) return [];
     const key = keyOf(next);
-    const found = early.get(key) ?? judging.passes(next.map, next.id, next.isLast ? null : next.now.version).then((answer) => answer.passes);
+    const found = early.get(key) ?? api.passes(next.map, next.id, next.isLast ? null : next.now.version).then((answer) => answer.passes);
     early.delete(key);
     return found;
   }
@@ -541,35 +541,6 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
     /** Show it over the whole page, with all tools, until it is closed. */
     cover,
   };
-}
-
-/** The drive before comes first. */
-function othersOf(passes: DrivePass[], own: DrivePass): DrivePass[] {
-  const at = passes.indexOf(own);
-  return [...passes.slice(at + 1), ...passes.slice(0, at).reverse()];
-}
-
-/** Where to begin; undefined if there is nothing to show. */
-function firstOf(subject: Subject, passes: DrivePass[], start: Start | null): { drive_uuid: string; frame_index: number | null } | undefined {
-  const wanted = start?.drive_uuid ?? subject.now?.drive_uuid;
-  const own = passes.find((p) => p.drive_uuid === wanted) ?? passes[0];
-  if (!own) return start ?? undefined;
-  return { drive_uuid: own.drive_uuid, frame_index: own.drive_uuid === start?.drive_uuid ? start.frame_index : null };
-}
-
-const apart = (p: readonly number[], q: readonly number[]) => Math.hypot((p[0] ?? 0) - (q[0] ?? 0), (p[1] ?? 0) - (q[1] ?? 0));
-
-/** The frame pair of another drive from the nearest position. */
-const counterpart = (own: PassFrame, other: DrivePass): PassFrame =>
-  other.frames.reduce((a, b) => (apart(b.camera_xyz_m, own.camera_xyz_m) < apart(a.camera_xyz_m, own.camera_xyz_m) ? b : a));
-
-/** The left image, unless the right one alone shows the position. */
-function bestSide(frame: Frame, now: HistoryItem | null): Side {
-  const margin = (side: Side) => {
-    const at = now && project(frame[side], now.xyz_m);
-    return at ? Math.min(at[0], frame[side].width_px - at[0]) : -Infinity;
-  };
-  return margin("left") < 0 && margin("right") > 0 ? "right" : "left";
 }
 
 export type Viewer = ReturnType<typeof createViewer>;
