@@ -33,7 +33,6 @@ export function createCursor(stage: Stage, host: HTMLElement, projector: Project
     const projection = projector.at([at[0], at[1]]);
     const found = projection && toDegrees(projection, [at[0], at[1]]);
     degrees.textContent = found ? `${found[0].toFixed(7)}, ${found[1].toFixed(7)}` : "";
-    box.setAttribute("aria-label", `Copy the coordinates: EPSG:${srid} ${grid.textContent}, longitude and latitude ${degrees.textContent}`);
   }
 
   function follow(x: number, y: number): void {
