@@ -121,6 +121,7 @@ def serving(
     reader_token: SecretStr | None = None,
     find_person: Any = lambda _: None,
     basemap: BaseMap | None = None,
+    embed_host: str | None = None,
     port: int = 0,
 ) -> Iterator[int]:
     """The server as `conetl view` runs it, in a thread; yields its port (0: a free one)."""
@@ -133,6 +134,7 @@ def serving(
         reader_token=reader_token,
         find_person=find_person,
         base_map=basemap,
+        embed_host=embed_host,
     )
     listener = socket.create_server(("127.0.0.1", port), backlog=2048)
     config = uvicorn.Config(app, log_level="critical", limit_concurrency=256, timeout_graceful_shutdown=1)

@@ -12,11 +12,13 @@ from pyproj import CRS, Transformer
 from typer.testing import CliRunner
 
 from conetl.cli.app import app
-from tests.browser.test_view import click_cone, open_view, pixels_of, screenshot, settle
+from tests.browser.test_view import ADDED, click_cone, open_view, pixels_of, screenshot, settle
 from tests.unit.readers.test_base_layers import geojson, line
 
 #: The darkest points and the painted lines, as in web/src/base.ts.
 LINE = (0x8A, 0x74, 0x43)
+#: Lane boundaries and new cones in the colours of the paper's Figure 6, as in web/src/theme.ts.
+PAPER_LINE, PAPER_NEW = (0x12, 0x83, 0x3A), (0x0A, 0x45, 0xD6)
 POINT_COUNT, LINE_COUNT = 100_000, 200
 
 
@@ -36,6 +38,7 @@ def base_layers(module_database_url: str, features: dict[str, str], tmp_path_fac
     las = laspy.LasData(header)
     las.x, las.y = rng.uniform(457_960, 458_060, POINT_COUNT), rng.uniform(5_427_980, 5_428_060, POINT_COUNT)
     las.z = 114.48 + rng.normal(0, 0.01, POINT_COUNT)
+    las.y[::5], las.z[::5] = 5_428_030.0, rng.uniform(114.5, 118.0, POINT_COUNT // 5)  # a wall
     las.intensity = rng.integers(0, 255, POINT_COUNT)
     las.write(folder / "street.laz")
     to_wgs84 = Transformer.from_crs(32632, 4326, always_xy=True)
@@ -86,6 +89,59 @@ def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):
     page.evaluate("location.hash += '&colours=safe'")  # of older links: there are no others any more
     page.keyboard.press("2")
     page.wait_for_url(lambda url: "lines=0" in url and "colours" not in url)
+
+
+def test_the_preset_of_the_paper_is_one_click_and_a_link(page, address, features):
+    """Figure 6 of Lagahit & Tseng: LiDAR red, lane boundaries green, the new cone blue, before beside after."""
+    open_view(page, address)
+    page.click(".map-tools button:text-is('Layers')")
+    page.click("#paper")
+    page.wait_for_selector("canvas[data-swipe='split']")
+    page.click(".map-tools button:text-is('Layers')")
+    all_drawn(page)
+    shown = screenshot(page)
+    before, after = np.split(shown[:, : shown.shape[1] // 2 * 2], 2, axis=1)
+    for half in (before, after):
+        red, green, blue = np.moveaxis(half, 2, 0)
+        assert ((red - green > 50) & (red - blue > 50)).sum() > 1_000
+        assert pixels_of(half, PAPER_LINE) > 100 > sandy(half) and pixels_of(half, LINE) == 0
+    assert pixels_of(before, PAPER_NEW) == 0 and pixels_of(after, PAPER_NEW) > 40
+    click_cone(page, features["comes"])  # it stands in the right half
+    page.wait_for_selector(f".panel h2:text-is('{features['comes'][:8]}')")
+    page.keyboard.press("Escape")
+    link = page.url
+    assert "mode=compare" in link and "swipe=split" in link and "look=paper" in link
+    page.goto("about:blank")
+    page.goto(link)
+    page.wait_for_selector("canvas[data-swipe='split']")
+    all_drawn(page)
+    again = screenshot(page)
+    assert pixels_of(again[:, again.shape[1] // 2 :], PAPER_NEW) > 40
+    x, y = page.evaluate("id => window.conetlProject(id)", features["goes"])
+    page.click("canvas", position={"x": x - again.shape[1] / 2, "y": y})  # where it stood before
+    page.wait_for_selector(f".panel h2:text-is('{features['goes'][:8]}')")
+    page.keyboard.press("Escape")
+    page.click(".map-tools button:text-is('Layers')")
+    page.click("#paper")
+    page.wait_for_function("() => !/paper|swipe|mode/.test(location.hash)")
+    all_drawn(page)
+    assert sandy(screenshot(page)) > 1_000
+
+
+def test_points_are_lit_by_depth_and_cones_stay_before_them(page, address, features):
+    open_view(page, f"{address}#map=default&mode=drive&size=2")
+    all_drawn(page)
+    flat = screenshot(page)
+    page.click(".map-tools button:text-is('Layers')")
+    page.check("#shading")
+    page.wait_for_url("**shading=1**")
+    page.click(".map-tools button:text-is('Layers')")
+    all_drawn(page)
+    lit = screenshot(page)
+    assert ((flat - lit).min(axis=2) > 40).sum() > 200  # points behind nearer ones are darker
+    assert pixels_of(lit, ADDED) == pytest.approx(pixels_of(flat, ADDED), rel=0.2) and pixels_of(lit, LINE) > 200
+    click_cone(page, features["comes"])
+    page.wait_for_selector(f".panel h2:text-is('{features['comes'][:8]}')")
 
 
 def test_cones_are_found_among_points_and_each_tile_comes_once(page, address, features):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
+import numpy as np
 import pytest
 from pydantic import SecretStr
 
@@ -15,6 +18,7 @@ from conetl.web.decisions import Writer
 from tests.integration.drives_of_days import merge, survey
 from tests.view_map import serving, with_images
 
+AXE = Path(__file__).resolve().parents[2] / "web/node_modules/axe-core/axe.min.js"
 TOKEN = "a-token-that-nobody-guesses"
 HOLD = "GNSS/INS jumps by 5.0 m."
 
@@ -90,6 +94,95 @@ def test_a_removed_cone_shows_its_empty_position_and_why(page, address, changed)
     page.keyboard.press("Escape")
     page.wait_for_selector(".viewer:modal", state="detached")
     assert page.locator(".panel h2").is_visible(), "Escape closes the images only"
+
+
+def test_before_and_after_are_a_swipe_that_keys_move(page, address, changed):
+    open_cone(page, address, changed["removed"])
+    page.wait_for_selector(".panel-images .pane >> nth=1 >> path.cone.dashed")
+    page.check(".wipe-on")
+    page.wait_for_selector(".pair")
+
+    def visible_before() -> float:
+        """Right edge of the image before, as a share of the image."""
+        box, clip = page.locator(".pair > :first-child").first.evaluate(
+            "n => [n.clientWidth, getComputedStyle(n).clipPath]"
+        )
+        cut = re.fullmatch(r"inset\(0px (\d+)%? 0px 0px\)", clip)
+        assert box > 300 and cut, clip
+        return 1 - float(cut[1]) / 100
+
+    assert visible_before() == 0.5
+    before, now = (page.locator(f".pair > .pane:nth-child({i})") for i in (1, 2))
+    assert before.bounding_box() == now.bounding_box()  # one over the other
+    assert (
+        "before" in before.locator("figcaption").inner_text() and "this drive" in now.locator("figcaption").inner_text()
+    )
+    frame = frame_of(page)
+    page.focus(".wipe")
+    page.keyboard.press("End")
+    assert visible_before() == 1.0
+    page.keyboard.press("Home")
+    page.keyboard.press("ArrowRight")
+    assert visible_before() == pytest.approx(0.01) and frame_of(page) == frame
+    page.keyboard.press("i")
+    page.wait_for_selector(".viewer:modal")
+    page.keyboard.press("c")
+    page.wait_for_selector(".viewer:modal .pair >> nth=1")
+    page.focus(".wipe")
+    page.keyboard.press("ArrowRight")
+    assert visible_before() == pytest.approx(0.02) and frame_of(page) == frame
+    if AXE.is_file():
+        page.evaluate(AXE.read_text())
+        assert page.evaluate("() => axe.run().then((r) => r.violations.map((v) => [v.id, v.nodes[0].html]))") == []
+    page.keyboard.press("v")
+    page.wait_for_selector(".pair", state="detached")
+    assert page.locator(".viewer .pane").count() == 4
+    page.keyboard.press("Escape")
+
+
+def camera_of(page: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Position and direction of the map's camera, of the address."""
+    x, y, z, theta, phi, radius = map(float, parse_qs(urlsplit(page.url).fragment)["cam"][0].split(","))
+    back = np.array([np.sin(phi) * np.sin(theta), -np.sin(phi) * np.cos(theta), np.cos(phi)])
+    return np.array([x, y, z]) + radius * back, -back
+
+
+def image_pose(page: Any, changeset: int) -> tuple[np.ndarray, np.ndarray]:
+    """Position and axis of the left image of the frame pair that is shown."""
+    frame = page.evaluate(
+        """async ([no, index]) => {
+          const read = (path) => fetch(`./api/maps/default/${path}`).then((r) => r.json());
+          const { drive_uuid } = (await read('timeline')).changesets.find((t) => t.changeset_no === no);
+          return (await read(`drives/${drive_uuid}/frames/${index}`)).left;
+        }""",
+        [changeset, frame_of(page)],
+    )
+    return np.array(frame["xyz_m"]), np.array(frame["map_R_camera"])[:, 2]
+
+
+def test_the_maps_camera_follows_the_image_along_the_drive(page, address, changed):
+    open_cone(page, address, changed["moved"])
+    page.wait_for_selector(".panel-images .pane img")
+    page.wait_for_url("**cam=**")
+    before, _ = camera_of(page)
+    page.check("#follow")
+    page.wait_for_url("**follow=1**")
+    for key in ("n", "n", "p"):
+        xyz_m, axis = image_pose(page, 2)
+        page.wait_for_timeout(300)  # the address follows the camera
+        at, direction = camera_of(page)
+        assert np.linalg.norm(at - xyz_m) < 0.02 < np.linalg.norm(at - before)
+        assert direction @ axis > np.cos(np.radians(1.0))
+        frame = frame_of(page)
+        page.keyboard.press(key)
+        page.wait_for_function("f => !document.querySelector('.viewer').dataset.frame.endsWith(` ${f}`)", arg=frame)
+    link = page.url
+    page.goto("about:blank")
+    page.goto(link)
+    page.wait_for_selector("#follow:checked")
+    page.click("canvas", position={"x": 300, "y": 60})  # a key of the map
+    page.keyboard.press("f")
+    page.wait_for_url(lambda url: "follow" not in url)
 
 
 def test_the_images_are_zoomed_panned_and_played(page, address, changed):

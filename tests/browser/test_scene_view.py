@@ -77,6 +77,10 @@ def test_the_plan_is_orthographic_and_coordinates_are_those_of_pyproj(page, addr
     zoomed = at_cone(page, features["stays"])
     assert np.hypot(*np.subtract(zoomed, stays)) < 1.5
     assert at_cone(page, features["comes"])[0] - zoomed[0] > 1.3 * (comes[0] - stays[0])
+    middle = page.locator("main.view").bounding_box()
+    _, _, *centre = under_cursor(page, middle["width"] / 2, middle["height"] / 2)
+    said = [float(number) for number in page.locator(".where").inner_text().split(", ")]
+    assert np.abs(np.subtract(said, centre[::-1])).max() < 3e-5  # latitude, longitude of the middle
     page.evaluate("document.querySelector('#grid').value = 'labels'")
     page.evaluate("document.querySelector('#grid').dispatchEvent(new Event('change'))")
     page.wait_for_selector(".grid-labels .east-label")

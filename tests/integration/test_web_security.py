@@ -170,6 +170,23 @@ def test_requests_of_other_web_pages_are_refused(server):
     assert ask(server, "/", **link)[0] == 200
 
 
+def test_one_page_may_be_framed_by_the_host_that_the_operator_names(module_database_url, server):
+    frame = {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate", "Sec_Fetch_Dest": "iframe"}
+    host = "https://intranet.example"
+    with serving(module_database_url, "default", embed_host=host) as port:
+        status, headers, _ = ask(port, "/embed.html", **frame)
+        assert status == 200 and "x-frame-options" not in headers
+        assert f"frame-ancestors {host}" in headers["content-security-policy"]
+        assert ask(port, "/embed.html", Sec_Fetch_Site="cross-site", Sec_Fetch_Mode="cors")[0] == 403
+        for path in ("/", "/index.html", "/api/maps", ITEMS, "/embed.html/"):
+            status, headers, _ = ask(port, path, **frame)
+            assert status == 403 and headers["x-frame-options"] == "DENY", path
+            assert "frame-ancestors 'none'" in ask(port, path)[1]["content-security-policy"]
+    with serving(module_database_url, "default", embed_host=host, reader_token=TOKEN) as port:
+        assert ask(port, "/embed.html", **frame)[0] == 401
+    assert ask(server, "/embed.html", **frame)[0] == 403 and ask(server, "/embed.html")[0] == 404
+
+
 def test_nothing_can_be_written(server):
     for method in ("POST", "PUT", "PATCH", "DELETE", "OPTIONS", "TRACE", "CONNECT", "PROPFIND"):
         for path in (f"{MAP}/features", "/api/maps", ITEMS, "/ogc/collections/default.features", "/ogc/", "/"):

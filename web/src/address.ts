@@ -1,4 +1,5 @@
 // The address bar follows the state of the page.
+import { EMBEDDED } from "./share";
 import { formatState, parseState, type State } from "./state";
 
 /** Delay of the address while something keeps moving: browsers refuse more than about 100 addresses in 30 s. */
@@ -33,7 +34,7 @@ export function createAddress(state: () => State, report: (text: string) => void
     const problems: string[] = [];
     const found = parseState(location.hash, problems);
     if (problems.length) report(`Part of this link was ignored: ${problems.join("; ")}.`);
-    return found;
+    return EMBEDDED ? { ...found, list: null } : found;
   }
 
   return { write, writeAtRest, writeChoice, read };

@@ -27,6 +27,13 @@ export type BaseLine = Schemas["BaseLine"];
 export type WorkZone = Schemas["WorkZoneArea"];
 export type DifferenceRow = Schemas["DifferenceRow"];
 export type FoundPosition = Schemas["FoundPosition"];
+export type Side = "left" | "right";
+export type PassFrame = Schemas["PassFrame"];
+export type DrivePass = Schemas["DrivePass"];
+export type FrameView = Schemas["FrameView"];
+export type Frame = Schemas["Frame"];
+export type ReviewItem = Schemas["ReviewItem"];
+export type ReviewKind = ReviewItem["kind"];
 export type Found = Schemas["SearchResult"];
 export type Decision = Schemas["Decision"];
 export type Decisions = Schemas["ActiveDecisions"];
@@ -156,6 +163,11 @@ export const api = {
   base: (map: string) => askMap<Schemas["BaseLayers"]>(map, "base"),
   baseLines: (map: string) => askMap<Schemas["BaseLines"]>(map, "base/lines"),
   baseTile: async (map: string, sha256: string): Promise<ArrayBuffer> => (await ask(mapPath(map, `base/tiles/${sha256}.bin`))).arrayBuffer(),
+  passes: (map: string, id: string, version: number | null) => askMap<Schemas["Passes"]>(map, `features/${id}/passes${query({ version: version === null ? null : String(version) })}`),
+  frame: (map: string, drive: string, index: number) => askMap<Frame>(map, `drives/${drive}/frames/${index}`),
+  image: async (map: string, drive: string, index: number, side: Side, feature: string | null): Promise<Blob> =>
+    (await ask(mapPath(map, `drives/${drive}/frames/${index}/${side}.jpg${query({ feature_id: feature })}`))).blob(),
+  review: (map: string, offset: number, limit: number) => askMap<Schemas["Review"]>(map, `review${query({ offset: String(offset), limit: String(limit) })}`),
   decisions: (map: string) => askMap<Decisions>(map, "decisions"),
   decide: (map: string, request: DecisionRequest, token: string) =>
     askMap<Schemas["Decided"]>(map, "decisions", posted(request, token)),

@@ -10,7 +10,7 @@ import { classOrder, CONE, GLYPHS, onlyCones } from "./classes";
 import { isGone, STYLES, type Cone } from "./kinds";
 import { createMarkings, distanceToSegment, isQuiet } from "./markings";
 import type { Stage } from "./scene";
-import { colourOf, colours } from "./theme";
+import { colourOf, colours, newPaint } from "./theme";
 
 const PICK_PX = 18;
 /** Smaller cones are drawn as their marker alone. */
@@ -31,12 +31,14 @@ export function createCones(stage: Stage) {
   const standing = bodies(solid);
   const unchanged = bodies(shaded(1, 0.65));
   const gone = bodies(shaded(0.35));
+  const painted = shaded(1, 1);
+  const fresh = bodies(painted);
   const rings = ringsOf(solid);
   const arrows = new Mesh(new BufferGeometry(), solid); // all in one: each draw call costs
   arrows.frustumCulled = false;
   arrows.visible = false;
-  group.add(standing.holder, unchanged.holder, gone.holder, rings.mesh, arrows, markers.group, markings.group);
-  stage.beforeDraw(() => [standing, unchanged, gone, rings].forEach((each) => each.cull(stage)));
+  group.add(standing.holder, unchanged.holder, gone.holder, fresh.holder, rings.mesh, arrows, markers.group, markings.group);
+  stage.beforeDraw(() => [standing, unchanged, gone, fresh, rings].forEach((each) => each.cull(stage)));
 
   function show(next: Cone[]): void {
     cones = next.filter((c) => !c.marking);
@@ -44,7 +46,10 @@ export function createCones(stage: Stage) {
     const colour = (c: Cone) => colourOf(c.kind);
     const bodyAt = (c: Cone, at: Vec3): Body => ({ category: c.category, at, height: c.height_m });
     const there = cones.filter((c) => !isGone(c.kind));
-    standing.set(there.filter((c) => c.kind !== "unchanged").map((c) => bodyAt(c, c.xyz)));
+    const paint = newPaint();
+    painted.uniforms["tone"]!.value.set(paint ?? "white");
+    fresh.set(there.filter((c) => paint && c.kind === "added").map((c) => bodyAt(c, c.xyz)));
+    standing.set(there.filter((c) => c.kind !== "unchanged" && !(paint && c.kind === "added")).map((c) => bodyAt(c, c.xyz)));
     unchanged.set(there.filter((c) => c.kind === "unchanged").map((c) => bodyAt(c, c.xyz)));
     gone.set(
       cones.flatMap((c) => {
@@ -232,16 +237,17 @@ function tinted(geometry: BufferGeometry, { r, g, b }: Color): BufferGeometry {
 }
 
 /** Lambert shading per vertex, with light from above and the south-west: without a graphics card much faster than three's material.
- * grey: share of grey in the paint. */
+ * grey: share of the tone, a grey, in the paint. */
 function shaded(opacity: number, grey = 0): ShaderMaterial {
   return new ShaderMaterial({
-    vertexShader: SHADED_VERTEX, fragmentShader: SHADED_FRAGMENT, vertexColors: true, uniforms: { opacity: { value: opacity }, grey: { value: grey } },
+    vertexShader: SHADED_VERTEX, fragmentShader: SHADED_FRAGMENT, vertexColors: true, uniforms: { opacity: { value: opacity }, grey: { value: grey }, tone: { value: new Color(0.55, 0.55, 0.55) } },
     transparent: opacity < 1, depthWrite: opacity === 1,
   }); // prettier-ignore
 }
 
 const SHADED_VERTEX = /* glsl */ `
 uniform float grey;
+uniform vec3 tone;
 varying vec3 vTint;
 void main() {
   vec4 at = vec4(position, 1.0);
@@ -254,7 +260,7 @@ void main() {
 #ifdef USE_INSTANCING_COLOR
   vTint *= instanceColor;
 #endif
-  vTint = mix(vTint, vec3(0.55), grey);
+  vTint = mix(vTint, tone, grey);
   vTint *= 0.6 + 0.51 * max(dot(normalize(n), vec3(-0.296, -0.474, 0.829)), 0.0);
   gl_Position = projectionMatrix * modelViewMatrix * at;
 }`;

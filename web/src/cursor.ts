@@ -12,8 +12,11 @@ export function createCursor(stage: Stage, host: HTMLElement, projector: Project
   const degrees = el("span", { class: "mono" });
   const box = el("button", { type: "button", class: "cursor", hidden: true, disabled: true, title: "Copy these coordinates (X)" }, grid, degrees);
   const pin = el("i", { class: "pin", hidden: true, aria: { hidden: "true" } });
+  /** Always: where in the world the picture is. */
+  const where = el("div", { class: "where", title: "Latitude, longitude of the middle of the picture" });
   const labels = el("div", { class: "grid-labels", hidden: true, aria: { hidden: "true" } });
   host.append(labels, pin, box);
+  host.querySelector(".scalebar")?.append(where);
   let origin: Vec3 = [0, 0, 0];
   let srid = 0;
   /** Under the cursor, and where the person clicked, which stays. */
@@ -30,7 +33,6 @@ export function createCursor(stage: Stage, host: HTMLElement, projector: Project
     const projection = projector.at([at[0], at[1]]);
     const found = projection && toDegrees(projection, [at[0], at[1]]);
     degrees.textContent = found ? `${found[0].toFixed(7)}, ${found[1].toFixed(7)}` : "";
-    box.setAttribute("aria-label", `Copy the coordinates: EPSG:${srid} ${grid.textContent}, longitude and latitude ${degrees.textContent}`);
   }
 
   function follow(x: number, y: number): void {
@@ -62,6 +64,10 @@ export function createCursor(stage: Stage, host: HTMLElement, projector: Project
   });
   box.addEventListener("click", () => void copy());
   stage.beforeDraw(() => {
+    const [x, y] = stage.pose();
+    const projection = srid ? projector.at([x, y]) : null;
+    const centre = projection && toDegrees(projection, [x, y]);
+    where.textContent = centre ? `${centre[1].toFixed(5)}, ${centre[0].toFixed(5)}` : "";
     const pixel = pinned && stage.project(pinned);
     pin.hidden = !pixel;
     if (pixel) pin.style.transform = `translate(${pixel[0].toFixed(1)}px, ${pixel[1].toFixed(1)}px)`;

@@ -24,6 +24,27 @@ export function el<K extends keyof HTMLElementTagNameMap>(
   return node;
 }
 
+/** A part that a button opens, and that the button, and Esc close. Returns what opens and closes it. */
+export function popup(button: HTMLButtonElement, part: HTMLElement, opened: () => void = () => undefined): (on: boolean) => void {
+  const open = (on: boolean) => {
+    part.hidden = !on;
+    button.setAttribute("aria-expanded", String(on));
+    if (on) opened();
+  };
+  button.addEventListener("click", () => open(part.hidden));
+  for (const node of [button, part])
+    node.addEventListener("keydown", (event) => {
+      if (event.key !== "Escape" || part.hidden) return;
+      event.stopPropagation();
+      open(false);
+      button.focus();
+    });
+  return open;
+}
+
+/** Keys of a slider that has the focus. */
+export const MOVES_SLIDER = /^(Arrow|Home|End|Page)/;
+
 export function fill(node: Element, ...children: Child[]): void {
   node.replaceChildren(...children.filter((child): child is Node | string => Boolean(child)));
 }

@@ -1,7 +1,7 @@
 // The menu “Download”: files of the state that is shown, an image of the view, the report of the drive.
 import { api, ApiError, type Instant, type TimelineItem } from "./api";
 import { countOf } from "./classes";
-import { el, fill, messageOf, utc } from "./dom";
+import { el, fill, messageOf, popup, utc } from "./dom";
 
 export interface Shown {
   map: string;
@@ -30,19 +30,7 @@ export function createDownloads(host: HTMLElement, actions: DownloadActions) {
   const button = el("button", { type: "button", class: "link", aria: { expanded: "false", controls: "downloads" } }, "Download");
   const menu = el("div", { class: "menu-popup", id: "downloads", hidden: true, role: "group", aria: { label: "Download" } });
   host.append(el("div", { class: "menu-host" }, button, menu));
-  const open = (on: boolean) => {
-    menu.hidden = !on;
-    button.setAttribute("aria-expanded", String(on));
-    if (on) draw();
-  };
-  button.addEventListener("click", () => open(menu.hidden));
-  const onKey = (event: Event) => {
-    if (!(event instanceof KeyboardEvent) || event.key !== "Escape" || menu.hidden) return;
-    event.stopPropagation();
-    open(false);
-    button.focus();
-  };
-  for (const part of [button, menu]) part.addEventListener("keydown", onKey);
+  const open = popup(button, menu, () => draw());
   document.addEventListener("pointerdown", (event) => {
     if (!menu.hidden && event.target instanceof Node && !menu.contains(event.target) && event.target !== button) open(false);
   });

@@ -1,5 +1,5 @@
 // Frame pairs and their images, fetched once and kept while they are near.
-import { judging, type Frame, type Side } from "./judging";
+import { api, type Frame, type Side } from "./api";
 import { messageOf } from "./dom";
 
 const MOST = 120;
@@ -30,7 +30,7 @@ export function createFrameCache() {
   async function load(map: string, frame: Frame, side: Side, feature: string | null): Promise<LoadedImage> {
     if (frame[side].problem !== null) return { url: null, problem: frame[side].problem };
     try {
-      const url = URL.createObjectURL(await judging.image(map, frame.drive_uuid, frame.frame_index, side, feature));
+      const url = URL.createObjectURL(await api.image(map, frame.drive_uuid, frame.frame_index, side, feature));
       await Object.assign(new Image(), { src: url }).decode().catch(() => undefined);
       return { url, problem: null };
     } catch (error) {
@@ -40,7 +40,7 @@ export function createFrameCache() {
 
   return {
     frame: (map: string, drive: string, index: number) =>
-      keep(frames, `${map} ${drive} ${index}`, () => judging.frame(map, drive, index), () => undefined),
+      keep(frames, `${map} ${drive} ${index}`, () => api.frame(map, drive, index), () => undefined),
     /** The image, decoded, or the reason why there is none. */
     image: (map: string, frame: Frame, side: Side, feature: string | null) =>
       keep(images, `${map} ${frame.drive_uuid} ${frame.frame_index} ${side} ${feature ?? ""}`, () => load(map, frame, side, feature),

@@ -1,4 +1,5 @@
 // Mouse and keyboard.
+import { MOVES_SLIDER } from "./dom";
 import type { Cone } from "./kinds";
 import type { Layout } from "./layout";
 import { tipOf } from "./overlays";
@@ -69,7 +70,7 @@ export function listenToInput(stage: Stage, layout: Layout, tools: Tools, action
       return;
     }
     if (typing) return;
-    if (target.matches("input[type=range]") && event.key.startsWith("Arrow")) return;
+    if (target.matches("input[type=range]") && MOVES_SLIDER.test(event.key)) return;
     if (tools.key(event) || actions.key(event) || stage.key(event)) event.preventDefault();
   });
 

@@ -1,10 +1,12 @@
 // How the scene is drawn: colouring, size and opacity of LiDAR points, base map, grid; and the buttons of the map.
-import { el } from "./dom";
+import { el, popup } from "./dom";
 import { SCENE, type Colouring, type Grid, type SceneState } from "./scene_state";
 
 export interface LayerActions {
   change(values: Partial<SceneState>): void;
   measure(): void;
+  /** The last drive in the paper's colours, before beside after; or the ordinary picture again. */
+  paper(on: boolean): void;
 }
 
 export function createLayers(host: HTMLElement, actions: LayerActions) {
@@ -23,27 +25,19 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
   const opacity = range("point-opacity", 0.1, 1, 0.05, (v) => actions.change({ opacity: v }));
   const basemap = range("basemap-opacity", 0, 1, 0.05, (v) => actions.change({ basemap: v }));
   const grid = select<Grid>("grid", [["lines", "lines"], ["labels", "lines with coordinates (plan only)"], ["none", "none"]], (g) => actions.change({ grid: g }));
+  const shading = el("input", { id: "shading", type: "checkbox", onchange: () => actions.change({ shading: shading.checked }) });
   const row = (text: string, control: HTMLElement) => el("label", { htmlFor: control.id }, el("span", { textContent: text }), control);
-  const points = el("div", { class: "group" }, row("Point colour", colouring), row("Point size", size), row("Point opacity", opacity));
+  const points = el("div", { class: "group" }, row("Point colour", colouring), row("Point size", size), row("Point opacity", opacity), row("Light by depth", shading));
   const tiles = row("Base map opacity", basemap);
   const reset = el("button", { type: "button", class: "link", textContent: "Reset", onclick: () => {
-    const { colouring: c, size: s, opacity: o, basemap: b, grid: g } = SCENE;
-    actions.change({ colouring: c, size: s, opacity: o, basemap: b, grid: g });
+    const { colouring, shading, size, opacity, basemap, grid } = SCENE;
+    actions.change({ colouring, shading, size, opacity, basemap, grid });
   } }); // prettier-ignore
-  const panel = el("div", { class: "layers-panel", id: "layers-panel", hidden: true }, points, tiles, row("Grid", grid), reset);
+  const paper = el("button", { type: "button", id: "paper", textContent: "Paper", title: "As in Figure 6 of the paper: LiDAR red, lane boundaries green, the new cone blue; before | after side by side",
+    onclick: () => actions.paper(paper.getAttribute("aria-pressed") !== "true") }); // prettier-ignore
+  const panel = el("div", { class: "layers-panel", id: "layers-panel", hidden: true }, row("Show as in", paper), points, tiles, row("Grid", grid), reset);
   const toggle = el("button", { type: "button", textContent: "Layers", aria: { expanded: "false", controls: "layers-panel" } });
-  const open = (on: boolean) => {
-    panel.hidden = !on;
-    toggle.setAttribute("aria-expanded", String(on));
-  };
-  toggle.addEventListener("click", () => open(panel.hidden));
-  const onKey = (event: Event) => {
-    if (!(event instanceof KeyboardEvent) || event.key !== "Escape" || panel.hidden) return;
-    event.stopPropagation();
-    open(false);
-    toggle.focus();
-  };
-  for (const part of [toggle, panel]) part.addEventListener("keydown", onKey);
+  popup(toggle, panel);
   const plan = el("button", { type: "button", id: "plan", title: "Switch between plan and 3D (T)", onclick: () => actions.change({ plan: plan.textContent === "Plan" }) });
   const measure = el("button", { type: "button", id: "measure", textContent: "Measure", title: "Measure distances and areas (M)", onclick: () => actions.measure() });
   host.append(el("div", { class: "map-tools", role: "toolbar", aria: { label: "Map" } }, plan, measure, toggle, panel));
@@ -57,6 +51,8 @@ export function createLayers(host: HTMLElement, actions: LayerActions) {
     show(scene: SceneState): void {
       plan.textContent = scene.plan ? "3D" : "Plan";
       measure.setAttribute("aria-pressed", String(scene.measure !== null));
+      paper.setAttribute("aria-pressed", String(scene.paper));
+      shading.checked = scene.shading;
       colouring.value = scene.colouring;
       grid.value = scene.grid;
       for (const [node, value] of [[size, scene.size], [opacity, scene.opacity], [basemap, scene.basemap]] as const) {

@@ -4,6 +4,7 @@ import { el, fill, lengthText, messageOf, plural, shortId, sureText } from "./do
 import { icon, STYLES, type Cone } from "./kinds";
 import { createListPane } from "./list_pane";
 import type { LiveStatus } from "./live";
+import { EMBEDDED, wholeLink } from "./share";
 import { wordsOf } from "./markings";
 
 interface CardOptions {
@@ -24,7 +25,7 @@ const SHORTCUTS: [string, string][] = [
   ["B, C", "before or after the drive, changes"],
   ["1, 2", "show or hide LiDAR points, lane boundaries"],
   ["P, N", "previous, next image along the drive"],
-  ["I", "full images of the selected cone"],
+  ["I, F, V", "full images of the selected cone, camera follows image, before and after as a swipe"],
   ["R, D", "review changes, differences from plans"],
   ["/", "search"],
   ["L", "open or close the list"],
@@ -41,7 +42,7 @@ export function createLayout(app: HTMLElement) {
   const listButton = el("button", { type: "button", class: "link", aria: { expanded: "false" } }, "List ", el("kbd", { textContent: "L" }));
   const listPane = createListPane(list, listButton);
   /** Parts of the header that other modules fill. */
-  const tools = { search: el("div", { class: "tool-search" }), download: el("div", {}) };
+  const tools = { search: el("div", { class: "tool-search" }), download: el("div", {}), more: el("div", { class: "tool-more" }) };
   const timeline = el("footer", { class: "timeline" });
   const brand = el("h1", { class: "brand" });
   const whoHost = el("span", { class: "who", hidden: true, title: "Logged in" });
@@ -61,7 +62,7 @@ export function createLayout(app: HTMLElement) {
   let loggingIn: Promise<void> | null = null;
   const help = el("dialog", { class: "help" },
     el("h2", { textContent: "Shortcuts" }), el("dl", {}, ...SHORTCUTS.flatMap(([keys, what]) => [el("dt", { textContent: keys }), el("dd", { textContent: what })])),
-    el("p", { class: "hint", textContent: "Cones are drawn with their measured height and a standard width; markers have a fixed size. To share this view, send the address of this page." }),
+    el("p", { class: "hint", textContent: "Cones are drawn with their measured height and a standard width; markers have a fixed size." }),
     el("button", { type: "button", textContent: "Close", onclick: () => help.close() })); // prettier-ignore
   const menu = el("button", { type: "button", class: "menu", textContent: "☰ Legend", aria: { expanded: "false", controls: "sidebar" } });
   const openMenu = (on: boolean) => {
@@ -78,10 +79,18 @@ export function createLayout(app: HTMLElement) {
   });
   const helpButton = el("button", { type: "button", class: "link help-button", onclick: () => help.showModal() }, "Shortcuts ", el("kbd", { textContent: "?" }));
   app.append(
-    el("header", { class: "top" }, menu, brand, tools.search, el("span", { class: "space" }), whoHost, dot, tools.download, listButton, helpButton),
+    el("header", { class: "top" }, menu, brand, tools.search, el("span", { class: "space" }), whoHost, dot, tools.download, listButton),
     progress, sidebar, view, panel, list, timeline, toasts, help, loginDialog,
   ); // prettier-ignore
   view.append(cardHost, noticeHost, tip);
+  tools.more.append(helpButton);
+  const narrow = window.matchMedia("(max-width: 760px)");
+  /** Beside the other buttons of the header where there is room, else at the end of the legend. */
+  const place = () => (narrow.matches ? sidebar : app.querySelector(".top"))?.append(tools.more);
+  narrow.addEventListener("change", place);
+  place();
+  app.classList.toggle("embedded", EMBEDDED);
+  if (EMBEDDED) view.append(wholeLink());
 
   function tell(cone: Cone): void {
     const shift = cone.kind === "moved" && cone.shift_m !== null ? ` by ${cone.shift_m.toFixed(2)} m` : "";

@@ -16,6 +16,7 @@ import { listenToInput } from "./input";
 import { createLayout } from "./layout";
 import { createLists } from "./lists";
 import { listen } from "./live";
+import { isQuiet } from "./markings";
 import { createOverlays } from "./overlays";
 import { changeQueue, differenceQueue, passesOf } from "./queues";
 import { changesetOf, changesOfState, drivesShown, shownInstant, unknownChangeset, withChanges } from "./query";
@@ -23,12 +24,13 @@ import { createReview } from "./review";
 import { createStage, type Stage } from "./scene";
 import { createMarker, createSearch } from "./search";
 import { createSelection, subjectAfter } from "./selection";
+import { EMBEDDED, shareButton } from "./share";
 import { createSidebar } from "./sidebar";
 import { createSites, nearTo } from "./sites";
 import { parseState, type State } from "./state";
 import "./style.css";
 import "./table.css";
-import { themeSwitch } from "./theme";
+import { setPaper, themeSwitch } from "./theme";
 import { changesOf, createTimeline } from "./timeline";
 import { createTiles, seenArea } from "./tiles";
 import { createTools } from "./tools";
@@ -74,11 +76,15 @@ const tools = createTools(stage, layout.view, cones, {
     tools.apply(state);
   },
   cones: () => visible(),
+  paper: (on) => void showPaper(on),
   trouble: (text) => layout.toast(text, null),
   redraw: () => draw(),
 });
 
+/** Of the surroundings of a change that are shown with it. */
+const AROUND_M = 6;
 let maps: MapItem[] = [];
+let embeddable = false;
 let timeline: Timeline | null = null;
 /** All that is drawn one by one: what changed, and what stands, in view. */
 let all: Cone[] = [];
@@ -144,7 +150,7 @@ const showTimeline = createTimeline(layout.timeline, {
   decided: () => void newDecision(),
   decisions: () => decisions?.decisions ?? [],
 });
-const viewer = createViewer(document.body, { walked: (start) => selection.walked(start), camera: (view) => selection.camera(view) });
+const viewer = createViewer(document.body, { walked: (start) => selection.walked(start), camera: (view) => selection.camera(view), follow: followImages });
 const selection = createSelection(layout.panel, stage, overlays, viewer, {
   state: () => state,
   timeline: () => timeline,
@@ -301,6 +307,7 @@ async function openMap(): Promise<void> {
   try {
     const answer = await api.maps();
     maps = answer.maps;
+    embeddable = answer.embeddable;
     if (!state.map) state.map = nameOf(answer);
     tools.basemap(answer.basemap);
     sidebar.showMaps(maps, state.map);
@@ -382,7 +389,7 @@ async function readDecisions(): Promise<void> {
   try {
     const answer = await api.decisions(map);
     if (map !== state.map) return;
-    decisions = answer;
+    decisions = EMBEDDED ? { ...answer, writable: false, decides_drives: false } : answer;
     writer.logIn(answer.person);
     layout.person(answer.person);
     showDecisionList(answer);
@@ -594,6 +601,7 @@ function drawMark(): void {
 const restKind = (): Kind => (showsChanges() ? "unchanged" : "standing");
 
 function draw(): void {
+  setPaper(state.scene.paper);
   const shown = visible();
   cones.show(shown);
   input.shown(shown);
@@ -608,6 +616,7 @@ function draw(): void {
   base.apply(state);
   tools.show(tiles.isWhole() ? all : overview.map((xyz) => ({ xyz, kind: restKind() })));
   tools.apply(state);
+  viewer.follows(state.scene.follow);
   overlays.showLabels(shown, state.feature);
   sidebar.show(state, all, shown.length, counts, tiles.isWhole() ? 0 : [...counts.values()].reduce((sum, n) => sum + n, 0) - all.length);
   showTimeline(state, timeline?.changesets ?? []);
@@ -647,6 +656,25 @@ function fit(): void {
   stage.fit([...points, ...(points.length ? near : path)]);
 }
 
+function followImages(follow: boolean): void {
+  change({ scene: { ...state.scene, follow, plan: state.scene.plan && !follow } }, false);
+  selection.followImage();
+}
+
+/** The shown drive, else the last one of the map, in the paper's colours: before beside after, near to what changed. */
+async function showPaper(on: boolean): Promise<void> {
+  const items = timeline?.changesets ?? [];
+  const last = state.mode === "drive" && state.changeset !== null ? changeset(state.changeset) : items.filter((t) => t.counts).at(-1);
+  const at = items.findIndex((t) => t === last);
+  const scene = { ...state.scene, paper: on, swipe: on ? "split" as const : null };
+  state = !on ? { ...state, mode: "instant", valid: null, scene }
+    : { ...state, mode: "compare", from: items[at - 1]?.changeset_no ?? 0, to: at === items.length - 1 ? null : last?.changeset_no ?? null, known: null, points: true, lines: true, scene }; // prettier-ignore
+  address.writeChoice();
+  await refresh();
+  const changed = visible().filter((c) => !isQuiet(c.kind));
+  if (on && changed.length) stage.fit(changed.flatMap(({ xyz: [x, y, z] }) => [-AROUND_M, AROUND_M].flatMap((d): Vec3[] => [[x + d, y, z], [x, y + d, z]])));
+}
+
 /** Before the first picture a card says why; later the picture stays, and the controls say again what it shows. */
 function fail(error: unknown, again: () => unknown): void {
   stage.start();
@@ -676,6 +704,7 @@ function comeNearer(x: number, y: number): boolean {
 }
 
 function handleKey(event: KeyboardEvent): boolean {
+  if (EMBEDDED && "rRdDlL/?".includes(event.key)) return false;
   const items = timeline?.changesets ?? [];
   const at = items.findIndex((t) => t === changeset(state.changeset));
   const step = (by: number) => {
@@ -691,6 +720,7 @@ function handleKey(event: KeyboardEvent): boolean {
     case "n": case "N": viewer.step(1); return true;
     case "p": case "P": viewer.step(-1); return true;
     case "i": case "I": viewer.cover(); return true;
+    case "v": case "V": case "f": case "F": return viewer.key(event);
     case "1": change({ points: !state.points }, false); return true;
     case "2": change({ lines: !state.lines }, false); return true;
     case "r": case "R": review.set(true); return true;
@@ -726,5 +756,5 @@ window.conetlPickTime = (x, y) => {
 };
 
 fill(layout.brand, el("b", { textContent: "conetl" }), " map");
-layout.brand.parentElement?.querySelector(".status")?.after(themeSwitch());
+layout.tools.more.prepend(shareButton({ write: address.write, mayEmbed: () => embeddable, said: layout.toast }), themeSwitch());
 void openMap();

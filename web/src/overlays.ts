@@ -3,9 +3,8 @@ import {
   BufferGeometry, CircleGeometry, DoubleSide, Float32BufferAttribute, Group, InstancedMesh, Line, LineBasicMaterial,
   LineLoop, LineSegments, Matrix4, Mesh, MeshBasicMaterial, Object3D, Shape, ShapeGeometry, Vector3,
 } from "three";
-import type { HistoryItem, Trajectory, Vec3 } from "./api";
+import type { FrameView, HistoryItem, Trajectory, Vec3 } from "./api";
 import { el } from "./dom";
-import type { FrameView } from "./judging";
 import type { Cone } from "./kinds";
 import { leftAt } from "./markings";
 import type { Stage } from "./scene";

@@ -3,6 +3,7 @@ import {
   BufferAttribute, BufferGeometry, Box3, Color, Frustum, Group, InterleavedBuffer, InterleavedBufferAttribute, Matrix4, Points, ShaderMaterial, Vector3,
 } from "three";
 import type { BaseTile } from "./api";
+import { createEyeDome } from "./eye_dome";
 import type { Stage } from "./scene";
 import type { SceneState } from "./scene_state";
 import type { Colours } from "./theme";
@@ -82,6 +83,7 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void) 
     choose(moving ? movingBudget : MAX_DRAWN);
     load();
   });
+  const eyeDome = createEyeDome(stage, group); // its pictures are made of the chosen tiles
 
   /** The time between two frames of one movement is the cost of a frame, even if another process draws it. */
   function adapt(): void {
@@ -209,7 +211,8 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void) 
       visible = on;
       stage.draw();
     },
-    setStyle({ dark, bright, heights }: Colours, { colouring, size, opacity }: SceneState): void {
+    setStyle({ dark, bright, heights }: Colours, { colouring, size, opacity, shading }: SceneState): void {
+      eyeDome(shading);
       const u = material.uniforms;
       [dark, bright, ...heights].forEach((css, i) => (u[["dark", "bright", "low", "middle", "high"][i]!]!.value as Color).set(css));
       u["colouring"]!.value = ["intensity", "height", "one"].indexOf(colouring);

@@ -1,7 +1,6 @@
 // From the map into an image. Image points count from the image's edge: the centre of the first pixel is 0.5.
-import type { HistoryItem, Vec3 } from "./api";
+import type { FrameView, HistoryItem, Vec3 } from "./api";
 import { classOf, CONE } from "./classes";
-import type { FrameView } from "./judging";
 import { ellipse95 } from "./overlays";
 
 export type Point = [number, number];

@@ -1,8 +1,7 @@
 // What is reviewed: drives and changes, and differences between planned and found work zones; with the answers to each.
-import { api, type DecisionRequest, type DifferenceRow } from "./api";
+import { api, type DecisionRequest, type DifferenceRow, type ReviewItem, type ReviewKind } from "./api";
 import { CLASSES, classOf } from "./classes";
 import { shortId, sureText, utc } from "./dom";
-import { judging, type ReviewItem, type ReviewKind } from "./judging";
 import type { Answer, By, Queue } from "./review";
 
 const PAGE = 100;
@@ -42,7 +41,7 @@ export function changeQueue(actions: Actions<ReviewItem> & { decidesDrives(): bo
   return {
     ...actions, id: "review", name: "Review", title: "Drives and changes to review, in images", reason: "judged in the images",
     async read(map, offset) {
-      const { items, counts } = await judging.review(map, offset, PAGE);
+      const { items, counts } = await api.review(map, offset, PAGE);
       return { items, total: Object.values(counts).reduce((a, b) => a + b, 0) };
     },
     card: (i) => ({

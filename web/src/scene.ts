@@ -5,7 +5,7 @@ import {
   PerspectiveCamera, Scene, Spherical, TOUCH, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import type { Vec3 } from "./api";
+import type { FrameView, Vec3 } from "./api";
 import { el } from "./dom";
 import type { CameraPose } from "./state";
 import { colours, onTheme } from "./theme";
@@ -18,6 +18,8 @@ const PHI = 0.95;
 /** Of the plan's camera over the ground. */
 const PLAN_HEIGHT_M = 2000;
 const [LEAST_M, MOST_M] = [0.6, 2e6];
+/** To the point that is turned around, where the camera follows an image. */
+const AHEAD_M = 10;
 const GRID_LINES = 60;
 const PIECE_CELLS = 5;
 /** z is up in the map; three's spherical angles want y up. */
@@ -45,6 +47,8 @@ export function createStage(host: HTMLElement) {
   const planCamera = new OrthographicCamera();
   planCamera.far = 2 * PLAN_HEIGHT_M;
   let plan = false;
+  /** The middle of the picture is drawn twice, side by side. */
+  let split = false;
   camera.up.set(0, 0, 1);
   camera.position.set(0, -30, 20);
   const controls = new OrbitControls(camera, canvas);
@@ -142,6 +146,18 @@ export function createStage(host: HTMLElement) {
     changed();
   }
 
+  /** From where an image was taken, along its axis and with all of it in view; null: with the usual field of view. Its roll is left out. */
+  function lookFrom(view: FrameView | null): void {
+    const reach = (centre: number, size: number, focal: number) => Math.max(centre, size - centre) / focal;
+    camera.zoom = view ? Math.min((TAN * camera.aspect) / reach(view.cx_px, view.width_px, view.fx_px), TAN / reach(view.cy_px, view.height_px, view.fy_px)) : 1;
+    if (!view) return draw();
+    const back = view.map_R_camera.map((row) => -row[2]) as Vec3;
+    const { theta, phi } = new Spherical().setFromVector3(toYUp(new Vector3(...back)));
+    const level = Math.min(phi, controls.maxPolarAngle);
+    const from = toZUp(new Vector3().setFromSphericalCoords(AHEAD_M, level, theta));
+    setPose([view.xyz_m[0] - from.x, view.xyz_m[1] - from.y, view.xyz_m[2] - from.z, theta, level, AHEAD_M]);
+  }
+
   function changed(): void {
     const now = current();
     for (const callback of cameraCallbacks) callback(now);
@@ -150,6 +166,7 @@ export function createStage(host: HTMLElement) {
 
   function fit(points: Vec3[]): void {
     if (!points.length) return;
+    camera.zoom = 1;
     const [, , , theta, phi] = current();
     // In the axes of the present view: across, up and towards the camera.
     const view = toZUp(new Vector3().setFromSphericalCoords(1, phi, theta));
@@ -158,7 +175,7 @@ export function createStage(host: HTMLElement) {
     const seen = points.map((p) => axes.map((axis) => new Vector3(...p).dot(axis)));
     const middle = axes.map((_, i) => (least(seen.map((s) => s[i] ?? 0)) + most(seen.map((s) => s[i] ?? 0))) / 2);
     const tanV = TAN * 0.8;
-    const tanH = tanV * camera.aspect;
+    const tanH = (tanV * camera.aspect) / (split ? 2 : 1);
     const [across = 0, up = 0, towards = 0] = middle;
     const distance = ([a = 0, b = 0, c = 0]: number[]) =>
       c - towards + Math.max(Math.abs(a - across) / tanH, Math.abs(b - up) / tanV);
@@ -170,7 +187,7 @@ export function createStage(host: HTMLElement) {
   /** Pixels per metre at a depth; in the plan everywhere the same. */
   function pixelsAtDepth(depth_m: number): number {
     const depth = plan ? camera.position.distanceTo(controls.target) : Math.max(depth_m, 0.05);
-    return canvas.clientHeight / (2 * TAN * depth);
+    return (canvas.clientHeight * (plan ? 1 : camera.zoom)) / (2 * TAN * depth);
   }
 
   const seenAt = new Vector3();
@@ -234,19 +251,23 @@ export function createStage(host: HTMLElement) {
   /** The point of the ground under a pixel of the canvas; null above the horizon. */
   function groundAt(px: number, py: number): Vec3 | null {
     if (!drawing) placeCameras(); // it may have moved since the last frame
-    ray.set((px / canvas.clientWidth) * 2 - 1, 1 - (py / canvas.clientHeight) * 2, 0.5).unproject(stage.camera);
+    ray.set((unsplit(px) / canvas.clientWidth) * 2 - 1, 1 - (py / canvas.clientHeight) * 2, 0.5).unproject(stage.camera);
     if (plan) return [ray.x, ray.y, ground];
     ray.sub(camera.position);
     const t = (ground - camera.position.z) / ray.z;
     return t > 0 && Number.isFinite(t) ? [camera.position.x + t * ray.x, camera.position.y + t * ray.y, ground] : null;
   }
 
+  const halfShift = () => (split ? canvas.clientWidth / 4 : 0);
+  /** From the half of a split picture to the whole one. */
+  const unsplit = (px: number) => px + (px < canvas.clientWidth / 2 ? 1 : -1) * halfShift();
+
   controls.addEventListener("change", changed);
   new ResizeObserver(resize).observe(host);
   resize();
 
   const stage = {
-    scene, canvas, renderer, draw, fit, setPose, key, sees, groundAt, pixelsAtDepth,
+    scene, canvas, renderer, draw, fit, setPose, key, sees, groundAt, pixelsAtDepth, lookFrom, unsplit, halfShift,
     get camera(): PerspectiveCamera | OrthographicCamera {
       return plan ? planCamera : camera;
     },
@@ -270,6 +291,11 @@ export function createStage(host: HTMLElement) {
       setControls();
       if (keep) draw();
       else setPose([...at, on ? 0 : theta, on ? PLAN_PHI : PHI, radius] as CameraPose);
+    },
+    /** Both halves show the middle of the picture. */
+    setSplit(on: boolean): void {
+      split = on;
+      controls.zoomToCursor = !on;
     },
     showGrid(on: boolean): void {
       minor.visible = major.visible = on;
@@ -295,6 +321,7 @@ export function createStage(host: HTMLElement) {
       setPose([x, y, z, 0, phi, radius]);
     },
     lookAt(point: Vec3, distance_m: number): void {
+      camera.zoom = 1;
       const [, , , theta, phi] = current();
       setPose([...point, theta, phi, distance_m]);
     },
@@ -302,11 +329,12 @@ export function createStage(host: HTMLElement) {
       ground = height_m;
       draw();
     },
-    /** Pixels from the canvas's top left; null behind the camera. */
+    /** Pixels from the canvas's top left, of a split picture in its right half; null behind the camera, and beside that half. */
     project(point: Vec3): [number, number] | null {
       const v = new Vector3(...point).project(stage.camera);
       if (v.z > 1 || v.z < -1) return null;
-      return [((v.x + 1) / 2) * canvas.clientWidth, ((1 - v.y) / 2) * canvas.clientHeight];
+      const x = ((v.x + 1) / 2) * canvas.clientWidth + halfShift();
+      return split && x < canvas.clientWidth / 2 ? null : [x, ((1 - v.y) / 2) * canvas.clientHeight];
     },
   };
   setControls();

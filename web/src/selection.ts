@@ -1,10 +1,9 @@
 // The selected feature: its details in the panel, its ellipse and camera in the scene, its images.
-import { api, type Decisions, type HistoryItem, type Sighting, type Timeline } from "./api";
+import { api, type Decisions, type FrameView, type HistoryItem, type Sighting, type Timeline } from "./api";
 import { aboutFeature } from "./decisions";
 import { shortId } from "./dom";
 import { isGone, type Cone, type Kind } from "./kinds";
 import { ellipse95, niceFactor, type Overlays } from "./overlays";
-import type { FrameView } from "./judging";
 import { createPanel, stateOf, type Chosen } from "./panel";
 import { shownState } from "./query";
 import type { Stage } from "./scene";
@@ -43,6 +42,8 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
   /** Number of the latest selection: answers to earlier ones are dropped. */
   let selecting = 0;
   let shownImages = "";
+  /** The camera of the image that is shown. */
+  let imaged: FrameView | null = null;
 
   const panel = createPanel(host, {
     close: () => void select(null),
@@ -142,6 +143,11 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
     }
   }
 
+  function follow(view: FrameView | null): void {
+    const { follow: on, plan } = page.state().scene;
+    stage.lookFrom(on && !plan ? view : null);
+  }
+
   function centre(): void {
     const now = chosen && (stateOf(chosen) ?? chosen.history[0]);
     if (now) stage.lookAt(now.xyz_m, 9);
@@ -160,9 +166,13 @@ export function createSelection(host: HTMLElement, stage: Stage, overlays: Overl
       page.writeChoice();
     },
     camera(view: FrameView | null): void {
+      if (view !== imaged) follow(view);
+      imaged = view;
       const now = chosen && (stateOf(chosen) ?? chosen.history[0]);
       overlays.showCamera(view, now?.xyz_m ?? null);
     },
+    /** The choice to follow images changed. */
+    followImage: () => follow(imaged),
     /** Read it again if another state of the database is shown. */
     follow: () => {
       if (chosen && chosen.known !== shown().known) void select(chosen.id);

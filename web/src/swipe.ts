@@ -3,6 +3,7 @@ import type { createCones } from "./cones";
 import { el } from "./dom";
 import type { Cone } from "./kinds";
 import type { Stage } from "./scene";
+import type { Swipe } from "./scene_state";
 
 type Cones = ReturnType<typeof createCones>;
 const STEP = 0.02;
@@ -37,28 +38,37 @@ export function createSwipe(stage: Stage, host: HTMLElement, ofChanges: Cones, m
     const { renderer, scene, camera, canvas } = stage;
     const [width, height] = [canvas.clientWidth, canvas.clientHeight];
     const split = Math.round(width * (at ?? 0.5));
+    const shift = stage.halfShift();
     renderer.setScissorTest(true);
-    for (const [i, cones] of (sides ?? []).entries()) {
-      sides?.forEach((other, j) => other.setVisible(i === j));
+    for (const i of [0, 1]) {
+      sides?.forEach((side, j) => side.setVisible(i === j && shown !== null));
       renderer.setScissor(i ? split : 0, 0, i ? width - split : split, height);
-      if (cones) renderer.render(scene, camera);
+      renderer.setViewport(i ? shift : -shift, 0, width, height);
+      renderer.render(scene, camera);
     }
     renderer.setScissorTest(false);
+    renderer.setViewport(0, 0, width, height);
   }
 
   return {
-    /** `at`: where the divider is; null: off. The cones of both states are those of the last call that gave any. */
-    show(next: number | null, states: [Cone[], Cone[]] | null, names: [string, string]): void {
-      at = next;
+    /** `next`: where the divider is, or both states side by side; null: off. Until both states are there the changes are drawn. */
+    show(next: Swipe | null, states: [Cone[], Cone[]] | null, names: [string, string]): void {
+      const isSplit = next === "split";
+      at = next === "split" ? 0.5 : next;
+      stage.setSplit(isSplit);
       const on = at !== null && states !== null;
       divider.hidden = !on;
+      divider.classList.toggle("fixed", isSplit);
+      divider.tabIndex = isSplit ? -1 : 0;
+      divider.setAttribute("role", isSplit ? "separator" : "slider");
       ofChanges.setVisible(!on);
-      stage.canvas.dataset["swipe"] = on ? String(at) : "";
-      if (!on) {
+      stage.canvas.dataset["swipe"] = on ? String(next) : "";
+      if (!on && isSplit) stage.setRender(render);
+      else if (!on) {
         sides?.forEach((side) => side.setVisible(false));
-        shown = null;
-        return stage.setRender(null);
+        stage.setRender(null);
       }
+      if (!states) return void (shown = null);
       sides ??= [make(), make()];
       if (shown !== states) {
         shown = states;
@@ -73,7 +83,7 @@ export function createSwipe(stage: Stage, host: HTMLElement, ofChanges: Cones, m
     /** The cone under a pixel, of the state that is shown there. */
     pick(x: number, y: number): Cone | null {
       if (at === null || !sides || !shown) return ofChanges.pick(x, y);
-      return sides[x < stage.canvas.clientWidth * at ? 0 : 1].pick(x, y);
+      return sides[x < stage.canvas.clientWidth * at ? 0 : 1].pick(stage.unsplit(x), y);
     },
     /** The theme changed. */
     redraw: () => sides?.forEach((side, i) => side.show(shown?.[i] ?? [])),

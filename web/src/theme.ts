@@ -34,6 +34,12 @@ export const COLOURS: Record<"light" | "dark", Colours> = {
   },
 }; // prettier-ignore
 
+/** As in Figure 6 of Lagahit & Tseng: LiDAR red, lane boundaries green, the new cone blue. */
+const PAPER = {
+  light: { dark: "#eeb4ae", bright: "#c2281d", line: "#12833a", added: "#0a45d6" },
+  dark: { dark: "#6e1d18", bright: "#f2564a", line: "#37d067", added: "#5d92ff" },
+};
+
 const KEY = "conetl-theme";
 const system = window.matchMedia("(prefers-color-scheme: dark)");
 const callbacks: (() => void)[] = [];
@@ -49,8 +55,12 @@ function read(): string | null {
 
 const isDark = () => (choice === null ? system.matches : choice === "dark");
 
-export const colours = (): Colours => COLOURS[isDark() ? "dark" : "light"];
-export const colourOf = (kind: Kind): string => (isDark() ? STYLES[kind].dark : STYLES[kind].colour);
+let paper = false;
+const ofPaper = () => (paper ? PAPER[isDark() ? "dark" : "light"] : null);
+export const colours = (): Colours => ({ ...COLOURS[isDark() ? "dark" : "light"], ...ofPaper() });
+/** Of the bodies of new cones; null: their own paint. */
+export const newPaint = (): string | null => ofPaper()?.added ?? null;
+export const colourOf = (kind: Kind): string => (kind === "added" && newPaint()) || (isDark() ? STYLES[kind].dark : STYLES[kind].colour);
 /** The colour of a kind for an element's style: it follows the theme. */
 export const colourVariable = (kind: Kind) => `var(--kind-${kind})`;
 
@@ -60,8 +70,16 @@ export const onTheme = (callback: () => void) => void callbacks.push(callback);
 function apply(): void {
   const root = document.documentElement;
   root.dataset["theme"] = isDark() ? "dark" : "light";
+  for (const [name, value] of [["--points", colours().dark], ["--lines", colours().line]] as const) root.style.setProperty(name, value);
   for (const kind of KIND_ORDER) root.style.setProperty(`--kind-${kind}`, colourOf(kind));
   for (const callback of callbacks) callback();
+}
+
+/** The colours of the paper, or those of the map viewer. */
+export function setPaper(on: boolean): void {
+  if (on === paper) return;
+  paper = on;
+  apply();
 }
 
 /** Switches to the other one; choosing what the system has follows the system again. */

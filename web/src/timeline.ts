@@ -43,6 +43,8 @@ export const changesOf = (items: TimelineItem[]) => [...changes(items, objectsOf
 export function createTimeline(host: HTMLElement, actions: TimelineActions) {
   let [now, drives]: [State | null, TimelineItem[]] = [null, []];
   const modeTabs = segmented("View mode", MODES, (mode) => {
+    // On low screens all but these tabs is folded away until one is chosen, and when it is chosen again.
+    host.classList.toggle("open", mode !== now?.mode || !host.classList.contains("open"));
     const neverChosen = mode === "compare" && now?.from === 0 && now.to === null;
     actions.change({ mode, ...(neverChosen && { from: beforeLastDay(drives) }) });
   });
@@ -188,9 +190,10 @@ function compareView(actions: TimelineActions) {
   const [from, to] = [el("select", {}), el("select", {})];
   const known = knownSelect(actions);
   const number = (select: HTMLSelectElement) => (select.value === "latest" ? null : Number(select.value));
-  const swipe = el("input", { type: "checkbox", id: "swipe" });
+  const [swipe, split] = [el("input", { type: "checkbox", id: "swipe" }), el("input", { type: "checkbox", id: "split" })];
   let latest: State | null = null;
-  swipe.addEventListener("change", () => latest && actions.change({ scene: { ...latest.scene, swipe: swipe.checked ? 0.5 : null } }, false));
+  for (const [box, value] of [[swipe, 0.5], [split, "split"]] as const)
+    box.addEventListener("change", () => latest && actions.change({ scene: { ...latest.scene, swipe: box.checked ? value : null } }, false));
   let newest = 0;
   let filled: TimelineItem[] | null = null;
   const choose = () => actions.change({ from: number(from) ?? newest, to: number(to) });
@@ -201,6 +204,7 @@ function compareView(actions: TimelineActions) {
   return {
     node: el("div", { class: "form-line" }, el("label", {}, "From ", from), swap, el("label", {}, "to ", to), known.node,
       el("label", { class: "check", title: "Show the first state left of a divider, the second right of it" }, swipe, "Swipe"),
+      el("label", { class: "check", title: "Show both states, each in a half of the picture" }, split, "Side by side"),
       el("p", { class: "hint", textContent: "A cone counts as moved if it shifted by more than min_gate_m, a parameter of the newest drive (0.5 m by default)." })), // prettier-ignore
     update(state: State, items: TimelineItem[]): void {
       latest = state;
@@ -209,7 +213,8 @@ function compareView(actions: TimelineActions) {
       from.value = state.from === newest ? "latest" : String(state.from);
       to.value = state.to === null || state.to === newest ? "latest" : String(state.to);
       swap.disabled = state.from === 0;
-      swipe.checked = state.scene.swipe !== null;
+      swipe.checked = typeof state.scene.swipe === "number";
+      split.checked = state.scene.swipe === "split";
       known.update(state, items);
     },
   };

@@ -23,6 +23,7 @@ export interface ToolActions {
   state(): State;
   change(values: Partial<SceneState>): void;
   cones(): Cone[];
+  paper(on: boolean): void;
   trouble(text: string): void;
   /** Draw everything again, in other colours. */
   redraw(): void;
@@ -44,7 +45,7 @@ export function createTools(stage: Stage, host: HTMLElement, ofChanges: ReturnTy
     changed: (measured) => change({ measure: measured }),
   });
   const swipe = createSwipe(stage, host, ofChanges, () => createCones(stage), (at) => change({ swipe: at }));
-  const layers = createLayers(host, { change, measure: () => measure.toggle() });
+  const layers = createLayers(host, { change, measure: () => measure.toggle(), paper: actions.paper });
   let timeline: Timeline | null = null;
   let states: [Cone[], Cone[]] | null = null;
   const tiles: [Tiles, Tiles] = [createTiles(stage), createTiles(stage)];

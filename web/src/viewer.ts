@@ -1,11 +1,11 @@
 // The image viewer: whole images of a frame pair, zoomed and panned, with boxes, the projected cone and epipolar lines; played along
 // the drive, and beside the drive before. It is docked in a part of the page, or covers the page.
-import { api, type HistoryItem, type Sighting, type Trajectory } from "./api";
-import { el, fill, messageOf, plural, utc, when } from "./dom";
+import { api, type DrivePass, type Frame, type FrameView, type HistoryItem, type PassFrame, type Side, type Sighting, type Trajectory } from "./api";
+import { el, fill, messageOf, MOVES_SLIDER, plural, utc, when } from "./dom";
 import { createFrameCache, type LoadedImage } from "./frame_cache";
 import { createPane, type Pane, type Picture, type Shape, type View } from "./image_pane";
-import { bestFrame, judging, type DrivePass, type Frame, type FrameView, type PassFrame, type Side } from "./judging";
 import { isGone, STYLES } from "./kinds";
+import { apart, bestFrame, bestSide, counterpart, firstOf, othersOf } from "./passes";
 import { ellipseOutline, epipolarLine, outlineOf, project, type Point } from "./projection";
 import "./viewer.css";
 
@@ -54,6 +54,8 @@ export interface ViewerEvents {
   walked(start: Start): void;
   /** Another image is shown; null: none. */
   camera(view: FrameView | null): void;
+  /** A person wants the map's camera to follow the images, or not. */
+  follow(on: boolean): void;
 }
 
 export function createViewer(host: HTMLElement, events: ViewerEvents) {
@@ -79,6 +81,10 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
   const text = el("p", { class: "viewer-text", role: "status", aria: { live: "polite" } });
   const stepper = (by: number, sign: string, label: string) => el("button", { type: "button", class: "step", textContent: sign, title: label, aria: { label }, onclick: () => step(by) });
   const button = (label: string, key: string, run: () => void) => el("button", { type: "button", title: `${label} (${key})`, textContent: label, onclick: run });
+  const wipeBox = el("input", { type: "checkbox", class: "wipe-on", onchange: () => draw() });
+  const wipeRow = el("label", { class: "check", title: "One over the other, with a divider (V)" }, wipeBox, "Swipe", el("kbd", { textContent: "V" }));
+  const wipe = el("input", { type: "range", class: "wipe", min: "0", max: "100", value: "50", aria: { label: "Divider between before and after" }, oninput: () => wipeTo() });
+  const followBox = el("input", { type: "checkbox", id: "follow", onchange: () => events.follow(followBox.checked) });
   const zoom = button("Zoom to the cone", "Z", () => zoomToCone(CONE_SHARE));
   const compareRow = el("label", { class: "check" }, compareBox, "Compare with", others, el("kbd", { textContent: "C" }));
   const dialog = el("dialog", { class: "viewer", aria: { label: "Images" } },
@@ -89,9 +95,9 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
       ...switches.map(({ node }) => node),
       el("span", { class: "space" }),
       zoom, button("Whole image", "0", () => setView(WHOLE))),
-    panesHost,
+    panesHost, wipe,
     el("footer", {}, el("div", { class: "viewer-line" }, drives, play, stepper(-1, "‹", "Previous frame pair (←)"), el("div", { class: "viewer-track" }, ticks, slider), stepper(1, "›", "Next frame pair (→)"),
-      el("button", { type: "button", class: "enlarge", textContent: "Enlarge", title: "Over the whole page, with all tools (I)", onclick: () => cover() })), text)); // prettier-ignore
+      el("button", { type: "button", class: "enlarge", textContent: "Enlarge", title: "Over the whole page, with all tools (I)", onclick: () => cover() })), text, el("div", { class: "viewer-line" }, wipeRow, el("label", { class: "check follow", title: "The map is seen from where the image was taken (F)" }, followBox, "Camera follows image", el("kbd", { textContent: "F" }))))); // prettier-ignore
   host.append(dialog);
 
   let subject: Subject | null = null;
@@ -135,6 +141,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
   });
 
   function key(event: KeyboardEvent): boolean {
+    if (event.target === wipe && MOVES_SLIDER.test(event.key)) return false;
     const box = SWITCHES.find(([, , letter]) => letter.toLowerCase() === event.key.toLowerCase())?.[0];
     const side = SIDES.find(([, , digit]) => digit === event.key)?.[0];
     if (box) flip(box, !on(box));
@@ -148,6 +155,8 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
     else if (event.key === "0") setView(WHOLE);
     else if (event.key.toLowerCase() === "z") zoomToCone(CONE_SHARE);
     else if (event.key.toLowerCase() === "c") setCompare(!compare);
+    else if (event.key.toLowerCase() === "v" && !wipeRow.hidden) wipeBox.click();
+    else if (event.key.toLowerCase() === "f" && isDocked()) followBox.click();
     else if (event.key.toLowerCase() === "i") isCovering() ? dialog.close() : cover();
     else return false;
     return true;
@@ -166,6 +175,13 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
   function setSides(value: Sides): void {
     sides = value;
     void show();
+  }
+
+  const wipes = () => wipeBox.checked && !wipeRow.hidden;
+
+  function wipeTo(): void {
+    panesHost.style.setProperty("--wipe", `${100 - Number(wipe.value)}%`);
+    wipe.setAttribute("aria-valuetext", `${wipe.value} % before`);
   }
 
   function setView(next: View): void {
@@ -343,8 +359,11 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
       panes.push(pane);
     }
     panes = panes.slice(0, shown.length);
-    fill(panesHost, ...panes.map((p) => p.node));
-    panesHost.dataset["count"] = String(panes.length);
+    wipeRow.hidden = new Set(shown.map((s) => s.title)).size < 2;
+    wipe.hidden = !wipes();
+    const tiles = wipes() ? panes.slice(0, panes.length / 2).map((p, i) => el("div", { class: "pair" }, p.node, panes[i + panes.length / 2]?.node)) : panes.map((p) => p.node);
+    fill(panesHost, ...tiles);
+    panesHost.dataset["count"] = String(tiles.length);
     panesHost.dataset["columns"] = String(columns());
     shown.forEach((one, i) => panes[i]?.show(pictureOf(one), view));
     if (fresh && isDocked()) subject.now ? zoomToCone(FIRST_SHARE) : setView(WHOLE);
@@ -364,8 +383,9 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
   /** One or two, whichever shows the images larger; four images as two rows of pairs. */
   function columns(): number {
     const own = shown[0]?.frame.left;
-    if (!own || shown.length === 1) return 1;
-    if (shown.length === 4) return 2;
+    const count = panesHost.children.length;
+    if (!own || count === 1) return 1;
+    if (count === 4) return 2;
     const [width, height] = [panesHost.clientWidth / own.width_px, panesHost.clientHeight / own.height_px];
     return Math.min(width / 2, height) >= Math.min(width, height / 2) ? 2 : 1;
   }
@@ -441,7 +461,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
   async function passesOf(next: Subject): Promise<DrivePass[]> {
     if (next.id === null || !next.now) return [];
     const key = keyOf(next);
-    const found = early.get(key) ?? judging.passes(next.map, next.id, next.isLast ? null : next.now.version).then((answer) => answer.passes);
+    const found = early.get(key) ?? api.passes(next.map, next.id, next.isLast ? null : next.now.version).then((answer) => answer.passes);
     early.delete(key);
     return found;
   }
@@ -478,6 +498,7 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
     },
     key,
     step,
+    follows: (on: boolean) => void (followBox.checked = on),
     get dock() {
       return dock;
     },
@@ -520,35 +541,6 @@ export function createViewer(host: HTMLElement, events: ViewerEvents) {
     /** Show it over the whole page, with all tools, until it is closed. */
     cover,
   };
-}
-
-/** The drive before comes first. */
-function othersOf(passes: DrivePass[], own: DrivePass): DrivePass[] {
-  const at = passes.indexOf(own);
-  return [...passes.slice(at + 1), ...passes.slice(0, at).reverse()];
-}
-
-/** Where to begin; undefined if there is nothing to show. */
-function firstOf(subject: Subject, passes: DrivePass[], start: Start | null): { drive_uuid: string; frame_index: number | null } | undefined {
-  const wanted = start?.drive_uuid ?? subject.now?.drive_uuid;
-  const own = passes.find((p) => p.drive_uuid === wanted) ?? passes[0];
-  if (!own) return start ?? undefined;
-  return { drive_uuid: own.drive_uuid, frame_index: own.drive_uuid === start?.drive_uuid ? start.frame_index : null };
-}
-
-const apart = (p: readonly number[], q: readonly number[]) => Math.hypot((p[0] ?? 0) - (q[0] ?? 0), (p[1] ?? 0) - (q[1] ?? 0));
-
-/** The frame pair of another drive from the nearest position. */
-const counterpart = (own: PassFrame, other: DrivePass): PassFrame =>
-  other.frames.reduce((a, b) => (apart(b.camera_xyz_m, own.camera_xyz_m) < apart(a.camera_xyz_m, own.camera_xyz_m) ? b : a));
-
-/** The left image, unless the right one alone shows the position. */
-function bestSide(frame: Frame, now: HistoryItem | null): Side {
-  const margin = (side: Side) => {
-    const at = now && project(frame[side], now.xyz_m);
-    return at ? Math.min(at[0], frame[side].width_px - at[0]) : -Infinity;
-  };
-  return margin("left") < 0 && margin("right") > 0 ? "right" : "left";
 }
 
 export type Viewer = ReturnType<typeof createViewer>;

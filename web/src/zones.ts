@@ -46,7 +46,8 @@ function createAreas(stage: Stage, host: HTMLElement, name: string, edge: "below
       node.hidden = !pixel || shown.some(([x, y]) => Math.abs(x - pixel[0]) < 2 * APART_PX && Math.abs(y - pixel[1]) < 24);
       if (node.hidden || !pixel) continue;
       shown.push(pixel);
-      node.style.transform = `translate(${Math.round(pixel[0])}px, ${Math.round(pixel[1])}px) translate(-50%, ${edge === "below" ? "8px" : "calc(-100% - 8px)"})`;
+      const beside = edge === "below" ? "+ 8px" : "- 8px - 100%";
+      node.style.transform = `translate(clamp(4px, ${Math.round(pixel[0])}px - 50%, ${width - 4}px - 100%), calc(${Math.round(pixel[1])}px ${beside}))`;
     }
   });
 
@@ -107,6 +108,6 @@ const threes = (flat: number[]): Vec3[] => Array.from({ length: flat.length / 3 
 const twos = (flat: number[], z: number): Vec3[] => Array.from({ length: flat.length / 2 }, (_, i): Vec3 => [flat[2 * i] ?? 0, flat[2 * i + 1] ?? 0, z]);
 
 function wordsOf(zone: WorkZone): string {
-  const lanes = zone.closed_lane_count === null ? "closed" : `${plural(zone.closed_lane_count, "lane")} closed`;
+  const lanes = zone.closed_lane_count === null ? "closed" : zone.closed_lane_count === 0 ? "no lane closed" : `${plural(zone.closed_lane_count, "lane")} closed`;
   return `Work zone · ${zone.closed_side === null ? "" : `${lanes} on the ${zone.closed_side} · `}${Math.round(zone.length_m)} m`;
 }

@@ -76,7 +76,7 @@ def view(
         app = create_app(
             url, settings.map_name, closing=lambda: server is not None and server.should_exit, writer=writer,
             reader_token=token, find_person=people_of(settings.home), whole_images=settings.images == "full",
-            image_log=settings.home / "logs" / IMAGE_LOG, base_map=tiles,
+            image_log=settings.home / "logs" / IMAGE_LOG, base_map=tiles, embed_host=settings.embed_host,
         )  # fmt: skip
         config = uvicorn.Config(
             app, log_level="error", http=BoundedProtocol, access_log=False, limit_concurrency=_MAX_CONNECTIONS,

@@ -70,6 +70,8 @@ class Settings(BaseSettings):
     """Token with which the web view accepts decisions; see also `conetl view --writer-token-file`."""
     images: Literal["crop", "full"] = "crop"
     """Images in the view, reports and Prefect: crop pixelates all but detections and their surroundings."""
+    embed_host: str | None = Field(default=None, pattern=r"^https?://[A-Za-z0-9.-]+(:\d{1,5})?$")
+    """Server whose pages may show the map viewer's `embed.html` in a frame, such as https://intranet.example; default: none."""
     view_url: str | None = None
     """Address of `conetl view`, for links in Prefect; `conetl up` sets it for its workers."""
 

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from fastapi import FastAPI, Request
-from fastapi.responses import JSONResponse, RedirectResponse
+from fastapi.responses import FileResponse, JSONResponse, RedirectResponse
 from fastapi.staticfiles import StaticFiles
 from pydantic import SecretStr
 from starlette.middleware.gzip import GZipMiddleware
@@ -21,7 +21,7 @@ from conetl.perception.images import ImageFileError
 from conetl.web import basemap, decisions, downloads, frames, layers, lists, live, maps, search, tiles, zones
 from conetl.web.models import Problem
 from conetl.web.ogc.app import create_ogc_app
-from conetl.web.security import Guard
+from conetl.web.security import EMBED_PATH, Guard
 
 STATIC = Path(__file__).parent / "static"
 #: Names by which a browser on this machine may call; any other belongs to a page elsewhere that rebound its name to this machine.
@@ -40,6 +40,7 @@ def create_app(
     whole_images: bool = False,
     image_log: Path | None = None,
     base_map: basemap.BaseMap | None = None,
+    embed_host: str | None = None,
 ) -> FastAPI:
     """The application for one database. Streams end when `closing` returns True. Without `writer` it is read-only.
 
@@ -48,6 +49,7 @@ def create_app(
     whole_images: show whole images to everybody; otherwise only to people who may see them, and to others pixelated ones.
     image_log: file to which every whole image that is shown is appended.
     base_map: tiles under the map; the browser may request them from this one other server.
+    embed_host: server whose pages may show `/embed.html` in a frame, a page without decisions; no other page may be framed.
     """
     pool = ReaderPool(database_url)
     ogc_pool = AsyncReaderPool(database_url)
@@ -68,6 +70,7 @@ def create_app(
     app.state.whole_images = whole_images
     app.state.image_log = image_log
     app.state.basemap = base_map
+    app.state.embed_host = embed_host
     app.state.comparisons = zones.Comparisons()
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
     for routes in (lists, maps, tiles, search, frames, layers, zones, basemap, downloads, decisions, live):
@@ -77,12 +80,15 @@ def create_app(
     compare = partial(app.state.comparisons.read_whole, pool)
     app.mount("/ogc", create_ogc_app(ogc_pool, map_name, compare), name="ogc")
     app.add_route("/ogc", lambda request: RedirectResponse(request.url.replace(path="/ogc/")), include_in_schema=False)
+    if embed_host:
+        app.add_route(EMBED_PATH, lambda _: FileResponse(STATIC / "index.html"), include_in_schema=False)
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="front end")
     # Level 5 would save another 6 kB of 350 kB, and take twice as long.
     app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=2)
     app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
     tokens = [reader_token, *([writer.token] if writer else [])] if reader_token else []
-    app.add_middleware(Guard, tokens=tokens, find_person=find_person, image_host=base_map.host if base_map else None)
+    image_host = base_map.host if base_map else None
+    app.add_middleware(Guard, tokens=tokens, find_person=find_person, image_host=image_host, embed_host=embed_host)
     return app
 
 

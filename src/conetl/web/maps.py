@@ -31,6 +31,7 @@ def maps(request: Request, conn: Reader) -> m.Maps:
         maps=[m.MapItem(**{name: row[name] for name in m.MapItem.model_fields}) for row in list_maps(conn)],
         chosen=state.map_name,
         basemap=state.basemap.item if state.basemap else None,
+        embeddable=state.embed_host is not None,
     )
 
 

@@ -43,6 +43,8 @@ class Maps(Record):
     chosen: str
     """The map with which `conetl view` was started."""
     basemap: BaseMapItem | None
+    embeddable: bool
+    """Another server's pages may show this one in a frame (CONETL_EMBED_HOST)."""
 
 
 class MapProjection(Record):

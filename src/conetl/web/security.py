@@ -28,10 +28,12 @@ _LOG_IN = (
 _WRONG_TOKEN = "The writer token is missing or wrong: `conetl view` prints the path of its file when it starts."
 _REALM = "conetl view, token as password"
 _LOGIN_S = 30 * 86_400
+#: The page that another server's pages may show in a frame, if the operator names that server.
+EMBED_PATH = "/embed.html"
 #: Only this server's own files run or load, and no other page may embed or read them.
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:{images}; connect-src 'self'; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "base-uri 'none'; form-action 'none'; frame-ancestors {frames}"
 )
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -52,6 +54,7 @@ class Guard:
     once as `?token=` of a page, which sets the cookie; without tokens, everybody who reaches the server may read.
     find_person: who has a token of a person; the routes find them by `person_of`.
     image_host: the one other server whose images pages may load, such as https://tiles.example; None for none.
+    embed_host: the one other server whose pages may show EMBED_PATH in a frame; None for none.
     """
 
     def __init__(
@@ -60,25 +63,36 @@ class Guard:
         tokens: Sequence[SecretStr] = (),
         find_person: Callable[[str], Person | None] = lambda _: None,
         image_host: str | None = None,
+        embed_host: str | None = None,
     ) -> None:
         self._app = app
-        policy = _POLICY.format(images=f" {image_host}" if image_host else "")
-        self._headers = _HEADERS | {"Content-Security-Policy": policy}
+        images = f" {image_host}" if image_host else ""
+        self._headers = _HEADERS | {"Content-Security-Policy": _POLICY.format(images=images, frames="'none'")}
+        self._may_be_framed = {EMBED_PATH} if embed_host else set()
+        self._embed_headers = self._headers | {
+            "Content-Security-Policy": _POLICY.format(images=images, frames=embed_host)
+        }
+        del self._embed_headers["X-Frame-Options"]  # it has no form for one other server
         self._tokens = [token.get_secret_value() for token in tokens]
         self._find_person = find_person
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        is_embed = scope.get("path") in self._may_be_framed
+        own = self._embed_headers if is_embed else self._headers
+
         async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 headers = MutableHeaders(scope=message)
-                for name, value in self._headers.items():
+                for name, value in own.items():
                     headers.setdefault(name, value)  # a route may set its own policy
             await send(message)
 
         if scope["type"] == "http":
             if scope["method"] == "HEAD" and scope["path"].startswith("/ogc/"):
                 scope = {**scope, "method": "GET"}  # the server leaves out the body
-            await (_refusal(scope) or self._login(scope) or self._app)(scope, receive, send_with_headers)
+            await (_refusal(scope, may_be_framed=is_embed) or self._login(scope) or self._app)(
+                scope, receive, send_with_headers
+            )
         else:
             await self._app(scope, receive, send)
 
@@ -120,23 +134,24 @@ def _credential(request: Request) -> str:
         return ""
 
 
-def _refusal(scope: Scope) -> JSONResponse | None:
+def _refusal(scope: Scope, *, may_be_framed: bool) -> JSONResponse | None:
     if len(scope.get("raw_path") or b"") + len(scope["query_string"]) > MAX_URL_BYTES:
         return JSONResponse({"detail": f"The URL has more than {MAX_URL_BYTES} bytes."}, status_code=414)
     if not scope["path"].isprintable():
         code = {"code": "NotFound"} if scope["path"].startswith("/ogc") else {}
         return JSONResponse(code | {"detail": "The path contains control characters."}, status_code=404)
-    if _is_cross_site(Headers(scope=scope)):
+    if _is_cross_site(Headers(scope=scope), may_be_framed=may_be_framed):
         return JSONResponse({"detail": _CROSS_SITE}, status_code=403)
     return None
 
 
-def _is_cross_site(headers: Headers) -> bool:
-    """True for a request of another web page (Fetch Metadata, Origin), except for a link to this server that is followed."""
+def _is_cross_site(headers: Headers, *, may_be_framed: bool) -> bool:
+    """True for a request of another web page (Fetch Metadata, Origin), except for a followed link and an allowed frame."""
     origin, host = headers.get("origin"), headers.get("host")
     if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
         return True
-    is_link = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
+    shown_in = ("document", "iframe") if may_be_framed else ("document",)
+    is_link = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") in shown_in
     return headers.get("sec-fetch-site") in ("cross-site", "same-site") and not is_link
 
 

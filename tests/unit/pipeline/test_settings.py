@@ -24,7 +24,15 @@ def test_the_environment_is_read(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "geheim" not in settings.model_dump_json()
 
 
-@pytest.mark.parametrize(("name", "value"), [("CONETL_MAP_NAME", "Bad Name"), ("CONETL_WORKERS", "0")])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("CONETL_MAP_NAME", "Bad Name"),
+        ("CONETL_WORKERS", "0"),
+        ("CONETL_EMBED_HOST", "https://intranet.example; script-src *"),
+        ("CONETL_EMBED_HOST", "*"),
+    ],
+)
 def test_a_variable_that_cannot_be_used_is_named(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
     monkeypatch.setenv(name, value)
     with pytest.raises(InputError, match=name):
