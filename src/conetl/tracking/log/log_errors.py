@@ -44,12 +44,12 @@ _SPACED, _RUNS, _RUN = 48, 3, 24
 #: part, of the jitter of the stamps, and of the factor on the stated variance.
 _PRIOR_SIGMA = np.array([8.0, 8.0, 8.0, 0.7, 2.0, 1.5, 1.0, 0.7])
 _FAST_SHARE, _SLOW_SHARE, _FAST_S = 0.01, 1.0, 0.7
-#: Of the times, s. A smooth error of less would take a short wave for a part of a larger one: a factor of up to 28 on honest logs.
-_RANGES_S = (0.15, 3.0), (5.0, 600.0), (5.0, 6000.0)
+#: Of the times, s.
+_RANGES_S = (0.15, 3.0), (5.0, 600.0), (2.0, 6000.0)
 #: Logarithms of white, fast and slow over smooth share where the search begins, of positions and of attitudes: the likelihood has
 #: one maximum for white and one for fast errors.
 _STARTS, _ATTITUDE_STARTS = ((2.0, -4.6, -4.0), (-4.6, 2.0, -4.0)), ((-4.6, -4.6, 4.0),)
-_LEAST_JITTER_S, _MOST_FACTOR = 1e-6, 20.0
+_LEAST_JITTER_S = 1e-6
 #: Chi-square of one degree of freedom at 0.05 above which the variance grows.
 _SIGNIFICANT = 3.84
 #: Unknowns that are fitted to the same records.
@@ -263,7 +263,7 @@ def _estimated(parts: Sequence[DifferenceTerms], assumed: ErrorShares, jitter_s:
     full = np.concatenate([values, middle[len(values) :]])
     least = unlikely(full)
     if sum(_misfit(part, full)[1][-1] for part in parts) < 0:  # a larger variance fits better
-        low[-1], high[-1] = 0.0, _MOST_FACTOR
+        low[-1], high[-1] = 0.0, np.log(max(_largest_factor(parts, full), 1.0))
         larger = fitted(full)
         if 2 * (least - unlikely(larger)) > _SIGNIFICANT:
             full = larger
@@ -281,6 +281,19 @@ def _estimated(parts: Sequence[DifferenceTerms], assumed: ErrorShares, jitter_s:
     return ErrorShares(
         white / total, fast / total, slow, lasting - slow, fast_s, slow_s, smooth_s, own_jitter_s if jitter_s else 0.0, factor,
     )  # fmt: skip
+
+
+def _largest_factor(parts: Sequence[DifferenceTerms], values: Floats) -> float:
+    """How many times as large as expected the squared differences are, if all of them are errors of the log.
+
+    The likelihood of waves, which are smoother than any error here, grows with the variance and the times together.
+    """
+    shares, times_s = _shares(values), np.exp(values[3:6])
+    expected = 0.0
+    for part in parts:
+        own = np.tensordot(shares, _parts(part, *times_s), 1)
+        expected += float(np.trace(own) - own.mean(axis=0).sum())
+    return sum(float(part.off @ part.off) for part in parts) / expected
 
 
 def _shares(values: Floats) -> Floats:
