@@ -87,7 +87,7 @@ def fine_tune(
     torch.manual_seed(seed)
     torch.set_num_threads(threads)
     device = "cuda" if torch.cuda.is_available() else "cpu"
-    before = copy.deepcopy(network).to(device, memory_format=torch.channels_last).eval()
+    before: ConeNet = copy.deepcopy(network).to(device, memory_format=torch.channels_last).eval()
     learner = Learner(network.to(device, memory_format=torch.channels_last), RATE)
     learner.network.eval()
     for part in (network.stem, network.stage4, network.stage8):
@@ -97,14 +97,14 @@ def fine_tune(
     loader, started, step, sums = iter(batches), time.monotonic(), 0, dict[str, float]()
     while (share := (time.monotonic() - started) / (60 * minutes)) < 1:
         rate = RATE * min(1.0, (step + 1) / WARM_STEPS) * (0.02 + 0.98 * 0.5 * (1 + math.cos(math.pi * share)))
-        pictures, *truth = (part.to(device) for part in next(loader))
+        pictures, objects, trusts, fades = (part.to(device) for part in next(loader))
         pictures = pictures.permute(0, 3, 1, 2).flip(1).float() / 255  # RGB, channels last in memory
         with torch.no_grad():
             shallow = network.shallow_features(pictures)
             knew = before.outputs(before.deep_features(*shallow))
-            taught, remembered = who_decides(knew, *truth)
+            taught, remembered = who_decides(knew, objects, trusts, fades)
         maps = network.outputs(network.deep_features(*shallow))
-        loss, losses = detection_loss(maps, *truth, taught=taught)
+        loss, losses = detection_loss(maps, objects, trusts, fades, taught)
         losses["memory"] = MEMORY * distillation_loss(maps, knew, remembered)
         losses["shapes"] = shape_memory(maps, knew, remembered)
         learner.learn(loss + losses["memory"] + losses["shapes"], rate, step)
@@ -114,11 +114,11 @@ def fine_tune(
         if step % 20 == 0:
             progress(share, f"step {step}: " + ", ".join(f"{name} {value / 20:.3f}" for name, value in sums.items()))
             sums = {}
-    old, new = before.state_dict(), learner.average.state_dict()
+    old, new = before.cpu().state_dict(), learner.average.cpu().state_dict()
     before.load_state_dict(
         {name: torch.lerp(new[name], old[name], KEPT) if old[name].is_floating_point() else old[name] for name in old}
     )
-    return before.cpu()
+    return before
 
 
 def who_decides(knew: list[Tensor], truths: Tensor, trusts: Tensor, fades: Tensor) -> tuple[Tensor, Tensor]:
