@@ -23,9 +23,9 @@ order by d.captured_from_ns desc, c.changeset_no desc
 limit %(max_rows)s;
 
 -- name: observed_frames
--- The stereo matches of a feature. Parameters: map_name; feature_id. Columns: drive_uuid, frame_index, kind (of the change by
--- that drive); frame_index is null where the drive did not observe it.
-select c.drive_uuid, x.kind, t.frame_index
+-- The stereo matches of a feature. Parameters: map_name; feature_id. Columns: drive_uuid, kind (of the change by that drive),
+-- frame_index, match_index (null where the drive did not observe it).
+select c.drive_uuid, x.kind, t.frame_index, t.match_index
 from conetl.delta x
 join conetl.changeset c using (changeset_id)
 join conetl.map m using (map_id)

@@ -1,61 +1,46 @@
-"""The training images: where they come from and how their labels are cleaned.
-
-An `Image` is one image with its objects (N, 9) [x0, y0, x1, y1, foot x, foot y, tip x, tip y, class] in pixels, foot and tip
-NaN where they are not known (only renders and drawn objects know them), `fade` = regions where an unlabelled object is
-likely, so that "background" is not taught there, `tight` = whether its boxes can be trusted to the pixel, and `taught` = the
-classes that are labelled in it: of the others nothing is taught. `false` = boxes (N, 4) that an earlier detector found where
-nothing is: samples are centred on them.
-"""
+"""The training images of the shipped network: where they come from and how their labels are cleaned."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
-from training.classes import CLASSES, IGNORED, NOTHING
-from training.drawn_objects import CutOut
+from conetl.learning.classes import CLASSES
+from conetl.learning.images import LabelledImage, objects_from, read_labels
 
-#: Sources of which only some classes are labelled; of the others all are, or none are there.
+#: What labels/CLIP.csv holds besides classes: regions of objects that cannot be separated, and frames without anything.
+IGNORED, NOTHING = "ignore", "nothing"
+#: Places of the validation images that hold a cone, or may, without a label; found by a person among the boxes of
+#: conetl-cone-2 from 18 px and score 0.15 on. Boxes there count neither way.
+UNLABELLED = Path(__file__).with_name("val_unlabelled.csv")
 CONES_ONLY = frozenset({"traffic_cone"})
 NO_SIGNS = frozenset(CLASSES) - {"traffic_sign", "work_zone_sign"}
-TAUGHT = {
-    "rf_traffic_cones": CONES_ONLY,
-    "css_safety_cone": CONES_ONLY,
-    "css_rest": CONES_ONLY,
-    "highway_tidar_negatives": NO_SIGNS,
-    "otonom_sign_negatives": NO_SIGNS,
-    "robomagellan_conefinder": NO_SIGNS,
+#: What differs from a `LabelledImage` of an operator, by source: of classes that are not labelled in it nothing is taught.
+TRAITS: dict[str, dict[str, Any]] = {
+    "renders": {"trust": 1.0, "stretch": (1.0, 1.0), "sizes": "rendered"},
+    "rf_traffic_cones": {"trust": 0.8, "stretch": (0.55, 1.3), "sizes": "any", "taught": CONES_ONLY},
+    "fs_onboard": {"trust": 0.9},
+    "css_safety_cone": {"trust": 0.5, "sizes": "any", "taught": CONES_ONLY},
+    "css_rest": {"trust": 0.4, "sizes": "any", "taught": CONES_ONLY},
+    "labelled_clips": {},
+    "frc_conesandcubes": {"trust": 0.9, "sizes": "any"},
+    "robomagellan_conefinder": {"trust": 0.9, "sizes": "any", "taught": NO_SIGNS},
+    "highway_tidar_negatives": {"sizes": "any", "taught": NO_SIGNS},
+    "otonom_sign_negatives": {"sizes": "any", "taught": NO_SIGNS},
 }
 
 
-@dataclass
-class Image:
-    name: str
-    source: str
-    image: np.ndarray
-    boxes: np.ndarray
-    fade: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
-    tight: bool = True
-    false: np.ndarray = field(default_factory=lambda: np.zeros((0, 4)))
-
-    @property
-    def taught(self) -> frozenset[str]:
-        return TAUGHT.get(self.source, frozenset(CLASSES))
-
-
-def read_labels(path: Path, width: int, height: int) -> np.ndarray:
-    """YOLO text file, with foot and tip behind the box or without -> objects (N, 9). An absent file means none."""
-    if not path.exists() or not path.read_text().strip():
-        return np.zeros((0, 9))
-    classes, rows = np.split(np.loadtxt(path, ndmin=2), [1], axis=1)
-    ends = rows[:, 4:8] if rows.shape[1] >= 8 else np.full((len(rows), 4), np.nan)
-    rows = np.concatenate((rows[:, :2] - rows[:, 2:4] / 2, rows[:, :2] + rows[:, 2:4] / 2, ends), 1)
-    return np.column_stack((rows * np.tile((width, height), 4), classes))
+def image_of(
+    name: str, source: str, image: np.ndarray, boxes: np.ndarray, fade: np.ndarray | None = None
+) -> LabelledImage:
+    """An image of one of these sources."""
+    regions = np.zeros((0, 4)) if fade is None else fade
+    return LabelledImage(name, source, image, boxes, regions, **TRAITS.get(source, {}))
 
 
 def black_corner_angle(image: np.ndarray) -> float:
@@ -84,7 +69,7 @@ def black_corner_angle(image: np.ndarray) -> float:
     return best_angle if best > 0.6 else 0.0
 
 
-def turn_upright(picture: Image) -> Image:
+def turn_upright(picture: LabelledImage) -> LabelledImage:
     """Undo the turn of a turned training copy and shrink its boxes to what they were before the turn.
 
     A box of w x h turned by t has the upright hull W = w cos t + h sin t, H = w sin t + h cos t; solved for w and h.
@@ -110,15 +95,7 @@ def turn_upright(picture: Image) -> Image:
         else:
             boxes.append((cx - w / 2, cy - h / 2, cx + w / 2, cy + h / 2))
     cones = objects_from(boxes, [0] * len(boxes))
-    return Image(picture.name, picture.source, image, cones, np.array(fade).reshape(-1, 4))
-
-
-def objects_from(boxes: Sequence[Sequence[float]], classes: Sequence[int]) -> np.ndarray:
-    """Boxes (N, 4) and classes (N,) as objects (N, 9) of unknown foot and tip."""
-    objects = np.full((len(boxes), 9), np.nan)
-    objects[:, :4] = np.array(boxes).reshape(-1, 4)
-    objects[:, 8] = classes
-    return objects
+    return replace(picture, image=image, boxes=cones, fade=np.array(fade).reshape(-1, 4))
 
 
 def far_band(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
@@ -130,9 +107,18 @@ def far_band(boxes: np.ndarray, width: int, height: int) -> np.ndarray:
     return np.array([[0.0, top, width, max(bottom, top + 0.06 * height)]])
 
 
-def read_cones(root: Path, split: str) -> list[Image]:
+def unlabelled_places() -> dict[str, np.ndarray]:
+    """UNLABELLED by image: (N, 4) x0, y0, x1, y1."""
+    places: dict[str, list[list[float]]] = {}
+    with UNLABELLED.open() as lines:
+        for row in csv.DictReader(lines):
+            places.setdefault(row["file"], []).append([float(row[key]) for key in ("x0", "y0", "x1", "y1")])
+    return {name: np.array(boxes) for name, boxes in places.items()}
+
+
+def read_cones(root: Path, split: str) -> list[LabelledImage]:
     """All images of one split of the labelled cone data, labels cleaned for training, untouched for validation."""
-    pictures = []
+    pictures, places = [], unlabelled_places()
     with (root / "manifest.csv").open() as lines:
         rows = [row for row in csv.DictReader(lines) if row["split"] == split]
     for row in rows:
@@ -141,16 +127,18 @@ def read_cones(root: Path, split: str) -> list[Image]:
             raise SystemExit(f"unreadable training image {row['file']}")
         height, width = image.shape[:2]
         boxes = read_labels((root / split / "labels" / row["file"]).with_suffix(".txt"), width, height)
-        picture = Image(row["file"], row["source"], image, boxes)
+        picture = image_of(row["file"], row["source"], image, boxes)
         if split == "train" and row["source"] == "rf_traffic_cones":
             picture = turn_upright(picture)
         if split == "train" and row["source"] == "fs_onboard":
             picture.fade = far_band(boxes, width, height)
+        if split == "val":
+            picture.fade = places.get(row["file"], picture.fade)
         pictures.append(picture)
     return pictures
 
 
-def read_more_cones(root: Path, left_out: frozenset[str] = frozenset()) -> list[Image]:
+def read_more_cones(root: Path, left_out: frozenset[str] = frozenset()) -> list[LabelledImage]:
     """The images of the further sources, but for those sources and clips that are left out to judge by."""
     pictures = []
     with (root / "manifest.csv").open() as lines:
@@ -166,11 +154,11 @@ def read_more_cones(root: Path, left_out: frozenset[str] = frozenset()) -> list[
         labels = (root / source / "labels" / name).with_suffix(".txt")
         if source == "frc_conesandcubes":
             image = redder(image)
-        pictures.append(Image(name, source, image, read_labels(labels, width, height)))
+        pictures.append(image_of(name, source, image, read_labels(labels, width, height)))
     return pictures
 
 
-def read_left_out(root: Path, left_out: str) -> list[Image]:
+def read_left_out(root: Path, left_out: str) -> list[LabelledImage]:
     """The images of those sources and clips, separated by commas."""
     names = set(left_out.split(","))
     return [p for p in read_more_cones(root) if names & {p.source, p.name.rsplit("_", 1)[0]}]
@@ -185,7 +173,7 @@ def redder(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(hsv, cv2.COLOR_HSV2BGR)
 
 
-def read_labelled_clips(clips: Path, labels: Path, left_out: frozenset[str] = frozenset()) -> list[Image]:
+def read_labelled_clips(clips: Path, labels: Path, left_out: frozenset[str] = frozenset()) -> list[LabelledImage]:
     """The labelled frames of the work-zone clips, all classes (labels/README.md).
 
     The frames of the clips themselves: in their copies in `roadwork_clips_us` crowds of far cones, which are labelled here, are
@@ -213,13 +201,13 @@ def read_labelled_clips(clips: Path, labels: Path, left_out: frozenset[str] = fr
             things = [row for row in here if row["class"] in CLASSES]
             objects = objects_from([boxes[id(row)] for row in things], [CLASSES.index(row["class"]) for row in things])
             fades = np.array([boxes[id(row)] for row in here if row["class"] == IGNORED]).reshape(-1, 4)
-            pictures.append(Image(f"{path.stem}_{index:04d}", "labelled_clips", image, objects, fades))
+            pictures.append(image_of(f"{path.stem}_{index:04d}", "labelled_clips", image, objects, fades))
     return pictures
 
 
-def read_renders(root: Path, known: set[str], limit: int = 4000) -> list[Image]:
+def read_renders(root: Path, known: set[str], limit: int = 4000) -> list[LabelledImage]:
     """Rendered images that are not in `known` yet: images/*.{jpg,png} with labels/*.txt beside them."""
-    pictures: list[Image] = []
+    pictures: list[LabelledImage] = []
     for path in sorted((root / "images").glob("*")):
         label = root / "labels" / f"{path.stem}.txt"
         if path.stem in known or not label.exists() or path.suffix not in (".jpg", ".png"):
@@ -227,39 +215,7 @@ def read_renders(root: Path, known: set[str], limit: int = 4000) -> list[Image]:
         image = cv2.imread(str(path))
         if image is None:
             continue  # still being written; the next look will find it
-        pictures.append(Image(path.stem, "renders", image, read_labels(label, image.shape[1], image.shape[0])))
+        pictures.append(image_of(path.stem, "renders", image, read_labels(label, image.shape[1], image.shape[0])))
         if len(pictures) >= limit:
             break
     return pictures
-
-
-def cut_out_cones(pictures: list[Image]) -> list[CutOut]:
-    """GrabCut cut-outs of whole upright cones, trimmed to the cone's own outline: exact boxes for pasting."""
-    cutouts = []
-    for picture in pictures:
-        height, width = picture.image.shape[:2]
-        for x0, y0, x1, y1 in picture.boxes[:, :4]:
-            w, h = x1 - x0, y1 - y0
-            if h < 70 or h < 0.9 * w or x0 < 4 or y0 < 4 or x1 > width - 4 or y1 > height - 4:
-                continue
-            left, top = int(max(x0 - 0.15 * w, 0)), int(max(y0 - 0.15 * h, 0))
-            right, bottom = int(min(x1 + 0.15 * w, width)), int(min(y1 + 0.15 * h, height))
-            patch = picture.image[top:bottom, left:right]
-            scale = min(1.0, 200 / patch.shape[0])
-            patch = cv2.resize(patch, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-            frame = [round(v * scale) for v in (x0 - left, y0 - top, w, h)]
-            mask = np.zeros(patch.shape[:2], np.uint8)
-            cv2.grabCut(patch, mask, frame, np.zeros((1, 65)), np.zeros((1, 65)), 3, cv2.GC_INIT_WITH_RECT)
-            solid = ((mask == cv2.GC_FGD) | (mask == cv2.GC_PR_FGD)).astype(np.uint8)
-            solid = cv2.morphologyEx(solid, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
-            count, labels, stats, _ = cv2.connectedComponentsWithStats(solid)
-            if count < 2:
-                continue
-            largest = 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax())
-            bx, by, bw, bh, area = stats[largest]
-            # A good outline fills its box like a cone does and covers most of the label.
-            if not (0.28 < area / (bw * bh) < 0.72 and bh > 0.8 * frame[3] and 1.1 < bh / bw < 3.5):
-                continue
-            alpha = cv2.GaussianBlur((labels == largest).astype(np.uint8) * 255, (3, 3), 0)
-            cutouts.append(CutOut(np.dstack((patch, alpha))[by : by + bh, bx : bx + bw]))
-    return cutouts

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import dataclasses
 import io
 import json
 from collections.abc import Mapping
@@ -27,11 +26,13 @@ from numpy.typing import NDArray
 from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
+from conetl.learning.classes import CLASSES
+from conetl.learning.evidence.looks import MATCH_IOU
+from conetl.learning.images import LabelledImage
+from conetl.learning.scoring import at_score, of_class
 from conetl.perception.decoding import intersection_over_union
 from conetl.perception.detector import detect_image, load_detector
-from training.classes import CLASSES
-from training.dataset import Image, read_cones, read_labelled_clips, read_left_out, read_renders
-from training.looks import MATCH_IOU, unlabelled_places
+from training.dataset import read_cones, read_labelled_clips, read_left_out, read_renders
 
 SPLIT = ("rf_traffic_cones", "fs_onboard", "css_safety_cone")
 SCORES = (0.3, 0.5)
@@ -49,7 +50,7 @@ ANY_HEIGHT = {"all": HEIGHTS_PX["all"]}
 
 
 def coco_tables(
-    pictures: list[Image], found: list[np.ndarray], heights_px: Mapping[str, tuple[float, float]] = HEIGHTS_PX
+    pictures: list[LabelledImage], found: list[np.ndarray], heights_px: Mapping[str, tuple[float, float]] = HEIGHTS_PX
 ) -> dict[str, dict[str, float]]:
     """AP50, AP75, AP50:95 by range of heights: COCO's areas are replaced by squared heights."""
     truth = COCO()
@@ -95,23 +96,7 @@ def coco_tables(
     return tables
 
 
-def at_score(pictures: list[Image], found: list[np.ndarray], score: float, overlap: float = 0.5) -> dict[str, float]:
-    """Share of cones that have a box of this score and overlap (IoU), and boxes on no cone per image."""
-    hits = cones = false = 0
-    for picture, boxes in zip(pictures, found, strict=True):
-        free = np.ones(len(picture.boxes), bool)
-        cones += len(free)
-        for x, y, width, height, *_ in boxes[boxes[:, 4] >= score]:
-            shares = intersection_over_union(np.array([x, y, x + width, y + height]), picture.boxes[:, :4]) * free
-            if len(shares) and shares.max() >= overlap:
-                free[shares.argmax()] = False
-            else:
-                false += 1
-        hits += int((~free).sum())
-    return {"recall": round(hits / max(cones, 1), 3), "false_a_picture": round(false / max(len(pictures), 1), 3)}
-
-
-def judge(pictures: list[Image], found: list[np.ndarray]) -> dict[str, dict[str, float]]:
+def judge(pictures: list[LabelledImage], found: list[np.ndarray]) -> dict[str, dict[str, float]]:
     """`coco_tables` and `at_score`, with bootstrap intervals of 90 % by recording where there are three and more.
 
     A clip is a recording, of other sources an image.
@@ -143,7 +128,7 @@ def judge(pictures: list[Image], found: list[np.ndarray]) -> dict[str, dict[str,
     return tables
 
 
-def off_unlabelled(picture: Image, found: NDArray[np.float64], places: dict[str, np.ndarray]) -> np.ndarray:
+def off_unlabelled(picture: LabelledImage, found: NDArray[np.float64]) -> np.ndarray:
     """Boxes (N, 5 or more) x, y, w, h, score of an image without those on an unlabelled cone and on no labelled one.
 
     On one: as `calibrate_scores.py` asks of a box that is to be right, not that it touches it only.
@@ -153,28 +138,13 @@ def off_unlabelled(picture: Image, found: NDArray[np.float64], places: dict[str,
         corners = np.concatenate((box[:2], box[:2] + box[2:4]))
         return bool((intersection_over_union(corners, cones[:, :4]) >= MATCH_IOU).any())
 
-    unlabelled = places.get(picture.name, np.zeros((0, 4)))
-    kept = [on_one_of(box, picture.boxes) or not on_one_of(box, unlabelled) for box in found]
+    kept = [on_one_of(box, picture.boxes) or not on_one_of(box, picture.fade) for box in found]
     return found[np.flatnonzero(kept)]
 
 
-def of_class(picture: Image, found: np.ndarray, number: int) -> tuple[Image, np.ndarray]:
-    """An image with its objects of one class, and the boxes of that class but for those in ignored regions on no object."""
-    objects = picture.boxes[picture.boxes[:, 8] == number]
-    boxes = found[found[:, 9] == number]
-
-    def counts(box: np.ndarray) -> bool:
-        corners = np.concatenate((box[:2], box[:2] + box[2:4]))
-        if (intersection_over_union(corners, objects[:, :4]) >= 0.5).any():
-            return True
-        low, high = np.maximum(picture.fade[:, :2], corners[:2]), np.minimum(picture.fade[:, 2:4], corners[2:])
-        return not (np.clip(high - low, 0, None).prod(1) > 0.5 * box[2:4].prod()).any()
-
-    kept = np.array([counts(box) for box in boxes], bool)
-    return dataclasses.replace(picture, boxes=objects), boxes[kept]
-
-
-def called(pictures: list[Image], found: list[np.ndarray], score: float, one: str, other: str) -> tuple[int, int]:
+def called(
+    pictures: list[LabelledImage], found: list[np.ndarray], score: float, one: str, other: str
+) -> tuple[int, int]:
     """How many labelled objects of class `one` have a box of class `other`, and how many have a box of either."""
     wrong = seen = 0
     for picture, boxes in zip(pictures, found, strict=True):
@@ -187,7 +157,9 @@ def called(pictures: list[Image], found: list[np.ndarray], score: float, one: st
     return wrong, seen
 
 
-def judge_classes(source: str, images: list[Image], found: list[np.ndarray]) -> dict[str, dict[str, dict[str, float]]]:
+def judge_classes(
+    source: str, images: list[LabelledImage], found: list[np.ndarray]
+) -> dict[str, dict[str, dict[str, float]]]:
     """Tables of every class that is labelled in images of one source, and mix-ups of cones and drums."""
     tables = {}
     for number, name in enumerate(CLASSES):
@@ -201,7 +173,7 @@ def judge_classes(source: str, images: list[Image], found: list[np.ndarray]) -> 
     return tables
 
 
-def left_out_clips(clips: Path, left_out: str) -> list[Image]:
+def left_out_clips(clips: Path, left_out: str) -> list[LabelledImage]:
     """The labelled frames, of all classes, of the clips that were left out of training."""
     others = frozenset(path.stem for path in LABELS.glob("*.csv")) - set(left_out.split(","))
     return read_labelled_clips(clips, LABELS, others)
@@ -231,8 +203,7 @@ def main() -> None:
         groups[clip] = [k for k, p in enumerate(pictures) if p.name.startswith(f"{clip}_")]
     judged = {group: (chosen, found) for group, chosen in groups.items()}
     if args.cones:
-        places = unlabelled_places()
-        elsewhere = [off_unlabelled(picture, boxes, places) for picture, boxes in zip(pictures, found, strict=True)]
+        elsewhere = [off_unlabelled(picture, boxes) for picture, boxes in zip(pictures, found, strict=True)]
         judged["the split, off unlabelled"] = groups["validation split"], elsewhere
     of_all_classes = {
         "clips": left_out_clips(args.clips, args.left_out) if args.clips else [],
@@ -247,7 +218,7 @@ def main() -> None:
     tables: dict[str, dict[str, dict[str, float]]] = {}
     for source, images in of_all_classes.items():
         tables |= judge_classes(source, images, found_in[source]) if images else {}
-    clips: dict[str, list[tuple[Image, np.ndarray]]] = {}
+    clips: dict[str, list[tuple[LabelledImage, np.ndarray]]] = {}
     for picture, boxes in zip(of_all_classes["clips"], found_in["clips"], strict=True):
         clips.setdefault(picture.name.rsplit("_", 1)[0], []).append(of_class(picture, boxes, 0))
     for clip, pairs in clips.items():

@@ -17,16 +17,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from conetl.learning.classes import CLASSES
+from conetl.learning.images import LabelledImage
 from conetl.perception.decoding import intersection_over_union
 from conetl.perception.detector import Detector, detect_image, load_detector
-from training.classes import CLASSES
-from training.dataset import Image, read_cones, read_labelled_clips, read_more_cones
+from training.dataset import read_cones, read_labelled_clips, read_more_cones
 
 SCALES = (0.6, 1.0, 2.0)  #: at which false boxes are looked for
 
 
 def boxes_without_label(
-    detector: Detector, picture: Image, scale: float, score: float, margin_px: float
+    detector: Detector, picture: LabelledImage, scale: float, score: float, margin_px: float
 ) -> list[list[float]]:
     """Boxes [x0, y0, x1, y1] px of the classes that are labelled in an image, where no label and no fade is."""
     image = picture.image if scale == 1 else np.asarray(cv2.resize(picture.image, None, fx=scale, fy=scale), np.uint8)

@@ -22,7 +22,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from training.classes import CLASSES, IGNORED, NOTHING
+from conetl.learning.classes import CLASSES
+from training.dataset import IGNORED, NOTHING
 
 Floats = NDArray[np.float64]
 EVERY, FIRST = 15, 7  # labelled frames: half a second apart, as the cones of `roadwork_clips_us`

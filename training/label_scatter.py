@@ -19,9 +19,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.learning.images import LabelledImage
 from conetl.perception.decoding import intersection_over_union
 from conetl.perception.detector import detect_image, load_detector
-from training.dataset import Image, read_cones
+from training.dataset import read_cones
 from training.evaluate import coco_tables
 
 FROM_PX = 20.0
@@ -43,7 +44,7 @@ def robust_scatter(values: np.ndarray) -> np.ndarray:
     return np.asarray(1.4826 * np.median(np.abs(values - np.median(values, axis=0)), axis=0))
 
 
-def pairs_of(picture: Image, found: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def pairs_of(picture: LabelledImage, found: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """(box, label), both (4,) x0, y0, x1, y1, of the cones from FROM_PX on that lie whole in the image and were found."""
     height, width = picture.image.shape[:2]
     pairs = []
@@ -83,7 +84,7 @@ def colour_box(image: np.ndarray, around: NDArray[np.float64]) -> NDArray[np.flo
     return np.asarray(np.array((left, top, left + width, top + height)) / COLOUR_SCALE + (x0, y0, x0, y0))
 
 
-def triples_of(picture: Image, pairs: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+def triples_of(picture: LabelledImage, pairs: list[tuple[np.ndarray, np.ndarray]]) -> list[np.ndarray]:
     """(label, box, colour box) (3, 4) in shares of the height, of cones with all three."""
     triples = []
     for box, label in pairs:
@@ -109,7 +110,7 @@ def errors_of_three(values: np.ndarray) -> tuple[int, list[float]]:
     return int(kept.sum()), [float(np.sqrt(max(variance, 0.0))) for variance in variances]
 
 
-def moved_labels(picture: Image, error: np.ndarray | float, rng: np.random.Generator) -> np.ndarray:
+def moved_labels(picture: LabelledImage, error: np.ndarray | float, rng: np.random.Generator) -> np.ndarray:
     """The labels as boxes (N, 5) x, y, w, h, score, each side moved by a normal error, (4,) or one, in shares of the height."""
     labels = picture.boxes[:, :4]
     moved = labels + rng.normal(size=labels.shape) * error * (labels[:, 3:4] - labels[:, 1:2])

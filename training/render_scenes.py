@@ -19,13 +19,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from conetl.learning.classes import CLASSES
 from conetl.model.rig import Camera
 from conetl.reports.camera_images import jpeg
 from conetl.simulation.meshes import Mesh
 from conetl.simulation.parts import BUILDERS, CLASSED_KINDS, cone_parts, true_shape
 from conetl.simulation.scenario import Colour, Cone, Road, RoadMarking, RoadObject, World, street_markings
 from conetl.simulation.scene import build_scene, develop, exposure_gain, load_mitsuba, render
-from training.classes import CLASSES
 
 VIEWS_PER_SCENE = 3
 MIN_HEIGHT_PX = 7.0

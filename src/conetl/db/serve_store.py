@@ -87,13 +87,13 @@ def read_base_tile(conn: Connection, map_name: str, sha256: str) -> bytes | None
     return bytes(rows[0]["payload"]) if rows else None
 
 
-def observed_frames(conn: Connection, map_name: str, feature_id: UUID) -> dict[UUID, tuple[str, set[int]]]:
-    """Kind of the change and frame indices of the observations of a feature, by drive."""
-    found: dict[UUID, tuple[str, set[int]]] = {}
+def observed_frames(conn: Connection, map_name: str, feature_id: UUID) -> dict[UUID, tuple[str, dict[int, int]]]:
+    """Kind of the change, and the frame indices of the observations of a feature with their stereo matches, by drive."""
+    found: dict[UUID, tuple[str, dict[int, int]]] = {}
     for row in read_rows(conn, "judging.observed_frames", map_name=map_name, feature_id=feature_id):
-        _, frames = found.setdefault(row["drive_uuid"], (row["kind"], set()))
+        _, frames = found.setdefault(row["drive_uuid"], (row["kind"], {}))
         if row["frame_index"] is not None:
-            frames.add(row["frame_index"])
+            frames[row["frame_index"]] = row["match_index"]
     return found
 
 

@@ -89,7 +89,7 @@ def passes_of(
     past = {"easting_m": state["easting_m"], "northing_m": state["northing_m"], "drive_uuids": only}
     found = []
     for row in store.read_rows(conn, "judging.drives_past", map_name=map_name, max_rows=max_drives, **past):
-        kind, frames = observed.get(row["drive_uuid"]) or (None, set[int]())
+        kind, frames = observed.get(row["drive_uuid"]) or (None, dict[int, int]())
         in_view = _frames_in_view(conn, row, feature_id, state, frames)
         if in_view:
             known = {name: row[name] for name in ("changeset_no", "drive_id", "drive_uuid", "counts")}
@@ -128,6 +128,14 @@ def _frames_in_view(
         )
         for row in sorted(states)
     )
+
+
+def pose_of(row: Row, prefix: str = "") -> Pose:
+    """The pose of a frame pair of `judging.frame`, without its sigmas."""
+    rotation = np.reshape(row["map_r_body"], (3, 3)).tolist()
+    position_m = tuple(row[f"{prefix}{name}"] for name in ("easting_m", "northing_m", "ellipsoidal_height_m"))
+    zeros = (0.0, 0.0, 0.0)
+    return Pose(map_R_body=rotation, map_t_body_m=position_m, sigma_enu_m=zeros, sigma_rpy_rad=zeros)
 
 
 def expected_box(

@@ -21,13 +21,14 @@ from conetl.model.map_records import DeltaKind
 
 @dataclass(frozen=True)
 class Section:
-    """Part of a page: a heading, a note, a table and an image (PNG). Empty parts are left out."""
+    """Part of a page: a heading, a note, a table and an image (PNG or JPEG). Empty parts are left out."""
 
     heading: str
     note: str = ""
     columns: Sequence[str] = ()
     rows: Sequence[Sequence[object]] = ()
     image: bytes | None = None
+    image_kind: str = "png"
     image_alt: str = ""
 
     def is_text(self, column: int) -> bool:

@@ -17,7 +17,7 @@ from conetl.model.base import utc_from_ns
 from conetl.model.errors import ConetlError
 from conetl.model.rig import Rig
 from conetl.reports.camera_images import Box, crop_jpeg, frame_jpeg, image_file
-from conetl.reports.drive_passes import expected_box, passes_of
+from conetl.reports.drive_passes import expected_box, passes_of, pose_of
 from conetl.web import rows as to
 from conetl.web.judging_models import Frame, Passes
 from conetl.web.parameters import ChangesetNo, Index, MapName, Origin, Reader, cut
@@ -94,7 +94,7 @@ def frame_image(
         row = _frame(conn, map_name, drive_uuid, frame_index)
         boxes = store.read_frame_boxes(conn, drive_uuid, frame_index)[side]
         history = [] if feature_id is None else store.read_feature_history(conn, map_name, feature_id)
-    rig, pose = Rig.model_validate(row["rig"]), to.pose_of(row)
+    rig, pose = Rig.model_validate(row["rig"]), pose_of(row)
     expected = {
         expected_box(to.position(state), state["object_height_m"], pose, rig, side, state["category"])
         for state in history

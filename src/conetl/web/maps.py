@@ -12,7 +12,7 @@ from conetl.db.map.map_store import list_changesets, require_map
 from conetl.geometry.rig import map_SE3_left
 from conetl.model.base import utc_from_ns
 from conetl.model.rig import Rig
-from conetl.reports.drive_passes import reasons_of
+from conetl.reports.drive_passes import pose_of, reasons_of
 from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.parameters import Instant, MapName, Origin, Reader
@@ -91,6 +91,6 @@ def trajectory(map_name: MapName, drive_uuid: UUID, conn: Reader, origin: Origin
         origin_m=origin,
         frame_index=[row["frame_index"] for row in rows],
         captured_at=[utc_from_ns(row["captured_at_ns"]) for row in rows],
-        xyz_m=[to.offset(map_SE3_left(to.pose_of(row), rig)[:3, 3].tolist(), origin) for row in rows] if rig else [],
+        xyz_m=[to.offset(map_SE3_left(pose_of(row), rig)[:3, 3].tolist(), origin) for row in rows] if rig else [],
         truncated=truncated,
     )

@@ -11,9 +11,8 @@ from pydantic import BaseModel
 from conetl.db.map.results import CommittedChangeset
 from conetl.geometry.rig import camera_of, map_SE3_camera, map_SE3_left
 from conetl.model.base import TICK, Vec3, utc_from_ns
-from conetl.model.drive import Pose
 from conetl.model.rig import Rig, Side
-from conetl.reports.drive_passes import DrivePass
+from conetl.reports.drive_passes import DrivePass, pose_of
 from conetl.web.judging_models import FrameBox, FrameView
 from conetl.web.models import Box, Decision, HistoryItem, Sighting, TimelineItem
 
@@ -125,12 +124,6 @@ def clusters(cells: Sequence[Row], by: str, origin_m: Vec3) -> list[tuple[Vec3, 
         mean_m = [sum(row["sum_cm"][axis] for row in rows) / sum(counts.values()) / 100 for axis in range(3)]
         answers.append((offset(mean_m, origin_m), counts))
     return answers
-
-
-def pose_of(row: Row, prefix: str = "") -> Pose:
-    rotation = np.reshape(row["map_r_body"], (3, 3)).tolist()
-    zeros = (0.0, 0.0, 0.0)  # the position of the camera does not depend on sigmas
-    return Pose(map_R_body=rotation, map_t_body_m=position(row, prefix), sigma_enu_m=zeros, sigma_rpy_rad=zeros)
 
 
 def _corners(rig: Rig) -> tuple[Vec3, Vec3, Vec3, Vec3]:

@@ -41,7 +41,7 @@ def are_in_view(boxes: Floats, camera: Camera, params: ReconcileParams) -> Bools
 def hidden_share(box: Box, detections: Sequence[Detection]) -> float:
     """Share (0 to 1) of `box` behind nearer detected boxes (with a lower foot in the image).
 
-    Overlapping boxes count once, on a grid of 24 x 24 points, as in `training/looks.py`.
+    Overlapping boxes count once, on a grid of 24 x 24 points, as in `learning/evidence/looks.py`.
     """
     x0, y0, x1, y1 = box
     nearer = nearer_boxes(box, detections)

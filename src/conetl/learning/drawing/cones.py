@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from training.drawn_objects import CutOut
+from conetl.learning.drawing.cut_outs import CutOut
 
 #: BGR. Oranges and reds, then lime, yellow and blue.
 BODY_COLOURS = (

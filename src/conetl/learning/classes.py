@@ -5,5 +5,5 @@ CLASSES = (
     "traffic_cone", "tubular_marker", "drum", "vertical_panel", "barricade", "work_zone_sign", "arrow_board", "traffic_sign",
 )  # fmt: skip
 ALL_CLASSES = 2 ** len(CLASSES) - 1
-#: What labels/CLIP.csv holds besides: regions of objects that cannot be separated, and frames without anything.
-IGNORED, NOTHING = "ignore", "nothing"
+#: All of them, also where large objects are searched: what is nobody's judgement is not taught at any size.
+EVERY_SIZE = ALL_CLASSES + 2 ** len(CLASSES)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from conetl.learning.drawing.cut_outs import CutOut
 
 Colour = tuple[float, ...]
 #: Longer side of a drawing in pixels.
@@ -18,21 +19,6 @@ WORDS = (
     "ROAD", "WORK", "AHEAD", "LANE", "CLOSED", "DETOUR", "ONE", "WAY", "SPEED", "LIMIT", "NO", "PARKING", "KEEP", "RIGHT", "END",
     "EXIT", "SLOW", "25", "35", "45", "50", "STOP",
 )  # fmt: skip
-
-
-@dataclass(frozen=True)
-class CutOut:
-    """A thing to paste: (h, w, 4) BGRA uint8; its box [x0, y0, x1, y1], foot and tip in its own pixels (NaN: not known)."""
-
-    image: np.ndarray
-    category: str = "traffic_cone"
-    ends: np.ndarray = field(default_factory=lambda: np.full(4, np.nan))
-    box: np.ndarray | None = None
-    """None: the whole image."""
-
-    @property
-    def box_or_all(self) -> np.ndarray:
-        return np.array([0.0, 0.0, self.image.shape[1], self.image.shape[0]]) if self.box is None else self.box
 
 
 def draw_object(rng: np.random.Generator, category: str) -> CutOut:

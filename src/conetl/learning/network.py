@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.classes import CLASSES
+from conetl.learning.classes import CLASSES
 
 STRIDES = (4, 8, 16, 32)
 BINS = 16
@@ -96,7 +96,7 @@ def doubled(features: Tensor) -> Tensor:
     return rows.flatten(3, 4).flatten(1, 2).permute(0, 3, 1, 2)
 
 
-class Detector(nn.Module):
+class DetectionNetwork(nn.Module):
     """Image (B, 3, H, W) float in 0..1, RGB, H and W multiples of 32 -> one raw map (B, 4*BINS + 4 + classes, H/s, W/s) a
     stride.
 
@@ -130,7 +130,7 @@ class Detector(nn.Module):
         return [torch.cat((sides(shared), ends(shared), score(shared)), 1) for shared, sides, ends, score in layers]
 
 
-class ConeNet(Detector):
+class ConeNet(DetectionNetwork):
     """The network that is shipped: 1.41 million parameters."""
 
     def __init__(self) -> None:
@@ -149,8 +149,15 @@ class ConeNet(Detector):
         self.heads = nn.ModuleList(depthwise(width) for width in widths)
 
     def features(self, picture: Tensor) -> list[Tensor]:
+        return self.deep_features(*self.shallow_features(picture))
+
+    def shallow_features(self, picture: Tensor) -> tuple[Tensor, Tensor]:
+        """Of strides 4 and 8: edges and textures, which are those of all objects."""
         c4 = self.stage4(self.stem(picture))
-        c8 = self.stage8(c4)
+        return c4, self.stage8(c4)
+
+    def deep_features(self, c4: Tensor, c8: Tensor) -> list[Tensor]:
+        """`features` out of the shallow ones."""
         c16 = self.stage16(c8)
         p32 = self.down32(self.stage32(c16))
         p16 = self.mix16(self.side16(c16) + doubled(self.top16(p32)))

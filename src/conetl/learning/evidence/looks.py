@@ -1,4 +1,4 @@
-"""Looks at labelled cones and at what is taken for one: the raw material of `calibrate_scores.py`.
+"""Looks at labelled cones and at what is taken for one: the raw material of `measure.py`.
 
 Each image is looked at several times: as it is, smaller and larger with other light (a look from another distance), and with
 things pasted in front of its cones. A cone is found where a box overlaps its label as `tracking/existence.py` asks.
@@ -6,24 +6,19 @@ things pasted in front of its cones. A cone is found where a box overlaps its la
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from conetl.learning.images import LabelledImage
 from conetl.perception.decoding import intersection_over_union
-from training.dataset import Image
 
 #: Scores below this are not looked at: nothing in the pipeline does.
 LEAST_SCORE = 0.05
 MATCH_IOU = 0.3
-#: Places of the validation images that hold a cone, or may, without a label; found by a person among the boxes of
-#: conetl-cone-2 from 18 px and score 0.15 on. Boxes there count neither way.
-UNLABELLED = Path(__file__).with_name("val_unlabelled.csv")
 #: A box that touches a label by more than this is not called false: half a cone, or two in one.
 NEAR_IOU = 0.1
 #: Below this height the real images leave cones without a label (training/README.md): a box there counts neither way.
@@ -35,7 +30,7 @@ Detect = Callable[[np.ndarray], np.ndarray]
 
 
 @dataclass
-class Looks:
+class ConeLooks:
     """Rows of numbers; `image` numbers images, `thing` cones and lookalikes over all images."""
 
     cones: list[tuple[int, int, int, float, float, float]] = field(default_factory=list)
@@ -50,19 +45,11 @@ class Looks:
     """By image: whether it has no cone without a label at any height."""
 
 
-def unlabelled_places() -> dict[str, np.ndarray]:
-    """UNLABELLED by image: (N, 4) x0, y0, x1, y1."""
-    places: dict[str, list[list[float]]] = {}
-    with UNLABELLED.open() as lines:
-        for row in csv.DictReader(lines):
-            places.setdefault(row["file"], []).append([float(row[key]) for key in ("x0", "y0", "x1", "y1")])
-    return {name: np.array(boxes) for name, boxes in places.items()}
-
-
-def look_at_pictures(pictures: list[Image], exact: Callable[[Image], bool], detect: Detect, seed: int = 5) -> Looks:
+def look_at_pictures(
+    pictures: list[LabelledImage], exact: Callable[[LabelledImage], bool], detect: Detect, seed: int = 5
+) -> ConeLooks:
     """All looks at all images. detect: image -> boxes (N, 5 or more) x, y, w, h, score down to LEAST_SCORE."""
-    rng = np.random.default_rng(seed)
-    looks, places = Looks(), unlabelled_places()
+    rng, looks = np.random.default_rng(seed), ConeLooks()
     for number, picture in enumerate(pictures):
         looks.exact.append(exact(picture))
         cones = picture.boxes[:, :4]
@@ -76,7 +63,7 @@ def look_at_pictures(pictures: list[Image], exact: Callable[[Image], bool], dete
         for look, share in enumerate(HIDDEN, len(SCALES)):
             image, covers = _hide(picture.image, cones, share, pictures, rng)
             _add_cones(looks, number, first_cone, look, cones, _corners(detect(image)), 1.0, covers, picture)
-        countable = [_countable(found, picture, places, looks.exact[number]) for found in found_by_scale]
+        countable = [_countable(found, picture, looks.exact[number]) for found in found_by_scale]
         _add_boxes(looks, number, cones, countable[0])
         _add_lookalikes(looks, number, cones, countable)
     return looks
@@ -94,7 +81,7 @@ def _another_look(image: np.ndarray, scale: float, rng: np.random.Generator) -> 
 
 
 def _hide(
-    image: np.ndarray, cones: np.ndarray, share: float, pictures: list[Image], rng: np.random.Generator
+    image: np.ndarray, cones: np.ndarray, share: float, pictures: list[LabelledImage], rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """The image with something before each cone that covers `share` of its box, and what was pasted (N, 4).
 
@@ -132,8 +119,8 @@ def _corners(found: np.ndarray) -> np.ndarray:
 
 
 def _add_cones(
-    looks: Looks, number: int, first: int, look: int, cones: np.ndarray, found: np.ndarray,
-    scale: float, covers: np.ndarray, picture: Image,
+    looks: ConeLooks, number: int, first: int, look: int, cones: np.ndarray, found: np.ndarray,
+    scale: float, covers: np.ndarray, picture: LabelledImage,
 ) -> None:  # fmt: skip
     """Cones that lie wholly inside the image, with the share of the box behind pasted things and behind nearer cones."""
     rows, columns = picture.image.shape[:2]
@@ -157,18 +144,31 @@ def hidden_share(box: np.ndarray, nearer: np.ndarray) -> float:
     return float(inside.mean())
 
 
-def _countable(found: NDArray[np.float64], picture: Image, places: dict[str, np.ndarray], exact: bool) -> np.ndarray:
+def _countable(found: NDArray[np.float64], picture: LabelledImage, exact: bool) -> np.ndarray:
     """Boxes that can be judged: not cut by the image's edge, not where an unlabelled cone stands or may stand."""
     rows, columns = picture.image.shape[:2]
     good = (found[:, :2] >= EDGE_PX).all(1) & (found[:, 2] <= columns - EDGE_PX) & (found[:, 3] <= rows - EDGE_PX)
     if not exact:
         good &= found[:, 3] - found[:, 1] >= LABELLED_FROM_PX
-    for place in places.get(picture.name, np.zeros((0, 4))):
-        good &= intersection_over_union(place, found[:, :4]) < NEAR_IOU
+    on_label = np.array([_best_overlap(box, picture.boxes) >= MATCH_IOU for box in found], bool)
+    for region in picture.fade:
+        apart = (intersection_over_union(region, found[:, :4]) < NEAR_IOU) & (share_within(found, region) <= 0.5)
+        good &= on_label | apart
     return found[np.flatnonzero(good)]
 
 
-def _add_boxes(looks: Looks, number: int, cones: np.ndarray, found: np.ndarray) -> None:
+def _best_overlap(box: np.ndarray, others: np.ndarray) -> float:
+    return float(intersection_over_union(box[:4], others[:, :4]).max(initial=0.0))
+
+
+def share_within(boxes: np.ndarray, region: np.ndarray) -> np.ndarray:
+    """Share (N,) of each box (N, 4 or more) [x0, y0, x1, y1] that lies in a region (4,)."""
+    low, high = np.maximum(boxes[:, :2], region[:2]), np.minimum(boxes[:, 2:4], region[2:4])
+    whole = (boxes[:, 2:4] - boxes[:, :2]).prod(1)
+    return np.asarray(np.clip(high - low, 0, None).prod(1) / np.maximum(whole, 1e-9))
+
+
+def _add_boxes(looks: ConeLooks, number: int, cones: np.ndarray, found: np.ndarray) -> None:
     """Boxes of the plain look, the best first: on a cone that no better box has, or on none."""
     free = np.ones(len(cones), dtype=bool)
     for box in found[np.argsort(-found[:, 4], kind="stable")]:
@@ -184,7 +184,7 @@ def _add_boxes(looks: Looks, number: int, cones: np.ndarray, found: np.ndarray) 
                 looks.false_boxes.append((height, score))
 
 
-def _add_lookalikes(looks: Looks, number: int, cones: np.ndarray, found_by_scale: list[np.ndarray]) -> None:
+def _add_lookalikes(looks: ConeLooks, number: int, cones: np.ndarray, found_by_scale: list[np.ndarray]) -> None:
     """Places without a cone that had a box in any look, with the best score there in every look."""
     places: list[np.ndarray] = []
     for box in np.concatenate(found_by_scale):

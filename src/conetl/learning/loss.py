@@ -9,8 +9,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from training.classes import ALL_CLASSES, CLASSES
-from training.network import BINS, STRIDES
+from conetl.learning.classes import ALL_CLASSES, CLASSES
+from conetl.learning.network import BINS, STRIDES
 
 CANDIDATES = 9
 
@@ -112,24 +112,25 @@ def taught_weights(fades: Tensor, points: Tensor, strides: Tensor) -> Tensor:
     corners = fades[:, :, None, :4]
     inside = ((points >= corners[..., :2]) & (points <= corners[..., 2:])).all(-1)
     # Of places where something may stand only fine cells fade: far things are small, large boxes stay forbidden.
-    inside &= (strides <= 16) | (fades[..., 4:] < ALL_CLASSES)
+    inside &= (strides <= 16) | (fades[..., 4:] != ALL_CLASSES)
     faded = (fades[..., 4:].long() >> torch.arange(len(CLASSES), device=fades.device)) & 1  # (B, M, classes)
     return (inside.float().transpose(1, 2) @ faded.float() == 0).float()
 
 
 def detection_loss(
-    maps: list[Tensor], truths: Tensor, trusts: Tensor, fades: Tensor
+    maps: list[Tensor], truths: Tensor, trusts: Tensor, fades: Tensor, taught: Tensor | None = None
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """Sum of score (BCE against IoU-scaled targets), box (CIoU), side (DFL) and end (smooth L1) losses for a batch.
 
     truths: (B, G, 9) box, foot and tip (NaN where not known) and class; class -1 pads. trusts: (B, G). fades: (B, M, 5) box and
-    the sum of 2**class of those classes that are neither taught nor forbidden in it; 0 pads.
+    the sum of 2**class of those classes that are neither taught nor forbidden in it; 0 pads. taught: weights (B, A, classes) of
+    what is taught instead of all that no fade covers.
     """
     side_logits, end_offsets, score_logits, points, strides = flatten_maps(maps)
     with torch.no_grad():  # only the assigned cells' boxes are differentiated, below
         boxes = boxes_from_sides(side_logits, points, strides)
         there, classes = truths[..., 8] >= 0, truths[..., 8].clamp(min=0).long()
-        weights = taught_weights(fades, points, strides)
+        weights = taught_weights(fades, points, strides) if taught is None else taught.clone()
     image, cell, owner, target = assign(score_logits.detach(), boxes, points, strides, truths[..., :4], classes, there)
     targets = torch.zeros_like(score_logits)
     targets[image, cell, classes[image, owner]] = target
@@ -160,3 +161,18 @@ def detection_loss(
     losses = {"score": score_loss, "box": box_loss, "side": side_loss, "end": end_loss}
     total_loss = 0.7 * score_loss + 7.5 * box_loss + 1.5 * side_loss + 6.0 * end_loss
     return total_loss, {name: loss.detach() for name, loss in losses.items()}
+
+
+def distillation_loss(taught: list[Tensor], teaching: list[Tensor], weights: Tensor | None = None) -> Tensor:
+    """How far the scores of one network are from those of another, which gets no gradient.
+
+    Binary cross entropy of all cells and classes, less its least value, over the amount that the other network sees. weights: of
+    cells and classes (B, A, classes); None: all alike.
+    """
+    scores = flatten_maps(taught)[2]
+    with torch.no_grad():
+        wanted = flatten_maps(teaching)[2].sigmoid()
+        amount = wanted.amax(-1)
+        total = (amount * (amount > 0.1)).sum().clamp(min=4.0)
+        least = functional.binary_cross_entropy(wanted, wanted, weights, reduction="sum")
+    return 0.7 * (functional.binary_cross_entropy_with_logits(scores, wanted, weights, reduction="sum") - least) / total

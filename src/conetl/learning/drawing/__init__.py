@@ -1,0 +1,1 @@
+"""Cones, other road objects and distractors drawn by formula."""

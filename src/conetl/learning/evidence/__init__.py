@@ -1,0 +1,1 @@
+"""What the scores of a network mean: images of labelled cones again and again, calibration, P(detect)."""
