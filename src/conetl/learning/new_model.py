@@ -52,7 +52,7 @@ def train_model(
     out: Path,
     *,
     base: Path | None = None,
-    minutes: float = 30.0,
+    minutes: float = 12.0,
     threads: int = 2,
     progress: Callable[[float, str], None] = lambda share, text: None,
 ) -> NewModel:

@@ -18,7 +18,7 @@ def train(
     output: Annotated[
         Path, typer.Option("--out", help="Model to write; its sidecar and a page are written beside it.")
     ] = Path("taught.onnx"),
-    minutes: Annotated[float, typer.Option(min=0.5, max=1440, help="Time for all of it.")] = 30.0,
+    minutes: Annotated[float, typer.Option(min=0.5, max=1440, help="Time for all of it.")] = 12.0,
     model: Annotated[
         Path | None, typer.Option(help="Model to start from; default: CONETL_MODEL_PATH or the shipped one.")
     ] = None,
