@@ -42,10 +42,6 @@ def test_base_layers_have_the_colours_of_the_web_view() -> None:
     light = re.search(r"^  light: {(.*?)^  },", (WEB / "theme.ts").read_text(), re.M | re.S)
     shown = dict(re.findall(r"(\w+): \"(#[0-9a-f]{6})\"", light[1] if light else ""))
     assert [shown[name] for name in ("dark", "bright", "line", "path")] == [DARK_POINT, BRIGHT_POINT, LANE, DRIVE_PATH]
-    swatches = dict(
-        re.findall(r"--(points|lines): (#[0-9a-f]{6})", (WEB / "tools.css").read_text().partition("[data-theme")[0])
-    )
-    assert swatches == {"points": DARK_POINT, "lines": LANE}
 
 
 def test_lane_markings_have_the_colours_of_the_web_view() -> None:

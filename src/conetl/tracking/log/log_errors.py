@@ -45,7 +45,7 @@ _SPACED, _RUNS, _RUN = 48, 3, 24
 _PRIOR_SIGMA = np.array([8.0, 8.0, 8.0, 0.7, 2.0, 1.5, 1.0, 0.7])
 _FAST_SHARE, _SLOW_SHARE, _FAST_S = 0.01, 1.0, 0.7
 #: Of the times, s.
-_RANGES_S = (0.15, 3.0), (5.0, 600.0), (2.0, 6000.0)
+_RANGES_S = (0.15, 3.0), (5.0, 600.0), (1.0, 6000.0)
 #: Logarithms of white, fast and slow over smooth share where the search begins, of positions and of attitudes: the likelihood has
 #: one maximum for white and one for fast errors.
 _STARTS, _ATTITUDE_STARTS = ((2.0, -4.6, -4.0), (-4.6, 2.0, -4.0)), ((-4.6, -4.6, 4.0),)
