@@ -17,18 +17,22 @@ import dataclasses
 import json
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from scipy.stats import chi2
 
 from conetl.learning.classes import CLASSES
-from conetl.learning.evidence.calibration import folds_of
+from conetl.learning.evidence.calibration import REFERENCE, folds_of
 from conetl.learning.evidence.looks import LEAST_SCORE, look_at_pictures
-from conetl.learning.evidence.measure import false_box_bounds, measure, model_card_text, sidecar_text
-from conetl.learning.evidence.reliability import write_reliability_figure
+from conetl.learning.evidence.measure import measure, sidecar_text
+from conetl.learning.evidence.reliability import expected_calibration_error, reliability_bins
 from conetl.learning.images import LabelledImage
+from conetl.learning.scoring import at_score, of_class
+from conetl.model.detector_evidence import DetectorEvidence
 from conetl.model.feature_classes import CONE
-from conetl.perception.detector import detect_image, load_detector
+from conetl.perception.detector import Detector, detect_image, load_detector
 from conetl.perception.model_card import read_model_card
 from training.dataset import read_cones, read_left_out, read_renders
 from training.evaluate import left_out_clips
@@ -87,6 +91,68 @@ def main() -> None:
             curve, held_out["score"], held_out[evidence.calibration.method], truth, detector.card.name
         )
         print(f"{sidecar}, {curve}: written")
+
+
+def model_card_text(evidence: DetectorEvidence, figures: dict[str, Any]) -> str:
+    """The tables for the model card, in Markdown."""
+    lines = ["| apparent height px | " + " | ".join(f"hidden {h}" for h in ("0-12 %", "12-37 %", "37-62 %")) + " |"]
+    lines.append("|---" * 4 + "|")
+    k = evidence.score_thresholds.index(REFERENCE)
+    ends = [f"{high:g}" for high in evidence.height_bands_px[1:]] + [""]
+    for i, (low, high) in enumerate(zip(evidence.height_bands_px, ends, strict=True)):
+        cells = [
+            f"{evidence.detected[k][i][j]:.2f} ({evidence.looks[i][j]})" for j in range(len(evidence.hidden_bands))
+        ]
+        lines.append(f"| {low:g}-{high} | " + " | ".join(cells) + " |")
+    return "\n".join((f"P(detect at {REFERENCE}) (looks)", *lines, json.dumps(figures, indent=1)))
+
+
+def false_box_bounds(detector: Detector, clips: list[LabelledImage]) -> dict[str, float]:
+    """Boxes on no object per image, of each class but the cone: the upper 95 % limit of the mean of a Poisson count."""
+    names = [name for name in detector.card.class_names if name != CONE]
+    found = [
+        detect_image(detector, p.image, score_threshold=REFERENCE, single_image=True, categories=names) for p in clips
+    ]
+    bounds = {}
+    for name in names:
+        pairs = [of_class(p, boxes, CLASSES.index(name)) for p, boxes in zip(clips, found, strict=True)]
+        rate = at_score([p for p, _ in pairs], [boxes for _, boxes in pairs], REFERENCE)["false_a_picture"]
+        count = round(rate * len(clips))
+        bounds[name] = round(float(chi2.ppf(0.95, 2 * (count + 1)) / 2 / len(clips)), 2)
+    return bounds
+
+
+def write_reliability_figure(path: Path, before: np.ndarray, after: np.ndarray, truth: np.ndarray, name: str) -> None:
+    """Two curves, of the score as it is and of the held-out calibrated probability, with numbers of boxes below."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (top, below) = plt.subplots(
+        2, 1, figsize=(4.6, 5.4), height_ratios=(4, 1), sharex=True, constrained_layout=True
+    )
+    top.plot((0, 1), (0, 1), color="0.7", linewidth=1)
+    for values, label, colour, side in (
+        (before, "score", "tab:orange", -1),
+        (after, "calibrated, held out", "tab:blue", 1),
+    ):
+        said, true, number = (np.array(column) for column in zip(*reliability_bins(values, truth), strict=True))
+        # Wilson interval of the share (95 %)
+        z = 1.96
+        middle = (true + z * z / (2 * number)) / (1 + z * z / number)
+        half = z * np.sqrt(true * (1 - true) / number + z * z / (4 * number**2)) / (1 + z * z / number)
+        bars = np.abs(np.stack((true - (middle - half), middle + half - true)))
+        ece = expected_calibration_error(values, truth)
+        top.errorbar(
+            said, true, bars, color=colour, marker="o", markersize=4, capsize=2, label=f"{label}: ECE {ece:.3f}"
+        )
+        below.bar(said + 0.01 * side, number, width=0.02, color=colour)
+    top.set(ylabel="share of boxes on a cone", ylim=(-0.02, 1.02), title=f"{name}: {len(truth)} boxes")
+    top.legend(loc="lower right", frameon=False)
+    below.set(xlabel="score, or probability", ylabel="boxes", xlim=(0, 1))
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
 
 
 if __name__ == "__main__":

@@ -30,11 +30,10 @@ from torch.utils.data import DataLoader, IterableDataset
 from conetl.learning.augment import Layered, make_sample, pyramid
 from conetl.learning.drawing.cones import draw_cone
 from conetl.learning.drawing.objects import DRAW, draw_object
-from conetl.learning.images import cut_out_cones
-from conetl.learning.learner import Learner, collate, maps_of
+from conetl.learning.learner import Learner, collate
 from conetl.learning.loss import detection_loss, distillation_loss
 from conetl.learning.network import ConeNet, DetectionNetwork
-from training.dataset import read_cones, read_labelled_clips, read_more_cones, read_renders
+from training.dataset import cut_out_cones, read_cones, read_labelled_clips, read_more_cones, read_renders
 from training.teacher import Teacher, trained_teacher
 
 SHARES = {
@@ -122,6 +121,13 @@ class Batches(IterableDataset):
             size = round(LARGE * self.args.size / 32) * 32 if large else self.args.size
             samples = [make_sample(pick, self.backgrounds, self.cutouts, size, rng, large) for _ in range(number)]
             yield collate(samples)
+
+
+def maps_of(network: DetectionNetwork, images: Tensor, bf16: bool) -> list[Tensor]:
+    """The network's maps; features in 16 bits where asked for, outputs never: sides of boxes need all their bits."""
+    with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
+        features = network.features(images)
+    return network.outputs([level.float() for level in features])
 
 
 def read_arguments() -> argparse.Namespace:

@@ -70,13 +70,6 @@ class Learner:
         self.optimiser.load_state_dict(kept["optimiser"])
 
 
-def maps_of(network: DetectionNetwork, images: Tensor, bf16: bool) -> list[Tensor]:
-    """The network's maps; features in 16 bits where asked for, outputs never: sides of boxes need all their bits."""
-    with torch.autocast(images.device.type, torch.bfloat16, enabled=bf16):
-        features = network.features(images)
-    return network.outputs([level.float() for level in features])
-
-
 def share_gradients(network: DetectionNetwork) -> None:
     """The mean of the gradients of all processes, in place, where there are several."""
     if not dist.is_initialized():

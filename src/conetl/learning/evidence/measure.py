@@ -9,13 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
-from scipy.stats import chi2
 
-from conetl.learning.classes import CLASSES
 from conetl.learning.evidence.calibration import REFERENCE, compare_calibrations, fit_logistic
 from conetl.learning.evidence.looks import MATCH_IOU, SCALES, ConeLooks
-from conetl.learning.images import LabelledImage
-from conetl.learning.scoring import at_score, of_class
 from conetl.model.detector_evidence import (
     UNMEASURED,
     DetectorEvidence,
@@ -25,9 +21,7 @@ from conetl.model.detector_evidence import (
     joint_log_ratio,
     miss_log_ratio,
 )
-from conetl.model.feature_classes import CONE
 from conetl.model.params import IngestParams
-from conetl.perception.detector import Detector, detect_image
 
 THRESHOLDS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
 HEIGHTS_PX = (8.0, 12.0, 16.0, 20.0, 30.0, 60.0)
@@ -235,32 +229,3 @@ def sidecar_text(card: dict[str, Any]) -> str:
     """JSON with one line for each innermost list."""
     text = json.dumps(card, indent=2)
     return re.sub(r"\[\s+([^\[\]{}]*?)\s+\]", lambda m: "[" + re.sub(r",\s+", ", ", m[1]) + "]", text) + "\n"
-
-
-def model_card_text(evidence: DetectorEvidence, figures: dict[str, Any]) -> str:
-    """The tables for the model card, in Markdown."""
-    lines = ["| apparent height px | " + " | ".join(f"hidden {h}" for h in ("0-12 %", "12-37 %", "37-62 %")) + " |"]
-    lines.append("|---" * 4 + "|")
-    k = evidence.score_thresholds.index(REFERENCE)
-    ends = [f"{high:g}" for high in evidence.height_bands_px[1:]] + [""]
-    for i, (low, high) in enumerate(zip(evidence.height_bands_px, ends, strict=True)):
-        cells = [
-            f"{evidence.detected[k][i][j]:.2f} ({evidence.looks[i][j]})" for j in range(len(evidence.hidden_bands))
-        ]
-        lines.append(f"| {low:g}-{high} | " + " | ".join(cells) + " |")
-    return "\n".join((f"P(detect at {REFERENCE}) (looks)", *lines, json.dumps(figures, indent=1)))
-
-
-def false_box_bounds(detector: Detector, clips: list[LabelledImage]) -> dict[str, float]:
-    """Boxes on no object per image, of each class but the cone: the upper 95 % limit of the mean of a Poisson count."""
-    names = [name for name in detector.card.class_names if name != CONE]
-    found = [
-        detect_image(detector, p.image, score_threshold=REFERENCE, single_image=True, categories=names) for p in clips
-    ]
-    bounds = {}
-    for name in names:
-        pairs = [of_class(p, boxes, CLASSES.index(name)) for p, boxes in zip(clips, found, strict=True)]
-        rate = at_score([p for p, _ in pairs], [boxes for _, boxes in pairs], REFERENCE)["false_a_picture"]
-        count = round(rate * len(clips))
-        bounds[name] = round(float(chi2.ppf(0.95, 2 * (count + 1)) / 2 / len(clips)), 2)
-    return bounds
