@@ -1,9 +1,9 @@
 """Position, velocity and course of a vehicle at any instant from positions alone, recorded 0.5 to 20 times per second.
 
 Along each axis the acceleration is a first-order Gauss-Markov process (Singer 1970), and so is the error of a recorded position,
-with a white share, as in `tracking/trajectory.py`. The estimate is the smoother of that model (Rauch, Tung & Striebel 1965): a
-smoothing spline whose covariance grows between the records by what a vehicle may do in the meantime. Between two records it is
-the Gauss-Markov bridge of the smoothed states.
+with a white share that the records show (mean of its posterior). The estimate is the smoother of that model (Rauch, Tung &
+Striebel 1965): a smoothing spline whose covariance grows between the records by what a vehicle may do in the meantime. Between
+two records it is the Gauss-Markov bridge of the smoothed states.
 
 All positions and velocities are along east, north and up of a map or of a level frame; yaw counts from east, counter-clockwise.
 """
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from conetl.geometry import pose as se3
 from conetl.geometry.linear_reference import spaced
-from conetl.model.arrays import Bools, Floats
+from conetl.model.arrays import Bools, Floats, Ints
 
 #: Accelerations of a vehicle on a road (m/s^2, one sigma; east, north, up) and how long one lasts (s).
 _ACCELERATION_M_S2, _LASTS_S = np.array([1.8, 1.8, 0.3]), 1.5
@@ -40,6 +40,8 @@ _SLOPE_RAD, _UNKNOWN_RAD = np.radians(3.0), np.pi / 3**0.5
 _NODES, _NODE_WEIGHTS = np.polynomial.legendre.leggauss(16)
 #: Median of chi-square of one degree of freedom.
 _MEDIAN_CHI2 = 0.4549
+#: Shares of white errors that are tried, on so many records.
+_WHITE_SHARES, _MOST_SHOWN = (0.2, 0.4, 0.7, 0.95), 1000
 
 
 class PositionSpline(NamedTuple):
@@ -68,6 +70,8 @@ class VehicleStates(NamedTuple):
     """(M, 3) as a record of that instant would have it, with the slow error of the records around."""
     sigma_m: Floats
     """(M, 3) of its interpolation, beside that slow error."""
+    slow_m: Floats
+    """(M, 3): sigma of the slow error."""
     velocity_m_s: Floats
     """(M, 3)"""
     velocity_sigma_m_s: Floats
@@ -83,7 +87,7 @@ def position_spline(
 ) -> PositionSpline:
     """Smoothed states of positions (N, 3) with sigmas (N, 3), recorded at rising times (N,).
 
-    white_share, correlation_s: of the errors of the records, as `gnss_white_share` and `gnss_correlation_s` of
+    white_share, correlation_s: of the errors of the records, as `gnss_white_share` (at least) and `gnss_correlation_s` of
     `TrajectoryParams`. A vehicle that moves more abruptly than is usual widens the covariances. Raises ValueError for fewer than
     three records at least 0.19 s apart, times that do not rise, and values that are not finite.
     """
@@ -98,42 +102,76 @@ def position_spline(
     times, sigma = times[used], np.maximum(sigma[used], 1e-4)
     origin = positions[0].copy()
     observed = positions[used] - origin
-    count, slow = len(times), np.sqrt(1 - white_share**2) * sigma
+    shown = slice(0, _MOST_SHOWN)
+    shares = np.array([white_share, *(share for share in _WHITE_SHARES if share > white_share)])
+    unlikely = _filtered(times[shown], observed[shown], sigma[shown], shares, correlation_s).unlikely
+    share = float(np.sqrt(np.average(shares**2, weights=np.exp(unlikely.min() - unlikely))))
+    found = _filtered(times, observed, sigma, np.array([share]), correlation_s)
+    means, covs, ahead, ahead_cov = (part[:, 0] for part in (found.means, found.covs, found.ahead, found.ahead_cov))
+    gain = np.swapaxes(np.linalg.solve(ahead_cov[1:], found.carry[:, None] @ covs[:-1]), -1, -2)
+    for k in range(len(times) - 2, -1, -1):
+        means[k] += (gain[k] @ (means[k + 1] - ahead[k + 1])[..., None])[..., 0]
+        covs[k] += gain[k] @ (covs[k + 1] - ahead_cov[k + 1]) @ np.swapaxes(gain[k], -1, -2)
+    misses = found.misses[found.shown, 0]
+    factor = np.maximum(np.median(misses, axis=0) / _MEDIAN_CHI2, 1.0) if len(misses) else np.ones(3)
+    factor[:2] = factor[:2].max()
+    slow = np.sqrt(1 - share**2) * sigma
+    return PositionSpline(origin, times, means, covs * factor[:, None, None], gain, slow, correlation_s)
+
+
+class _Filtered(NamedTuple):
+    """Estimates at K records with each of G shares of white errors, by the records up to each."""
+
+    means: Floats
+    """(K, G, 3, 4)"""
+    covs: Floats
+    """(K, G, 3, 4, 4)"""
+    ahead: Floats
+    """(K, G, 3, 4): the mean without the record itself."""
+    ahead_cov: Floats
+    carry: Floats
+    """(K - 1, 4, 4): transition to the next record."""
+    misses: Floats
+    """(K, G, 3): squared differences of the records from what was expected, over their variances."""
+    unlikely: Floats
+    """(G,): minus the logarithm of the likelihood."""
+    shown: Bools
+    """(K,): whether a record was expected: the first ones of a part only initialise the estimate."""
+
+
+def _filtered(times: Floats, observed: Floats, sigma: Floats, shares: Floats, correlation_s: float) -> _Filtered:
+    """times (K,), observed (K, 3) and sigma (K, 3) of the records; shares: (G,)"""
+    count, size = len(times), len(shares)
+    slow, white = np.sqrt(1 - shares[:, None] ** 2) * sigma[:, None], (shares[:, None] * sigma[:, None]) ** 2
     carry, noise = _transition(np.diff(times), correlation_s)
     begins = np.r_[True, np.diff(times) > LONGEST_GAP_S]
     carry[begins[1:]] = 0.0
-    reach = np.zeros((count, 3, 4))
+    reach = np.zeros((count, size, 3, 4))
     reach[..., 0], reach[..., 3] = 1.0, slow
-    white = (white_share * sigma) ** 2
-    mean, cov = np.zeros((3, 4)), np.zeros((3, 4, 4))
-    unknown = np.zeros((3, 4, 4))
+    unknown = np.zeros((size, 3, 4, 4))
     unknown[:] = np.diag([_ANYWHERE_M**2, _ANY_SPEED_M_S**2, 0.0, 1.0])
-    unknown[:, 2, 2] = _ACCELERATION_M_S2**2
-    means, covs = np.empty((count, 3, 4)), np.empty((count, 3, 4, 4))
-    ahead, ahead_cov, unlikely = np.empty_like(means), np.empty_like(covs), np.zeros((count, 3))
+    unknown[:, :, 2, 2] = _ACCELERATION_M_S2**2
+    mean, cov = np.zeros((size, 3, 4)), unknown
+    means, covs = np.empty((count, size, 3, 4)), np.empty((count, size, 3, 4, 4))
+    ahead, ahead_cov = np.empty_like(means), np.empty_like(covs)
+    misses, variances = np.zeros((count, size, 3)), np.ones((count, size, 3))
     for k in range(count):
         if begins[k]:
-            mean, cov = np.zeros((3, 4)), unknown
-            mean[:, 0] = observed[k]
+            mean, cov = np.zeros((size, 3, 4)), unknown
+            mean[..., 0] = observed[k]
         else:
             mean, cov = (carry[k - 1] @ mean[..., None])[..., 0], carry[k - 1] @ cov @ carry[k - 1].T + noise[k - 1]
         ahead[k], ahead_cov[k] = mean, cov
         column = (cov @ reach[k][..., None])[..., 0]
-        variance = (reach[k] * column).sum(axis=-1) + white[k]
+        variances[k] = (reach[k] * column).sum(axis=-1) + white[k]
         miss = observed[k] - (reach[k] * mean).sum(axis=-1)
-        unlikely[k] = miss**2 / variance
-        mean = mean + column * (miss / variance)[:, None]
-        cov = cov - column[..., :, None] * column[..., None, :] / variance[:, None, None]
+        misses[k] = miss**2 / variances[k]
+        mean = mean + column * (miss / variances[k])[..., None]
+        cov = cov - column[..., :, None] * column[..., None, :] / variances[k][..., None, None]
         means[k], covs[k] = mean, cov
-    gain = np.swapaxes(np.linalg.solve(ahead_cov[1:], carry[:, None] @ covs[:-1]), -1, -2)
-    for k in range(count - 2, -1, -1):
-        means[k] += (gain[k] @ (means[k + 1] - ahead[k + 1])[..., None])[..., 0]
-        covs[k] += gain[k] @ (covs[k + 1] - ahead_cov[k + 1]) @ np.swapaxes(gain[k], -1, -2)
-    # The first records of a part only initialise the estimate.
-    begun = ~(begins | np.r_[True, begins[:-1]])
-    factor = np.maximum(np.median(unlikely[begun], axis=0) / _MEDIAN_CHI2, 1.0) if begun.any() else np.ones(3)
-    factor[:2] = factor[:2].max()
-    return PositionSpline(origin, times, means, covs * factor[:, None, None], gain, slow, correlation_s)
+    shown = ~(begins | np.r_[True, begins[:-1]])
+    unlikely = (misses[shown] + np.log(variances[shown])).sum(axis=(0, 2)) / 2
+    return _Filtered(means, covs, ahead, ahead_cov, carry, misses, unlikely, shown)
 
 
 def states_at(spline: PositionSpline, times_s: ArrayLike) -> VehicleStates:
@@ -161,7 +199,7 @@ def states_at(spline: PositionSpline, times_s: ArrayLike) -> VehicleStates:
     apart_s = (spline.times_s[k + 1] - spline.times_s[k])[:, None]
     recorded = cov[..., 0, 0] + slow**2 * cov[..., 3, 3] + 2 * slow * cov[..., 0, 3]
     return VehicleStates(
-        spline.origin_m + state[..., 0] + slow * state[..., 3], np.sqrt(np.maximum(recorded, 1e-8)), state[..., 1],
+        spline.origin_m + state[..., 0] + slow * state[..., 3], np.sqrt(np.maximum(recorded, 1e-8)), slow, state[..., 1],
         np.sqrt(np.maximum(cov[..., 1, 1], 1e-8)), state[..., 2],
         (spline.state[k + 1, :, 0] - spline.state[k, :, 0]) / apart_s,
     )  # fmt: skip
@@ -179,9 +217,9 @@ def course_attitude(spline: PositionSpline, times_s: ArrayLike) -> tuple[Floats,
     """Rotations (M, 3, 3) from body (forward, left, up) to the frame of the positions, and two sets of sigmas (M, 3) of roll,
     pitch and yaw (rad): of all errors, and of those that last no longer than the time between two records.
 
-    Yaw is the course, pitch the grade, roll zero. A standing vehicle keeps the heading between those before and after, with a
-    sigma that grows with the distance that it may have rolled. A vehicle that reverses is taken for one that drives forward:
-    positions do not show the difference. Raises ValueError where it never moves: its heading is unknown then.
+    Yaw is the course, pitch the grade, roll zero. A standing or slow vehicle has the heading between those before and after,
+    with a sigma that grows with the distance that it may have rolled. A vehicle that reverses is taken for one that drives
+    forward: positions do not show the difference. Raises ValueError where it never moves: its heading is unknown then.
     """
     times = np.asarray(times_s, dtype=np.float64).reshape(-1)
     middle = ((spline.times_s[1:] + spline.times_s[:-1]) / 2)[np.diff(spline.times_s) <= LONGEST_GAP_S]
@@ -191,25 +229,48 @@ def course_attitude(spline: PositionSpline, times_s: ArrayLike) -> tuple[Floats,
     if not len(moving):
         raise ValueError("the positions never show the vehicle moving, so that its heading is unknown")
     yaw, own = _course(moved)
-    edge_yaw, edge_sigma = _course(states_at(spline, steady[moving]))
+    shown = _best_headings(states_at(spline, steady[moving]), around.positions_m[moving])
     at = np.searchsorted(steady[moving], times)
     candidates = []
-    for side in (np.maximum(at - 1, 0), np.minimum(at, len(moving) - 1)):
+    for (edge_yaw, edge_sigma), side in zip(
+        shown, (np.maximum(at - 1, 0), np.minimum(at, len(moving) - 1)), strict=True
+    ):
         rolled_m = np.linalg.norm((moved.positions_m - around.positions_m[moving[side]])[:, :2], axis=1)
         rolled_m += moved.sigma_m[:, :2].max(axis=1)
-        candidates.append((edge_yaw[side], np.hypot(edge_sigma[side], rolled_m / _LEAST_RADIUS_M)))
+        candidates.append((edge_yaw[side], edge_sigma[side] + rolled_m / _LEAST_RADIUS_M))
     (first, first_sigma), (second, second_sigma) = candidates
     apart = np.angle(np.exp(1j * (second - first)))
     weight = first_sigma**2 / (first_sigma**2 + second_sigma**2)
     held_sigma = np.hypot(np.minimum(first_sigma, second_sigma), np.abs(apart) / 2)
     still = ~_is_moving(moved)
-    yaw = np.where(still, first + weight * apart, yaw)
-    own = np.where(still, np.minimum(held_sigma, _UNKNOWN_RAD), own)
+    held = still | (held_sigma < own)
+    yaw = np.where(held, first + weight * apart, yaw)
+    own = np.where(held, np.minimum(held_sigma, _UNKNOWN_RAD), own)
     speed = np.maximum(np.hypot(moved.velocity_m_s[:, 0], moved.velocity_m_s[:, 1]), 1e-3)
     pitch = np.where(still, 0.0, -np.arctan2(moved.velocity_m_s[:, 2], speed))
     pitch_sigma = np.where(still, _SLOPE_RAD, np.minimum(moved.velocity_sigma_m_s[:, 2] / speed, _SLOPE_RAD))
     short = np.stack([np.zeros(len(times)), pitch_sigma, own], axis=1)
     return se3.rotation_from_rpy(np.zeros(len(times)), pitch, yaw), np.hypot(short, _UNSEEN_RAD), short
+
+
+def _best_headings(moving: VehicleStates, positions_m: Floats) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """Yaw (M,) and its sigma (M,) at each of M instants, by the courses up to it and by those from it on.
+
+    A course shows little where the vehicle is slow. The one of a faster instant may be better, although the vehicle may have
+    turned since, by what it has driven over its least radius.
+    """
+    yaw, sigma = _course(moving)
+    turned = np.cumsum(np.linalg.norm(np.diff(positions_m[:, :2], axis=0, prepend=positions_m[:1, :2]), axis=1))
+    turned /= _LEAST_RADIUS_M
+
+    def best(least: Floats) -> Ints:
+        """(M,): number of the least value up to each."""
+        return np.maximum.accumulate(np.where(least <= np.minimum.accumulate(least), np.arange(len(least)), 0))
+
+    before, after = best(sigma - turned), len(sigma) - 1 - best((sigma + turned)[::-1])[::-1]
+    return (
+        (yaw[before], sigma[before] + turned - turned[before]), (yaw[after], sigma[after] + turned[after] - turned),
+    )  # fmt: skip
 
 
 def _course(moved: VehicleStates) -> tuple[Floats, Floats]:

@@ -73,7 +73,7 @@ def pose_reader(
             rotation = se3.interpolate(track.map_SE3_body[first], track.map_SE3_body[second], weight)[:3, :3]
             turned = _TURNS_RAD_S2 * apart_s**2 / 2 * weight * (1 - weight)
             sigma_rpy = np.hypot(sigma[3:], turned)
-        sigma_enu = np.hypot(sigma[:3], moved.sigma_m[k])
+        sigma_enu = np.hypot(moved.slow_m[k], moved.sigma_m[k])
         pose = se3.to_pose(se3.se3(rotation, moved.positions_m[k]), np.concatenate([sigma_enu, sigma_rpy]))
         part = Interpolated(sigma_enu_m=vec3(moved.sigma_m[k]), sigma_rpy_rad=vec3(turned), apart_s=apart_s)
         return pose.model_copy(update={"interpolated": part})
