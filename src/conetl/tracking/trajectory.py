@@ -139,12 +139,13 @@ def refine_trajectory(
     log = read_log(frame_pairs, rig, params, errors, rough.renewed)
     good = plausible_motions(log, measured, params.scale_sigma, rough)
 
-    def path_of(rotations: Floats) -> PathFit:
+    def path_of(rotations: Floats, positions: Floats | None = None) -> PathFit:
         # Where most motions contradict the log, they show what is wrong with it.
         shown = good if good.mean() > _MOST else np.ones_like(good)
         return fit_path(
             log,
             rotations,
+            positions,
             only(measured, shown),
             stated_errors(frame_pairs, log.renewed),
             errors or assumed_errors(params),
@@ -163,7 +164,7 @@ def refine_trajectory(
     rotations, places, normal = solved
     shift = places - log.positions
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
-    path = path_of(rotations)
+    path = path_of(rotations, places)
     worst = float(np.max(np.sum((shift / log.sigma_p) ** 2, axis=1)))
     if worst > params.max_shift_chi2:
         detail = (
@@ -197,7 +198,7 @@ def _log_errors_of(
     kept = only(measured, plausible_motions(log, measured, params.scale_sigma))
     solved = adjust(log, kept, (), params.robust_sigmas, [params.scale_sigma]) if len(kept.start) else None
     records = stated_errors(frame_pairs, log.renewed)
-    return None if solved is None else estimate_log_errors(log, solved[0], kept, records, params)
+    return None if solved is None else estimate_log_errors(log, *solved[:2], kept, records, params)
 
 
 def rough_log(

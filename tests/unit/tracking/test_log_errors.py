@@ -84,7 +84,7 @@ def made(
 
 def found(*args: object, **options: object) -> LogErrors:
     log, motions, records = made(*args, **options)  # type: ignore[arg-type]
-    return estimate_log_errors(log, log.rotations, motions, records, PARAMS)
+    return estimate_log_errors(log, log.rotations, log.positions, motions, records, PARAMS)
 
 
 @pytest.mark.parametrize("sigma_m", [0.05, 0.3])
@@ -154,10 +154,24 @@ def test_what_a_log_cannot_explain_is_estimated_and_its_sigma_holds() -> None:
     for seed in range(20):
         log, motions, records = made(seed, lambda rng, t: walk(rng, t, 20.0), 0.02)
         errors = LogErrors(*[ErrorShares(0.01, 0.0, 0.99, 0.0, 0.7, 20.0, 20.0)] * 4)
-        fit = fit_path(log, log.rotations, motions, records, errors, PARAMS)
+        fit = fit_path(log, log.rotations, None, motions, records, errors, PARAMS)
         squares += (fit.found / fit.sigma) ** 2
         assert not fit.doubtful.any()
     assert (squares / 20 < 2.0).all()
+
+
+def test_noise_of_the_images_of_a_standing_vehicle_is_no_scale() -> None:
+    """It is in the measured path and in what differs from it: by that path, the scale was 1."""
+    off = []
+    for seed in range(20):
+        log, motions, records = made(seed, constant, 0.02)
+        log.positions[:] = log.positions[0]
+        shifts_m = np.random.default_rng(seed).normal(0, VO_M, (FRAMES - 1, 3))
+        motions.next_SE3_first[:, :3, 3] = shifts_m
+        errors = LogErrors(*[ErrorShares(0.01, 0.0, 0.99, 0.0, 0.7, 20.0, 20.0)] * 4)
+        scale, sigma = fit_path(log, log.rotations, log.positions, motions, records, errors, PARAMS).scale
+        off.append(scale / sigma)
+    assert abs(np.mean(off)) < 0.5 and np.sqrt(np.mean(np.square(off))) < 1.3
 
 
 @pytest.mark.parametrize(("scale", "aside_rad"), [(0.02, 0.0), (0.0, 0.01), (-0.01, -0.005)])
@@ -180,4 +194,4 @@ def with_wrong_motions(scale: float, aside_rad: float) -> PathFit:
     wrong = motions.next_SE3_first.copy()
     wrong[:, :3, 3] = (1 + scale) * wrong[:, :3, 3] @ turn[:3, :3].T
     errors = LogErrors(*[ErrorShares(0.01, 0.0, 0.99, 0.0, 0.7, 20.0, 20.0)] * 4)
-    return fit_path(log, log.rotations, motions._replace(next_SE3_first=wrong), records, errors, PARAMS)
+    return fit_path(log, log.rotations, None, motions._replace(next_SE3_first=wrong), records, errors, PARAMS)

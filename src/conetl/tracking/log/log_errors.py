@@ -179,11 +179,16 @@ def sigma_levels(stated: Floats, renewed: Floats) -> tuple[Floats, Floats]:
 
 
 def estimate_log_errors(
-    log: LoggedPoses, rotations: Floats, motions: MeasuredMotions, records: StatedErrors, params: TrajectoryParams
+    log: LoggedPoses,
+    rotations: Floats,
+    positions: Floats,
+    motions: MeasuredMotions,
+    records: StatedErrors,
+    params: TrajectoryParams,
 ) -> LogErrors:
     """The shares of a log that is compared with the motions that images show; arguments as for `path_difference`."""
     assumed = assumed_errors(params)
-    difference = path_difference(log, rotations, motions, records.times_s, params)
+    difference = path_difference(log, rotations, positions, motions, records.times_s, params)
     tilt, heading = (
         np.hypot(np.median(records.stated[:, axes].max(axis=1)), _ALIGNMENT_RAD) for axes in ((3, 4), (5,))
     )

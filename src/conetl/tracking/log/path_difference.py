@@ -30,6 +30,8 @@ class PathDifference(NamedTuple):
     """(K, 6): variance of the measured path."""
     path_m: Floats
     """(K, 3): the measured one."""
+    shape_m: Floats
+    """(K, 3): adjusted to both, if they could be: the noise of the measured path would look like a scale of one."""
     velocity: Floats
     """(K, 3) m/s"""
     rotations: Floats
@@ -39,12 +41,18 @@ class PathDifference(NamedTuple):
 
 
 def path_difference(
-    log: LoggedPoses, rotations: Floats, motions: MeasuredMotions, times_s: Floats, params: TrajectoryParams
+    log: LoggedPoses,
+    rotations: Floats,
+    positions: Floats | None,
+    motions: MeasuredMotions,
+    times_s: Floats,
+    params: TrajectoryParams,
 ) -> PathDifference:
     """The difference of the log from the path that the motions show; a gap between them is bridged by the log.
 
     rotations: (K, 3, 3) of the body, adjusted to both; what they differ by from the log in the mean is left out, since it may be
-    adjusted to an error of the path. motions: without those that are implausible.
+    adjusted to an error of the path. positions: (K, 3), adjusted likewise, if they could be. motions: without those that are
+    implausible.
     """
     turned = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec().mean(axis=0)
     rotations = rotations @ Rotation.from_rotvec(-turned).as_matrix()
@@ -69,7 +77,8 @@ def path_difference(
     velocity = np.gradient(path, rising(times_s), axis=0)
     steps_m = np.diff(path, axis=0, prepend=path[:1])
     driven_m = np.cumsum((steps_m[:, :2] * left[:, :2, 2]).sum(axis=1))
-    return PathDifference(off, np.cumsum(var, axis=0), path, velocity, rotations, driven_m)
+    shape = path if positions is None else positions - positions[0] + (rotations - rotations[0]) @ lever
+    return PathDifference(off, np.cumsum(var, axis=0), path, shape, velocity, rotations, driven_m)
 
 
 def rising(times_s: Floats) -> Floats:
@@ -79,7 +88,7 @@ def rising(times_s: Floats) -> Floats:
 
 def path_changes(difference: PathDifference) -> Floats:
     """(K, 3, 7) m: by how much the logged path differs from the measured one for each unit of `SCALE` to `CLOCK`."""
-    path = difference.path_m
+    path = difference.shape_m
     changes = np.zeros((len(path), 3, 7))
     changes[:, :, SCALE] = -path
     changes[:, 0, ASIDE], changes[:, 1, ASIDE] = -path[:, 1], path[:, 0]

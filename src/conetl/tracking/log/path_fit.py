@@ -79,11 +79,11 @@ class PathFit(NamedTuple):
 
 
 def fit_path(
-    log: LoggedPoses, rotations: Floats, motions: MeasuredMotions, records: StatedErrors, errors: LogErrors,
-    params: TrajectoryParams,
+    log: LoggedPoses, rotations: Floats, positions: Floats | None, motions: MeasuredMotions, records: StatedErrors,
+    errors: LogErrors, params: TrajectoryParams,
 ) -> PathFit:  # fmt: skip
-    """rotations: (K, 3, 3) of the body, adjusted. motions: without those that are implausible. errors: of the log."""
-    difference = path_difference(log, rotations, motions, records.times_s, params)
+    """rotations, positions, motions: as for `path_difference`. errors: of the log."""
+    difference = path_difference(log, rotations, positions, motions, records.times_s, params)
     changes = path_changes(difference)
     prior = np.array([*_PRIOR, np.hypot(_CLOCK_S, params.clock_sigma_s)])  # a clock turns as a lever arm does
     found, cov = fitted_changes(difference, records, errors, changes, prior)
