@@ -179,13 +179,9 @@ def sigma_levels(stated: Floats, renewed: Floats) -> tuple[Floats, Floats]:
 
 
 def estimate_log_errors(
-    log: LoggedPoses,
-    rotations: Floats,
-    positions: Floats,
-    motions: MeasuredMotions,
-    records: StatedErrors,
+    log: LoggedPoses, rotations: Floats, positions: Floats, motions: MeasuredMotions, records: StatedErrors,
     params: TrajectoryParams,
-) -> LogErrors:
+) -> LogErrors:  # fmt: skip
     """The shares of a log that is compared with the motions that images show; arguments as for `path_difference`."""
     assumed = assumed_errors(params)
     difference = path_difference(log, rotations, positions, motions, records.times_s, params)

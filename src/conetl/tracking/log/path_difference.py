@@ -41,13 +41,9 @@ class PathDifference(NamedTuple):
 
 
 def path_difference(
-    log: LoggedPoses,
-    rotations: Floats,
-    positions: Floats | None,
-    motions: MeasuredMotions,
-    times_s: Floats,
+    log: LoggedPoses, rotations: Floats, positions: Floats | None, motions: MeasuredMotions, times_s: Floats,
     params: TrajectoryParams,
-) -> PathDifference:
+) -> PathDifference:  # fmt: skip
     """The difference of the log from the path that the motions show; a gap between them is bridged by the log.
 
     rotations: (K, 3, 3) of the body, adjusted to both; what they differ by from the log in the mean is left out, since it may be
