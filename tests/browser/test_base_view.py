@@ -23,7 +23,7 @@ POINT_COUNT, LINE_COUNT = 100_000, 200
 
 
 def sandy(image: np.ndarray) -> int:
-    """Pixels of points: grey with a little yellow, whatever their intensity."""
+    """Pixels of points, and of a few smooth edges of lines: grey with a little yellow, whatever their intensity."""
     red, green, blue = np.moveaxis(image, 2, 0)
     return int(((red > 160) & (red - green < 12) & (red - blue > 11) & (red - blue < 30)).sum())
 
@@ -75,7 +75,7 @@ def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):
     page.click("label:has(#points)")
     settle(page)
     without = screenshot(page)
-    assert sandy(without) < sandy(on) / 10 and pixels_of(without, LINE) > 300
+    assert sandy(without) < sandy(on) / 5 and pixels_of(without, LINE) > 300
     assert page.get_attribute("canvas", "data-points") == "0"
     page.keyboard.press("2")
     settle(page)
