@@ -91,6 +91,31 @@ def test_points_and_lines_are_drawn_switched_off_and_coloured(page, address):
     page.wait_for_url(lambda url: "lines=0" in url and "colours" not in url)
 
 
+#: Pans to and fro, a step per frame: the numbers of points that were drawn.
+PAN = """async () => {
+  const canvas = document.querySelector('canvas'), points = [];
+  for (let i = 0; i < 24; i++) {
+    canvas.dispatchEvent(new KeyboardEvent('keydown', { key: i % 2 ? 'ArrowRight' : 'ArrowLeft', bubbles: true }));
+    await new Promise((done) => requestAnimationFrame(done));
+    points.push(Number(canvas.dataset.points));
+  }
+  return points;
+}"""
+
+
+def test_a_moving_picture_is_light_and_at_rest_it_is_whole_again(page, address):
+    open_view(page, address)
+    page.wait_for_selector("canvas[data-points]:not([data-points='0'])")
+    all_drawn(page)
+    before, count = screenshot(page), int(page.get_attribute("canvas", "data-points"))
+    moving = page.evaluate(PAN)
+    assert min(moving) < count  # without a graphics card, all points would take too long
+    page.wait_for_timeout(400)
+    all_drawn(page)
+    assert int(page.get_attribute("canvas", "data-points")) == count
+    assert (np.abs(screenshot(page) - before).max(axis=2) > 8).mean() < 0.001
+
+
 def test_the_preset_of_the_paper_is_one_click_and_a_link(page, address, features):
     """Figure 6 of Lagahit & Tseng: LiDAR red, lane boundaries green, the new cone blue, before beside after."""
     open_view(page, address)
