@@ -1,11 +1,11 @@
 """Time of the web view to its first image, and cost of a large point cloud: headless Chromium with software WebGL.
 
 A private cluster in a temporary folder gets two drives past `--cones` cones, `--lines` lane boundaries and `--points` LiDAR
-points, all along one road. Each run opens the page in a new browser; the first image is complete when all cones, all lines and
-points are drawn. Processor time is that of Chromium's processes until then. Then the number of drawn points, the time to find
-the cone under a click, and the frame time while the camera turns are measured. Last, the list of another map with `--rows` cones
-is scrolled from its top to its end. Maps of `--sizes` features are opened last: time to the first image with cones or clusters,
-of tiles, and of the lists' requests.
+points, along parallel streets of a town. Each run opens the page in a new browser; the first image is complete when all cones,
+all lines and points are drawn. Processor time is that of Chromium's processes until then. Then the number of drawn points, the
+time to find the cone under a click, and frames while the camera pans and zooms are measured, the latter in several views. The
+list of another map with `--rows` cones is scrolled from its top to its end. Maps of `--sizes` features are opened last: time to
+the first image with cones or clusters, of tiles, and of the lists' requests.
 
     python benchmarks/bench_view.py [--points 100000] [--cones 500] [--lines 200] [--runs 3] [--rows 2000] [--sizes 60000 1000000]
 """
@@ -30,10 +30,11 @@ from playwright.sync_api import sync_playwright
 from pyproj import CRS
 
 from benchmarks.harness import CONETL, arguments_of, load, own_cluster, processor_s, served_view, write_json
-from benchmarks.made_up_maps import DAY_NS, MAP_NAME, SPACING_M, SRID, drive_along, load_roads, position_of
+from benchmarks.made_up_maps import DAY_NS, MAP_NAME, SPACING_M, SRID, WEST_M, drive_along, load_roads, position_of
 from conetl.db.connection import connect
 from conetl.db.map.map_store import map_transaction
-from conetl.model.drive import DriveRecords
+from conetl.model.base import Vec3
+from conetl.model.drive import Drive, DriveRecords, Position, Track
 from conetl.model.map_records import Changeset, Delta, DeltaKind, MapFeature
 from tests.chromium import CHROMIUM, FLAGS
 from tests.records import write
@@ -79,6 +80,25 @@ SCROLL = """async () => {
 }"""
 
 
+#: Pans and zooms by a key in every frame: frames, and milliseconds.
+PAN = """async (seconds) => {
+  const canvas = document.querySelector('canvas'), first = Number(canvas.dataset.frames), start = performance.now();
+  for (let i = 0; performance.now() - start < 1000 * seconds; i++) {
+    const key = ['ArrowLeft', '+', 'ArrowRight', '-'][Math.floor(i / 8) % 4];
+    canvas.dispatchEvent(new KeyboardEvent('keydown', { key, bubbles: true }));
+    await new Promise((done) => requestAnimationFrame(done));
+  }
+  return [Number(canvas.dataset.frames) - first, performance.now() - start];
+}"""
+#: Parts of the address.
+VIEWS = {
+    "usual": "",
+    "plan": "view=plan",
+    "light by depth": "shading=1",
+    "side by side": "mode=compare&from=1&swipe=split",
+}
+STREET_M, STREETS_APART_M = 600.0, 30.0
+
 #: Requests of lists and of what is selected.
 LISTS = {
     "first page": "features?sort=existence",
@@ -91,13 +111,40 @@ LISTS = {
 }
 
 
+def in_town(xyz_m: np.ndarray) -> np.ndarray:
+    """Positions (..., 3) along one road -> along streets of STREET_M side by side."""
+    along_m = xyz_m[..., 0] - WEST_M
+    street = np.floor(along_m / STREET_M)
+    shift_m = np.stack([-street * STREET_M, street * STREETS_APART_M, 0 * street], axis=-1)
+    return np.asarray(xyz_m + shift_m)
+
+
+def through_town(count: int, days: int) -> tuple[Drive, list[Position], list[Track]]:
+    """`drive_along` past cones in the streets."""
+    made = drive_along(0, int(count * 1.2), seed=1, days=days)
+
+    def place(xyz_m: Vec3) -> Vec3:
+        east, north, up = in_town(np.array(xyz_m)).tolist()
+        return east, north, up
+
+    def moved(one: Any) -> Any:
+        return one.model_copy(update={"xyz_m": place(one.xyz_m), "centre_xyz_m": place(one.centre_xyz_m)})
+
+    pairs = [
+        pair.model_copy(update={"pose": pair.pose.model_copy(update={"map_t_body_m": place(pair.pose.map_t_body_m)})})
+        for pair in made.drive.frame_pairs
+    ]
+    drive = made.drive.model_copy(update={"frame_pairs": tuple(pairs)})
+    return drive, [moved(one) for one in made.positions], [moved(one) for one in made.tracks]
+
+
 def two_days(conn: Any, count: int, map_name: str = MAP_NAME) -> None:
     """Day 1 adds `count` cones; day 2 confirms most, moves every twentieth by 1.5 m and removes every twentieth."""
     old: list[MapFeature] = []
     for day in (1, 2):
-        made = drive_along(0, int(count * 1.2), seed=1, days=day)
+        drive, positions, tracks = through_town(count, day)
         deltas = []
-        for k, track in enumerate(made.tracks[:count]):
+        for k, track in enumerate(tracks[:count]):
             changed_at_ns = track.first_seen_ns + (day - 1) * DAY_NS // 100
             if day == 1:
                 shared = {name: getattr(track, name) for name in MapFeature.model_fields if hasattr(track, name)}
@@ -116,18 +163,18 @@ def two_days(conn: Any, count: int, map_name: str = MAP_NAME) -> None:
                     track_index=None if after is None else k, changed_at_ns=changed_at_ns,
                 )
             )  # fmt: skip
-        key = hashlib.sha256(made.drive.drive_id.encode()).hexdigest()
+        key = hashlib.sha256(drive.drive_id.encode()).hexdigest()
         changeset = Changeset(
-            changeset_id=uuid4(), drive_id=made.drive.drive_id, idempotency_key=key, params_sha256="0" * 64,
+            changeset_id=uuid4(), drive_id=drive.drive_id, idempotency_key=key, params_sha256="0" * 64,
             model_sha256="0" * 64, code_version="bench", deltas=tuple(deltas),
         )  # fmt: skip
-        records = DriveRecords(made.drive, [], [], made.positions, made.tracks)
+        records = DriveRecords(drive, [], [], positions, tracks)
         with map_transaction(conn, map_name):
             write(conn, records, changeset, map_name=map_name)
 
 
 def make_layers(folder: Path, points: int, lines: int, cones: int) -> list[Path]:
-    """A LAZ file of LiDAR points on a road, and a GeoJSON file of lane boundaries along it."""
+    """A LAZ file of LiDAR points on the streets, and a GeoJSON file of lane boundaries along them."""
     rng = np.random.default_rng(1)
     along = np.arange(cones)
     road = position_of(along)
@@ -136,9 +183,9 @@ def make_layers(folder: Path, points: int, lines: int, cones: int) -> list[Path]
     header.scales, header.offsets = [0.001] * 3, [400_000.0, 5_400_000.0, 100.0]
     header.add_crs(CRS.from_epsg(SRID))
     las = laspy.LasData(header)
-    las.x = road[0, 0] + at
-    las.y = np.interp(at, along * SPACING_M, road[:, 1]) + rng.uniform(-12, 12, points)
-    las.z = 100 + rng.normal(0, 0.02, points) + (rng.random(points) < 0.15) * rng.uniform(0, 6, points)
+    north_m = np.interp(at, along * SPACING_M, road[:, 1]) + rng.uniform(-12, 12, points)
+    up_m = 100 + rng.normal(0, 0.02, points) + (rng.random(points) < 0.15) * rng.uniform(0, 6, points)
+    las.x, las.y, las.z = in_town(np.column_stack([road[0, 0] + at, north_m, up_m])).T
     las.intensity = rng.integers(0, 255, points)
     las.write(folder / "street.laz")
     piece = max(cones * 8 // lines, 2)
@@ -146,7 +193,10 @@ def make_layers(folder: Path, points: int, lines: int, cones: int) -> list[Path]
     for i in range(lines):
         part = road[(i // 8) * piece : (i // 8 + 1) * piece + 1]
         if len(part) > 1:
-            xyz = np.add(part, (0, 1.75 * (i % 8 - 4), 0)).round(3).tolist()
+            same = np.floor((part[:, 0] - WEST_M) / STREET_M) == np.floor((part[0, 0] - WEST_M) / STREET_M)
+            xyz = np.add(in_town(part[same]), (0, 1.75 * (i % 8 - 4), 0)).round(3).tolist()
+            if len(xyz) < 2:
+                continue
             properties = {"kind": "line_thin", "subtype": "dashed" if i % 3 else "solid"}
             features.append(
                 {"type": "Feature", "properties": properties, "geometry": {"type": "LineString", "coordinates": xyz}}
@@ -189,6 +239,7 @@ def main() -> None:
         subprocess.run([*CONETL, "base", "import", *files], env=os.environ | environment, check=True)
         with served_view(home, url, MAP_NAME, "--decisions") as (address, _), sync_playwright() as playwright:
             figures = measure(playwright, address, options)
+            figures["pan"] = {view: pan(playwright, address, view, part, options.cones) for view, part in VIEWS.items()}
             if options.rows:
                 figures |= scroll(playwright, f"{address}/#map={MANY}&mode=instant&list=cones", options.images)
     with sync_playwright() as playwright:
@@ -260,21 +311,33 @@ def use(tab: Any, folder: Path | None) -> dict[str, float]:
     tab.wait_for_timeout(1500)
     most = int(tab.get_attribute("canvas", "data-points"))
     times = tab.evaluate("() => Array.from({ length: 60 }, (_, i) => window.conetlPickTime(13 * i, 300 + 3 * i))")
-    start_frames = int(tab.get_attribute("canvas", "data-frames"))
-    started = time.monotonic()
-    for _ in range(20):
-        tab.keyboard.press("Shift+ArrowLeft")
-        tab.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-        most = max(most, int(tab.get_attribute("canvas", "data-points")))
-    frames = int(tab.get_attribute("canvas", "data-frames")) - start_frames
-    frame_ms = 1000 * (time.monotonic() - started) / max(frames, 1)
     print(
-        f"at most {most:,} points drawn; finding the cone under a click: median {np.median(times):.2f} ms, "
-        f"worst {max(times):.2f} ms; while turning {frame_ms:.0f} ms per frame ({frames} frames)"
+        f"at most {most:,} points drawn; the cone under a click: median {np.median(times):.2f} ms, worst {max(times):.2f} ms"
     )
     if folder:
         tab.screenshot(path=folder / "near.png")
-    return {"points": most, "click_ms": float(np.median(times)), "frame_ms": frame_ms}
+    return {"points": most, "click_ms": float(np.median(times))}
+
+
+def pan(playwright: Any, address: str, view: str, part: str, cones: int) -> dict[str, float]:
+    """Frames per second, and per second of Chromium's processor time, while the camera moves 150 m from the town's middle."""
+    length_m = cones * SPACING_M
+    east_m, north_m = min(length_m, STREET_M) / 2, length_m / STREET_M * STREETS_APART_M / 2
+    browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+    tab = browser.new_page(viewport={"width": 1280, "height": 800})
+    tab.goto(f"{address}/#map={MAP_NAME}&cam={east_m},{north_m},100,0.6,1,150&{part}")
+    tab.wait_for_selector("html[data-cones][data-lines]", state="attached", timeout=120_000)
+    tab.wait_for_selector("canvas[data-loading='0']", timeout=120_000)
+    tab.wait_for_timeout(3000)
+    tab.evaluate(PAN, 2)
+    start_s = processor_s(os.getpid(), name="chrom")
+    frames, ms = tab.evaluate(PAN, 6)
+    used_s = processor_s(os.getpid(), name="chrom") - start_s
+    browser.close()
+    print(
+        f"pan and zoom, {view}: {1000 * frames / ms:.1f} frames/s, {frames / used_s:.1f} per processor second; load {load()}"
+    )
+    return {"frames_per_s": 1000 * frames / ms, "frames_per_processor_s": frames / used_s}
 
 
 def scroll(playwright: Any, address: str, folder: Path | None) -> dict[str, float]:

@@ -13,8 +13,8 @@ import type { Stage } from "./scene";
 import { colourOf, colours, newPaint } from "./theme";
 
 const PICK_PX = 18;
-/** Smaller cones are drawn as their marker alone. */
-const MIN_BODY_PX = 4;
+/** Smaller cones are drawn as their marker alone; without a graphics card each body costs as much time as a hundred points. */
+const leastBody = (stage: Stage) => (stage.quality.plain ? 12 : 4);
 /** Marker's height above the tip; in the plan it is on the cone. */
 const MARKER_LIFT_PX = 13;
 const lift = (stage: Stage) => (stage.plan ? 0 : onlyCones() ? MARKER_LIFT_PX : 1.4 * MARKER_LIFT_PX);
@@ -128,11 +128,11 @@ function bodies(material: ShaderMaterial) {
   return {
     holder, set,
     cull(stage: Stage): void {
-      const azimuth = stage.pose()[3];
+      const [azimuth, least_px] = [stage.pose()[3], leastBody(stage)];
       for (const { items, mesh, turned } of classes) {
         let count = 0;
         for (const { at, height } of items) {
-          if (!stage.sees(at, height, MIN_BODY_PX)) continue;
+          if (!stage.sees(at, height, least_px)) continue;
           // The map does not hold which way a sign or a board faces: it faces the viewer.
           if (turned) matrix.makeRotationZ(azimuth).scale(scale.setScalar(height));
           else matrix.makeScale(height, height, height);
@@ -162,9 +162,10 @@ function ringsOf(material: ShaderMaterial) {
     made.mesh.clear().add(mesh);
   }
   function cull(stage: Stage): void {
+    const least_px = leastBody(stage);
     let count = 0;
     for (const { at, height, colour: css } of items) {
-      if (!stage.sees(at, height, MIN_BODY_PX)) continue;
+      if (!stage.sees(at, height, least_px)) continue;
       mesh.setMatrixAt(count, matrix.makeScale(height, height, 1).setPosition(...at));
       mesh.setColorAt(count, colour.set(css));
       count += 1;

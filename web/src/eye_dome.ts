@@ -6,7 +6,7 @@ import type { Stage } from "./scene";
 const REACH_PX = 1.4;
 const STRENGTH = 18;
 
-/** `points` are drawn by it while it is on. Call `on` before the stage prepares a frame. */
+/** `points` are drawn by it while it is on, unless the camera moves and frames would take too long. */
 export function createEyeDome(stage: Stage, points: Group) {
   const alone = new Scene();
   const target = new WebGLRenderTarget(1, 1, { type: HalfFloatType, depthTexture: new DepthTexture(1, 1) });
@@ -21,8 +21,11 @@ export function createEyeDome(stage: Stage, points: Group) {
   picture.visible = false;
   stage.scene.add(picture);
   const size = new Vector2();
+  let lit = false;
 
   stage.beforeDraw(() => {
+    const into = lit && !stage.quality.plain ? alone : stage.scene;
+    if (points.parent !== into) into.add(points);
     picture.visible = points.parent === alone && points.visible;
     if (!picture.visible) return;
     const { renderer, camera, plan } = stage;
@@ -36,7 +39,7 @@ export function createEyeDome(stage: Stage, points: Group) {
     renderer.setRenderTarget(null);
   });
 
-  return (on: boolean): void => void (on ? alone : stage.scene).add(points);
+  return (on: boolean): void => void (lit = on);
 }
 
 const FRAGMENT = /* glsl */ `

@@ -1,8 +1,9 @@
 // Overlays: camera paths, the camera of an image, the error ellipse of the selected cone, labels.
 import {
-  BufferGeometry, CircleGeometry, DoubleSide, Float32BufferAttribute, Group, InstancedMesh, Line, LineBasicMaterial,
-  LineLoop, LineSegments, Matrix4, Mesh, MeshBasicMaterial, Object3D, Shape, ShapeGeometry, Vector3,
+  BufferGeometry, CircleGeometry, DoubleSide, Float32BufferAttribute, Group, Line, LineBasicMaterial, LineLoop, LineSegments, Mesh,
+  MeshBasicMaterial, Object3D, Shape, ShapeGeometry, Vector3,
 } from "three";
+import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
 import type { FrameView, HistoryItem, Trajectory, Vec3 } from "./api";
 import { el } from "./dom";
 import type { Cone } from "./kinds";
@@ -155,7 +156,6 @@ function empty(group: Group): void {
   const children: Object3D[] = [...group.children];
   for (const child of children) {
     group.remove(child);
-    if (child instanceof InstancedMesh) child.dispose();
     if (child instanceof Mesh || child instanceof Line) child.geometry.dispose();
   }
 }
@@ -177,9 +177,10 @@ function rotate(R: [Vec3, Vec3, Vec3], v: Vec3): Vector3 {
   return new Vector3(a, b, c);
 }
 
-/** Arrow heads along a path, in the direction of travel. */
+/** Arrow heads along a path, in the direction of travel: in one mesh, as instances cost more than their two triangles. */
 function chevrons(points: Vec3[]): Object3D[] {
-  const poses: Matrix4[] = [];
+  const shape = new ShapeGeometry(new Shape().moveTo(0.45, 0).lineTo(-0.3, 0.3).lineTo(-0.12, 0).lineTo(-0.3, -0.3).closePath());
+  const heads: BufferGeometry[] = [];
   let since = ARROW_EVERY_M / 2;
   for (let i = 1; i < points.length; i++) {
     const [a, b] = [points[i - 1], points[i]];
@@ -187,13 +188,8 @@ function chevrons(points: Vec3[]): Object3D[] {
     since += Math.hypot(b[0] - a[0], b[1] - a[1]);
     if (since < ARROW_EVERY_M) continue;
     since = 0;
-    poses.push(new Matrix4().makeRotationZ(Math.atan2(b[1] - a[1], b[0] - a[0])).setPosition(...b));
+    heads.push(shape.clone().rotateZ(Math.atan2(b[1] - a[1], b[0] - a[0])).translate(...b));
   }
-  if (!poses.length) return [];
-  const shape = new Shape().moveTo(0.45, 0).lineTo(-0.3, 0.3).lineTo(-0.12, 0).lineTo(-0.3, -0.3).closePath();
-  const mesh = new InstancedMesh(new ShapeGeometry(shape), new MeshBasicMaterial({ color: colours().path, side: DoubleSide }), poses.length);
-  mesh.frustumCulled = false;
-  poses.forEach((matrix, i) => mesh.setMatrixAt(i, matrix));
-  return [mesh];
+  return heads.length ? [new Mesh(mergeGeometries(heads), new MeshBasicMaterial({ color: colours().path, side: DoubleSide }))] : [];
 }
 export type Overlays = ReturnType<typeof createOverlays>;

@@ -8,14 +8,10 @@ import type { Stage } from "./scene";
 import type { SceneState } from "./scene_state";
 import type { Colours } from "./theme";
 
-/** Largest number of points of a frame at rest. */
+/** Largest number of points of a frame. */
 export const MAX_DRAWN = 1_000_000;
 /** Points kept on the graphics card; beyond that, the least recently drawn tiles are dropped. */
 const MAX_KEPT = 3_000_000;
-/** While the camera moves, the budget is adapted to this time per frame. */
-const MOVING_MS = 60;
-const MIN_MOVING = 60_000;
-const REST_AFTER_MS = 250;
 /** A finer tile is drawn if the spacing of the coarser one would exceed this number of pixels. */
 const SPACING_PX = 1.4;
 const PARALLEL = 6;
@@ -54,22 +50,7 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void) 
   let frame = 0;
   let wanted: Tile[] = [];
   let generation = 0;
-  let moving = false;
-  let movingBudget = 400_000;
-  let lastFrameAt = 0;
-  let lastCost_ms = 0;
-  let restTimer = 0;
   let redrawTimer = 0;
-
-  stage.onCamera(() => {
-    if (!tiles.length || !visible) return;
-    moving = true;
-    window.clearTimeout(restTimer);
-    restTimer = window.setTimeout(() => {
-      moving = false;
-      stage.draw();
-    }, REST_AFTER_MS);
-  });
 
   stage.beforeDraw(() => {
     group.visible = visible && tiles.length > 0;
@@ -79,22 +60,10 @@ export function createPoints(stage: Stage, onTrouble: (error: unknown) => void) 
       return;
     }
     frame += 1;
-    adapt();
-    choose(moving ? movingBudget : MAX_DRAWN);
+    choose(MAX_DRAWN * stage.quality.share);
     load();
   });
   const eyeDome = createEyeDome(stage, group); // its pictures are made of the chosen tiles
-
-  /** The time between two frames of one movement is the cost of a frame, even if another process draws it. */
-  function adapt(): void {
-    const now = performance.now();
-    const between = now - lastFrameAt;
-    lastFrameAt = now;
-    if (!moving || between > 2000) return;
-    lastCost_ms = 0.5 * lastCost_ms + 0.5 * between;
-    if (lastCost_ms > MOVING_MS * 1.3) movingBudget = Math.max(MIN_MOVING, movingBudget * 0.7);
-    else if (lastCost_ms < MOVING_MS * 0.7) movingBudget = Math.min(MAX_DRAWN, movingBudget * 1.15);
-  }
 
   function choose(budget: number): void {
     const { camera } = stage;

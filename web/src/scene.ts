@@ -7,6 +7,7 @@ import {
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import type { FrameView, Vec3 } from "./api";
 import { el } from "./dom";
+import { createQuality } from "./quality";
 import type { CameraPose } from "./state";
 import { colours, onTheme } from "./theme";
 
@@ -21,7 +22,7 @@ const [LEAST_M, MOST_M] = [0.6, 2e6];
 /** To the point that is turned around, where the camera follows an image. */
 const AHEAD_M = 10;
 const GRID_LINES = 60;
-const PIECE_CELLS = 5;
+const PIECE_CELLS = 12;
 /** z is up in the map; three's spherical angles want y up. */
 const toYUp = (v: Vector3) => v.set(v.x, v.z, -v.y);
 const toZUp = (v: Vector3) => v.set(v.x, -v.z, v.y);
@@ -29,7 +30,7 @@ const toZUp = (v: Vector3) => v.set(v.x, -v.z, v.y);
 export type Stage = ReturnType<typeof createStage>;
 
 export function createStage(host: HTMLElement) {
-  const renderer = new WebGLRenderer({ antialias: true, powerPreference: "high-performance" });
+  const renderer = new WebGLRenderer({ powerPreference: "high-performance" });
   renderer.debug.checkShaderErrors = false; // asking for errors waits for the compiler
   renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
   const canvas = renderer.domElement;
@@ -74,6 +75,7 @@ export function createStage(host: HTMLElement) {
   let gridStep = 1;
   /** While a frame is prepared the cameras are where they are drawn. */
   let drawing = false;
+  const quality = createQuality(renderer, () => draw());
   let requested = false;
   let started = false;
   let frames = 0;
@@ -86,11 +88,11 @@ export function createStage(host: HTMLElement) {
       requested = false;
       placeCameras();
       drawing = true;
+      quality.adapt();
       updateGrid(camera.position.distanceTo(controls.target));
       for (const callback of befores) callback();
       drawing = false;
-      if (renderWith) renderWith();
-      else renderer.render(scene, stage.camera);
+      quality.draw(renderWith ?? (() => renderer.render(scene, stage.camera)));
       frames += 1;
       canvas.dataset["frames"] = String(frames);
     });
@@ -160,6 +162,7 @@ export function createStage(host: HTMLElement) {
 
   function changed(): void {
     const now = current();
+    quality.moved();
     for (const callback of cameraCallbacks) callback(now);
     draw();
   }
@@ -267,7 +270,7 @@ export function createStage(host: HTMLElement) {
   resize();
 
   const stage = {
-    scene, canvas, renderer, draw, fit, setPose, key, sees, groundAt, pixelsAtDepth, lookFrom, unsplit, halfShift,
+    scene, canvas, renderer, quality, draw, fit, setPose, key, sees, groundAt, pixelsAtDepth, lookFrom, unsplit, halfShift,
     get camera(): PerspectiveCamera | OrthographicCamera {
       return plan ? planCamera : camera;
     },

@@ -18,6 +18,7 @@ from conetl.db.connection import Connection, connect
 from conetl.db.map.map_store import require_map
 from conetl.db.map.notice_store import round_due
 from conetl.db.reader_pool import ReaderPool
+from conetl.db.serve_store import read_heads
 from conetl.model.base import Record, Vec3, utc_from_ns
 from conetl.model.errors import ConflictError, DatabaseError, InputError
 from conetl.model.planned_zones import PlanVerdict
@@ -27,7 +28,7 @@ from conetl.pipeline.maps.planned_zones import PlanComparison, PlanRow, compare_
 from conetl.pipeline.maps.work_zones import read_zones
 from conetl.web import layer_models as m
 from conetl.web.decisions import ERRORS, Name, sentence
-from conetl.web.parameters import Instant, MapName, Origin, Reader
+from conetl.web.parameters import Instant, MapName, Origin, Reader, origin_of
 from conetl.web.security import WritersRoute, person_of
 from conetl.web.tiles import MapState
 from conetl.workzones.plan_comparison import PlacedPlan
@@ -45,11 +46,26 @@ _WIDE_M = 1.5
 
 
 class Comparisons:
-    """The last comparisons: pages, tiles and people ask for the same ones."""
+    """The last zones and comparisons: pages, tiles and people ask for the same ones."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[tuple[Any, ...], PlanComparison] = OrderedDict()
-        self._lock = threading.Lock()
+        self._zones: OrderedDict[tuple[Any, ...], list[WorkZone]] = OrderedDict()
+        self._lock, self._zones_lock = threading.Lock(), threading.Lock()
+
+    def zones(self, pool: ReaderPool, map_name: str, as_of: datetime | None) -> tuple[Vec3, list[WorkZone] | None]:
+        """The origin of a map and its zones; None: it has too many features. Who waits for another request has no connection."""
+        with self._zones_lock, pool.reading() as conn:
+            origin = origin_of(conn, map_name)
+            if _has_many(conn, map_name, as_of):
+                return origin, None
+            key = (map_name, read_heads(conn).get(map_name), as_of)
+            if key not in self._zones:
+                found = read_zones(conn, map_name=map_name, as_of=as_of, lanes=None, params=WorkZoneParams())
+                self._zones[key] = found.zones
+                if len(self._zones) > _MOST_KEPT:
+                    self._zones.popitem(last=False)
+            return origin, self._zones[key]
 
     def read(
         self, conn: Connection, map_name: str, as_of: datetime | None = None, known_at: datetime | None = None
@@ -97,11 +113,11 @@ class VerdictRequest(Record):
 
 
 @router.get("/work-zones")
-def work_zones(map_name: MapName, conn: Reader, origin: Origin, valid_at: Instant = None) -> m.WorkZoneAreas:
+def work_zones(map_name: MapName, request: Request, valid_at: Instant = None) -> m.WorkZoneAreas:
     """The work zones that stand at an instant, as the database knows them now; none, and `truncated`, where features are many."""
-    if _has_many(conn, map_name, valid_at):
+    origin, found = request.app.state.comparisons.zones(request.app.state.pool, map_name, valid_at)
+    if found is None:
         return m.WorkZoneAreas(origin_m=origin, zones=[], truncated=True)
-    found = read_zones(conn, map_name=map_name, as_of=valid_at, lanes=None, params=WorkZoneParams())
     zones = [
         m.WorkZoneArea(
             zone_id=zone.history.zone_id, start=utc_from_ns(zone.history.start_ns), cone_count=len(zone.layout.cones),
@@ -109,7 +125,7 @@ def work_zones(map_name: MapName, conn: Reader, origin: Origin, valid_at: Instan
             closed_lane_count=zone.closed_lane_count,
             ring_m=_ring(zone, origin),
         )
-        for zone in found.zones
+        for zone in found
         if zone.history.end_ns is None
     ]  # fmt: skip
     return m.WorkZoneAreas(origin_m=origin, zones=zones, truncated=False)
