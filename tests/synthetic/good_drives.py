@@ -141,7 +141,7 @@ def position_nees(drive: GoodDrive, refined: RefinedTrajectory, frame: int) -> N
     """Of one refined position."""
     assert refined.covariance is not None
     off = pose_errors(refined.frame_pairs, drive.truth)[frame, :3]
-    return Nees(float(off @ np.linalg.solve(refined.covariance.cov[frame][:3, :3], off)), 3)
+    return Nees(float(off @ np.linalg.solve(refined.covariance.of(frame)[:3, :3], off)), 3)
 
 
 def clock_of(drive: GoodDrive) -> ClockOffset | None:

@@ -85,7 +85,7 @@ def test_sigmas_of_poses_hold() -> None:
         result, error = refined(seed, np.zeros(3), 0.4, [0, 2, 4], {})
         assert result.covariance is not None
         assert control_of(result).verdict is Verdict.PASS, control_of(result).detail
-        nees.append(error[12] @ np.linalg.solve(result.covariance.cov[12][:3, :3], error[12]) / 3)
+        nees.append(error[12] @ np.linalg.solve(result.covariance.of(12)[:3, :3], error[12]) / 3)
         errors_m.append(np.linalg.norm(error[12]))
     assert 0.1 < np.mean(nees) < 1.25
     assert np.mean(errors_m) < 0.08

@@ -42,7 +42,7 @@ def test_refined_poses_of_1_hz_positions_are_honest(sigma_m: float, most_m: floa
         result = refine_trajectory(drive.frame_pairs(0.0), RIG, drive.motions, PARAMS)
         assert result.outcome is RefinementOutcome.REFINED, result.detail
         assert result.covariance is not None
-        error, cov = pose_errors(result.frame_pairs, drive.truth), result.covariance.cov[100]
+        error, cov = pose_errors(result.frame_pairs, drive.truth), result.covariance.of(100)
         positions.append(error[100, :3] @ np.linalg.solve(cov[:3, :3], error[100, :3]))
         attitudes.append(error[100, 3:] @ np.linalg.solve(cov[3:6, 3:6], error[100, 3:]))
         rms_m.append(np.sqrt(np.mean(error[:, :3] ** 2)))
@@ -83,7 +83,7 @@ def test_odometry_that_turns_alike_in_all_intervals_is_honest(rad_per_m: float) 
     error = pose_errors(result.frame_pairs, drive.truth)
     first, last = 5, len(error) - 6
     between = cross_covariance(result.covariance, first, last)[3, 3]
-    variance = result.covariance.cov[[first, last], 3, 3].sum() - 2 * between
+    variance = result.covariance.variances[[first, last], 3].sum() - 2 * between
     assert (error[last, 3] - error[first, 3]) ** 2 < chi2.ppf(0.95, 1) * variance
 
 
@@ -207,7 +207,7 @@ def test_what_is_left_of_the_offset_is_found_with_the_poses() -> None:
         left_s = refined.clock.offset_s if refined.clock.is_applied(found.sigma_s) else 0.0
         errors_s.append(found.offset_s - left_s - 12.037)
         error = pose_errors(refined.frame_pairs, drive.truth)[200, :3]
-        nees.append(error @ np.linalg.solve(refined.covariance.cov[200][:3, :3], error))
+        nees.append(error @ np.linalg.solve(refined.covariance.of(200)[:3, :3], error))
     assert np.abs(errors_s).max() < 0.01
     assert sum(nees) < chi2.ppf(0.999, 9)
 

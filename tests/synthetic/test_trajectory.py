@@ -51,7 +51,7 @@ def test_absolute_and_relative_covariance_are_honest() -> None:
         assert result.outcome is RefinementOutcome.REFINED, result.detail
         error = pose_errors(result.frame_pairs, truth)[30]
         assert result.covariance is not None
-        absolute.append(error @ np.linalg.solve(result.covariance.cov[30][:6, :6], error))
+        absolute.append(error @ np.linalg.solve(result.covariance.of(30)[:6, :6], error))
         left = se3.compose(truth, np.array(RIG.body_SE3_left))
         true_motion = se3.compose(se3.invert(left[45]), left[15])
         found = se3.compose(se3.invert(result.map_SE3_left[45]), result.map_SE3_left[15])
@@ -263,7 +263,7 @@ def test_common_errors_are_not_averaged_out() -> None:
     assert result.covariance is not None
     stated = np.min([pair.pose.sigma_enu_m for pair in log], axis=0)
     assert (np.array([pair.pose.sigma_enu_m for pair in result.frame_pairs]) > 0.8 * stated).all()
-    first, last = (result.covariance.cov[k][:3, :3] for k in (0, -1))
+    first, last = (result.covariance.of(k)[:3, :3] for k in (0, -1))
     common = chain_solver.cross_covariance(result.covariance, 0, len(log) - 1)[:3, :3]
     difference = first + last - common - common.T
     assert np.diag(difference).max() < 0.5 * np.diag(first).min()  # what is common does not move one against the other

@@ -145,7 +145,7 @@ def _with_common_errors(
     clock_s = float(np.hypot(clock_s, row_time_s))
     sigmas = np.array([clock_s, *[params.lever_arm_sigma_m] * 3, *[1.0] * drifts.shape[2]])
     cov = chain_solver.with_common_errors(refined.covariance, reach, sigmas)
-    sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
+    sigma = np.sqrt(cov.variances[:, :POSE])
     pairs = tuple(
         pair.with_pose(sigma_enu_m=vec3(own[:3]), sigma_rpy_rad=vec3(own[3:]))
         for pair, own in zip(refined.frame_pairs, sigma, strict=True)
@@ -155,9 +155,9 @@ def _with_common_errors(
 
 def _most_change_m(cov: ChainCovariance) -> float:
     """Largest sigma of the change of a coordinate from the middle of the drive to some other frames."""
-    last, middle = len(cov.cov) - 1, len(cov.cov) // 2
+    last, middle = len(cov.chain) - 1, len(cov.chain) // 2
     variances = [
-        np.diag(cov.cov[k] + cov.cov[middle] - 2 * cross_covariance(cov, min(k, middle), max(k, middle)))[:3]
+        np.diag(cov.of(k) + cov.of(middle) - 2 * cross_covariance(cov, min(k, middle), max(k, middle)))[:3]
         for k in evenly_spaced(range(last + 1), _COMPARED)
     ]
     return float(np.sqrt(np.max(variances, initial=0.0)))

@@ -77,8 +77,8 @@ def relative_cov(trajectory: RefinedTrajectory, start: int, end: int) -> Floats:
     )
     mixed = from_start @ cross @ from_end.T
     cov = (
-        from_start @ joint.cov[start][:POSE, :POSE] @ from_start.T
-        + from_end @ joint.cov[end][:POSE, :POSE] @ from_end.T
+        from_start @ joint.of(start)[:POSE, :POSE] @ from_start.T
+        + from_end @ joint.of(end)[:POSE, :POSE] @ from_end.T
         + mixed
         + mixed.T
     )
@@ -116,7 +116,7 @@ def motion_error(trajectory: RefinedTrajectory) -> MotionError | None:
 
     # The variance of a difference of two poses is at most twice the sum of theirs, and so is that of the sum of position error
     # and attitude error times lever.
-    variances = np.diagonal(covariance.cov, axis1=1, axis2=2)
+    variances = covariance.variances
     position_m2, attitude_rad2 = (float(part.sum(axis=1).max()) for part in (variances[:, :3], variances[:, 3:POSE]))
     lever_m = float(np.linalg.norm(trajectory.body_SE3_left[:3, 3]))
     return MotionError(

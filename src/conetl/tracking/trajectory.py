@@ -161,7 +161,7 @@ def refine_trajectory(
     if solved is None:
         found = as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
         return replace(found, path=path_of(log.rotations))
-    rotations, places, normal = solved
+    rotations, places, chain = solved
     shift = places - log.positions
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
     path = path_of(rotations, places)
@@ -172,8 +172,8 @@ def refine_trajectory(
             f"{params.max_shift_chi2**0.5:.1f}; the stated sigmas of GNSS/INS or of the calibration are too small"
         )
         return replace(as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail), path=path)
-    cov = chain_solver.covariance(normal)
-    sigma = np.sqrt(np.diagonal(cov.cov, axis1=1, axis2=2)[:, :POSE])
+    cov = chain_solver.covariance(chain)
+    sigma = np.sqrt(cov.variances[:, :POSE])
     map_SE3_body = se3.se3(rotations, places)
     poses = map(se3.to_pose, map_SE3_body, sigma)
     pairs = tuple(pair.model_copy(update={"pose": pose}) for pair, pose in zip(frame_pairs, poses, strict=True))

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from conetl.geometry.motion.chain_solver import ChainNormal, covariance, cross_covariance, joint_covariance, solve
+from conetl.geometry.motion.chain_solver import (
+    ChainNormal,
+    covariance,
+    cross_covariance,
+    eliminate,
+    joint_covariance,
+    solve,
+)
 
 
 def random_normal(seed: int, count: int, size: int, shared: int) -> tuple[ChainNormal, np.ndarray, np.ndarray]:
@@ -40,14 +47,16 @@ def random_normal(seed: int, count: int, size: int, shared: int) -> tuple[ChainN
 @given(st.integers(0, 1000), st.integers(1, 7), st.integers(1, 4), st.integers(0, 3))
 def test_equals_the_dense_solution(seed: int, count: int, size: int, shared: int) -> None:
     normal, dense, right = random_normal(seed, count, size, shared)
-    states, common = solve(normal)
+    chain_of = eliminate(normal)
+    states, common = solve(chain_of)
     expected = np.linalg.solve(dense, right)
     assert np.allclose(np.concatenate([states.ravel(), common]), expected, rtol=1e-6, atol=1e-8)
     inverse = np.linalg.inv(dense)
-    result = covariance(normal)
+    result = covariance(chain_of)
     chain = inverse[: count * size, : count * size].reshape(count, size, count, size)
     for first in range(count):
-        assert np.allclose(result.cov[first], chain[first, :, first], rtol=1e-6, atol=1e-9)
+        assert np.allclose(result.of(first), chain[first, :, first], rtol=1e-6, atol=1e-9)
+        assert np.allclose(result.variances[first], np.diag(chain[first, :, first]), rtol=1e-6, atol=1e-9)
         for second in range(first, count):
             assert np.allclose(cross_covariance(result, first, second), chain[first, :, second], rtol=1e-6, atol=1e-9)
     assert np.allclose(result.shared, inverse[count * size :, count * size :], rtol=1e-6, atol=1e-9)
@@ -55,7 +64,7 @@ def test_equals_the_dense_solution(seed: int, count: int, size: int, shared: int
 
 @pytest.mark.parametrize("count", [16, 17, 33, 600])
 def test_far_states_are_reached_in_strides(count: int) -> None:
-    result = covariance(random_normal(count, count, 2, 1)[0])
+    result = covariance(eliminate(random_normal(count, count, 2, 1)[0]))
     ends = (0, count - 1), (0, count // 2), (3, count - 2), (count // 3, count - 1), (count - 1, count - 1)
     for first, second in ends:
         step_by_step = result.chain[second]
@@ -69,7 +78,7 @@ def test_far_states_are_reached_in_strides(count: int) -> None:
 @given(st.integers(0, 1000), st.sets(st.integers(0, 8), max_size=9), st.integers(1, 3), st.integers(0, 2))
 def test_any_states_together(seed: int, chosen: set[int], unknowns: int, shared: int) -> None:
     """The same as of each two of them."""
-    result, states = covariance(random_normal(seed, 9, 3, shared)[0]), sorted(chosen)
+    result, states = covariance(eliminate(random_normal(seed, 9, 3, shared)[0])), sorted(chosen)
     joint = joint_covariance(result, states, unknowns)
     assert joint.shape == (unknowns * len(states), unknowns * len(states))
     blocks = joint.reshape(len(states), unknowns, len(states), unknowns)
@@ -84,4 +93,4 @@ def test_a_singular_chain_is_an_error() -> None:
     normal, _, _ = random_normal(0, 3, 2, 0)
     normal.diagonal[0] = 0.0
     with pytest.raises(np.linalg.LinAlgError):
-        solve(normal)
+        eliminate(normal)

@@ -35,11 +35,27 @@ class ChainNormal:
 
 
 @dataclass(frozen=True)
-class ChainCovariance:
-    """Covariance of all states: `cov[k]`, and by `cross_covariance` of any two."""
+class EliminatedChain:
+    """Normal equations after the elimination of one state after the other."""
 
-    cov: Floats
-    """(K, n, n), the shared unknowns' part included."""
+    inverse: Floats
+    """(K, n, n) of each diagonal block without the states before it."""
+    gain: Floats
+    """(K - 1, n, n): regression of state k on state k + 1, shared unknowns held."""
+    alone: Floats
+    """(K, n): solution without the shared unknowns."""
+    reach: Floats
+    """(K, n, m): what a shared unknown takes from it."""
+    shared: Floats
+    """(m, m): Schur complement of the shared unknowns."""
+    right_shared: Floats
+    """(m,)"""
+
+
+@dataclass(frozen=True)
+class ChainCovariance:
+    """Covariance of all states: `of` one of them, and by `cross_covariance` of any two."""
+
     gain: Floats
     """(K - 1, n, n): regression of state k on state k + 1, shared unknowns held."""
     chain: Floats
@@ -49,33 +65,57 @@ class ChainCovariance:
     shared: Floats
     """(m, m): covariance of the shared unknowns."""
     strides: tuple[tuple[int, Floats], ...] = ()
-    """Steps s of many states, longest first, with (K - s, n, n): gain[k] @ ... @ gain[k + s - 1]."""
+    """Steps s of many states, longest first, with gain[k] @ ... @ gain[k + s - 1] of each k that is a multiple of s."""
+
+    def of(self, state: int) -> Floats:
+        """(n, n): covariance of one state."""
+        return np.asarray(self.chain[state] + self.reach[state] @ self.shared @ self.reach[state].T)
+
+    @property
+    def variances(self) -> Floats:
+        """(K, n)"""
+        by_shared = np.einsum("kim,mn,kin->ki", self.reach, self.shared, self.reach, optimize=True)
+        return np.asarray(np.diagonal(self.chain, axis1=1, axis2=2) + by_shared)
 
 
-def solve(normal: ChainNormal) -> tuple[Floats, Floats]:
+def eliminate(normal: ChainNormal) -> EliminatedChain:
+    """Overwrites the normal equations, of which a long drive has gigabytes. Raises LinAlgError where they are singular."""
+    inverse, gain = normal.diagonal, normal.upper
+    inverse[0] = np.linalg.inv(inverse[0])
+    for k in range(len(gain)):
+        upper = gain[k].copy()
+        gain[k] = -inverse[k] @ upper
+        reduced = inverse[k + 1] + upper.T @ gain[k]
+        inverse[k + 1] = np.linalg.inv((reduced + reduced.T) / 2)
+    columns = np.concatenate([normal.right[:, :, None], normal.border], axis=2)
+    for k in range(len(gain)):
+        columns[k + 1] += gain[k].T @ columns[k]
+    columns[-1] = inverse[-1] @ columns[-1]
+    for k in range(len(gain) - 1, -1, -1):
+        columns[k] = inverse[k] @ columns[k] + gain[k] @ columns[k + 1]
+    alone, reach = columns[:, :, 0], columns[:, :, 1:]
+    shared = normal.corner - np.einsum("kni,knj->ij", normal.border, reach)
+    return EliminatedChain(
+        inverse, gain, alone, reach, shared, normal.right_shared - np.einsum("kni,kn->i", normal.border, alone)
+    )
+
+
+def solve(chain: EliminatedChain) -> tuple[Floats, Floats]:
     """The solution: (K, n) of the states and (m,) of the shared unknowns. Raises LinAlgError where it is not unique."""
-    inverse, gain = _eliminate(normal)
-    alone, reach = _chain_solutions(normal, inverse, gain)
-    if not len(normal.right_shared):
-        return alone, np.zeros(0)
-    common = np.linalg.solve(*_shared_normal(normal, alone, reach))
-    return alone - reach @ common, np.asarray(common)
+    if not len(chain.shared):
+        return chain.alone, np.zeros(0)
+    common = np.linalg.solve(chain.shared, chain.right_shared)
+    return np.asarray(chain.alone - chain.reach @ common), np.asarray(common)
 
 
-def covariance(normal: ChainNormal) -> ChainCovariance:
-    """Covariances of the solution (inverse of the normal matrix), in time and memory linear in K."""
-    inverse, gain = _eliminate(normal)
-    chain = inverse.copy()
+def covariance(eliminated: EliminatedChain) -> ChainCovariance:
+    """Covariances of the solution (inverse of the normal matrix), in time and memory linear in K; overwrites `inverse`."""
+    chain, gain = eliminated.inverse, eliminated.gain
     for k in range(len(gain) - 1, -1, -1):
         block = chain[k] + gain[k] @ chain[k + 1] @ gain[k].T
         chain[k] = (block + block.T) / 2
-    alone, reach = _chain_solutions(normal, inverse, gain)
-    shared: Floats = np.zeros((0, 0))
-    if len(normal.right_shared):
-        shared = np.asarray(np.linalg.inv(_shared_normal(normal, alone, reach)[0]), dtype=np.float64)
-        shared = (shared + shared.T) / 2
-    cov = chain + reach @ shared @ np.swapaxes(reach, 1, 2)
-    return ChainCovariance(cov, gain, chain, -reach, shared, _strides(gain))
+    shared = np.asarray(np.linalg.inv(eliminated.shared), dtype=np.float64)
+    return ChainCovariance(gain, chain, -eliminated.reach, (shared + shared.T) / 2, _strides(gain))
 
 
 def with_common_errors(result: ChainCovariance, reach: Floats, sigma: Floats) -> ChainCovariance:
@@ -87,17 +127,16 @@ def with_common_errors(result: ChainCovariance, reach: Floats, sigma: Floats) ->
     shared = np.zeros((result.shared.shape[0] + len(sigma),) * 2)
     known = len(result.shared)
     shared[:known, :known], shared[known:, known:] = result.shared, np.diag(sigma**2)
-    cov = result.cov + (reach * sigma**2) @ np.swapaxes(reach, 1, 2)
-    return replace(result, cov=cov, reach=np.concatenate([result.reach, reach], axis=2), shared=shared)
+    return replace(result, reach=np.concatenate([result.reach, reach], axis=2), shared=shared)
 
 
 def cross_covariance(result: ChainCovariance, first: int, second: int) -> Floats:
     """(n, n) covariance of state `first` with state `second`; first <= second. Takes time O(log(second - first))."""
     block, k = result.chain[second], second
-    for step, product in (*result.strides, (1, result.gain)):
-        while k - step >= first:
-            k -= step
-            block = product[k] @ block
+    while k > first:
+        step, product = next((of for of in result.strides if k % of[0] == 0 and k - of[0] >= first), (1, result.gain))
+        k -= step
+        block = product[k // step] @ block
     return np.asarray(block + result.reach[first] @ result.shared @ result.reach[second].T)
 
 
@@ -124,40 +163,13 @@ def joint_covariance(result: ChainCovariance, states: Sequence[int], unknowns: i
 
 
 def _strides(gain: Floats) -> tuple[tuple[int, Floats], ...]:
-    """Products of 16, 256, ... gains in a row from every state on; see `ChainCovariance.strides`."""
+    """Products of 16, 256, ... gains in a row from every 16th, 256th, ... state on; see `ChainCovariance.strides`."""
     strides: list[tuple[int, Floats]] = []
     step, product = 1, gain
-    while len(gain) >= 16 * step:
-        for _ in range(4):  # a product twice as long from every state where one fits
-            product = product[: len(product) - step] @ product[step:]
-            step *= 2
+    while len(product) >= 16:
+        product = product[: len(product) // 16 * 16]
+        for _ in range(4):
+            product = product[::2] @ product[1::2]
+        step *= 16
         strides.insert(0, (step, product))
     return tuple(strides)
-
-
-def _eliminate(normal: ChainNormal) -> tuple[Floats, Floats]:
-    """Inverse (K, n, n) of each diagonal block after elimination of the states before it, and gains (K - 1, n, n)."""
-    inverse, gain = np.empty_like(normal.diagonal), np.empty_like(normal.upper)
-    inverse[0] = np.linalg.inv(normal.diagonal[0])
-    for k in range(len(gain)):
-        gain[k] = -inverse[k] @ normal.upper[k]
-        reduced = normal.diagonal[k + 1] + normal.upper[k].T @ gain[k]
-        inverse[k + 1] = np.linalg.inv((reduced + reduced.T) / 2)
-    return inverse, gain
-
-
-def _chain_solutions(normal: ChainNormal, inverse: Floats, gain: Floats) -> tuple[Floats, Floats]:
-    """Chain solved for the right side (K, n) and for the columns of the border (K, n, m)."""
-    columns = np.concatenate([normal.right[:, :, None], normal.border], axis=2)
-    for k in range(len(gain)):
-        columns[k + 1] += gain[k].T @ columns[k]
-    columns[-1] = inverse[-1] @ columns[-1]
-    for k in range(len(gain) - 1, -1, -1):
-        columns[k] = inverse[k] @ columns[k] + gain[k] @ columns[k + 1]
-    return columns[:, :, 0], columns[:, :, 1:]
-
-
-def _shared_normal(normal: ChainNormal, alone: Floats, reach: Floats) -> tuple[Floats, Floats]:
-    """Schur complement (m, m) and right side (m,) of the shared unknowns."""
-    matrix = normal.corner - np.einsum("kni,knj->ij", normal.border, reach)
-    return matrix, normal.right_shared - np.einsum("kni,kn->i", normal.border, alone)

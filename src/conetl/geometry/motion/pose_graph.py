@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion import chain_solver
-from conetl.geometry.motion.chain_solver import ChainNormal
+from conetl.geometry.motion.chain_solver import ChainNormal, EliminatedChain
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Floats, Ints
 
@@ -122,8 +122,8 @@ def adjust(
     robust_sigmas: float,
     common_sigmas: Sequence[float],
     priors: Sequence[LandmarkPrior] = (),
-) -> tuple[Floats, Floats, ChainNormal] | None:
-    """Rotations (K, 3, 3), positions (K, 3) and the last normal equations; None if the iteration does not converge.
+) -> tuple[Floats, Floats, EliminatedChain] | None:
+    """Rotations (K, 3, 3), positions (K, 3) and the last normal equations, eliminated; None if the iteration does not converge.
 
     common_sigmas: prior sigmas of the errors common to all motions: of their scale and, if it is estimated, of their turn about
     the optical axis (rad per metre).
@@ -146,7 +146,8 @@ def adjust(
             normal.corner[at, at] += prior.information
             normal.right_shared[at] += prior.information @ (prior.xyz - state.shared[at])
         try:
-            step, step_shared = chain_solver.solve(normal)
+            chain = chain_solver.eliminate(normal)
+            step, step_shared = chain_solver.solve(chain)
         except np.linalg.LinAlgError:
             return None
         state = _State(
@@ -154,7 +155,8 @@ def adjust(
             state.bias + step[:, POSE : 2 * POSE], state.smooth + step[:, 2 * POSE :], state.shared + step_shared, common,
         )  # fmt: skip
         if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
-            return state.rotations, state.positions, normal
+            return state.rotations, state.positions, chain
+        del normal, chain  # before the next ones: a long drive has gigabytes of them
     return None
 
 

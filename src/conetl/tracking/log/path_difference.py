@@ -104,8 +104,12 @@ def measured_cov(difference: PathDifference, stated: Floats, frames: Ints, axis:
     if axis >= 3:
         return np.asarray(cov)
     aside = (-difference.path_m[:, 1], difference.path_m[:, 0], difference.driven_m)[axis]
+    aside = aside - aside.mean()
     attitude = 4 if axis == 2 else 5
     turn_var = np.diff(difference.measured_var[:, attitude], prepend=0.0)
-    sigma = np.sqrt(np.minimum(turn_var, np.median(stated[:, attitude]) ** 2))
-    by_turns = (aside[frames, None] - aside) * sigma * (np.arange(len(aside)) < frames[:, None])
-    return np.asarray(cov + by_turns @ by_turns.T)
+    turn_var = np.minimum(turn_var, np.median(stated[:, attitude]) ** 2)
+    # The sum of what each turn before both frames moves them by.
+    before = np.minimum.outer(frames, frames)
+    turned, moved, squared = (np.append(0.0, np.cumsum(turn_var * aside**power))[before] for power in range(3))
+    beside = aside[frames]
+    return np.asarray(cov + np.outer(beside, beside) * turned - np.add.outer(beside, beside) * moved + squared)
