@@ -29,8 +29,12 @@ down:           ## stop what `make up` started; data are kept
 	@$(BIN)/conetl down
 
 # A file's tests stay on one worker: they share servers, and some build on the one before. tests/conftest.py orders the files.
-test: setup     ## run all tests
-	@$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder --durations=15
+PYTEST := $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
+test: setup     ## run the tests of every change
+	@$(PYTEST) -m 'not release' --durations=15
+
+test-all: setup ## run all tests, as before a release
+	@$(PYTEST) --durations=30
 
 lint: setup     ## check style, types, import contracts, wording and documentation
 	$(BIN)/ruff check .
