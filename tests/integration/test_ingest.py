@@ -389,19 +389,19 @@ def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, keyless: Path, smal
 
 
 def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
-    desk: Desk, module_database_url: str, database_url: str, tmp_path: Path, small_drive: Path
+    desk: Desk, module_database_url: str, database_url: str, tmp_path: Path
 ) -> None:
     """Killed during the analysis and after the commit, whose event a later run tells, once.
 
     Within the merge: `test_exactly_once.py`.
     """
-    clean = desk.with_database(module_database_url)
-    assert [clean.ingest(small_drive).status for _ in range(2)] == ["committed", "no changes"]
+    clean, drive = desk.with_database(module_database_url), cut_drive(SAMPLES[0], tmp_path / "cut", "2026-03-11")
+    assert [clean.ingest(drive).status for _ in range(2)] == ["committed", "no changes"]
     home = tmp_path / "home"
     victim = Desk({**desk.environment, "CONETL_HOME": str(home)})
     for point in ("matching", "commit"):
         with subprocess.Popen(
-            victim.command("ingest", small_drive), env=victim.environment, cwd=ROOT, stderr=subprocess.DEVNULL
+            victim.command("ingest", drive), env=victim.environment, cwd=ROOT, stderr=subprocess.DEVNULL
         ) as process:
             kill_at(point, home, database_url, process)
         assert process.returncode == -signal.SIGKILL, f"it was over before {point}"
@@ -412,7 +412,7 @@ def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
         assert execute(conn, "select * from conetl.changeset_published") == []
         conn.rollback()
         for _ in range(2):
-            assert json.loads(victim.run("ingest", small_drive, "--json").stdout)[0]["status"] == "no changes"
+            assert json.loads(victim.run("ingest", drive, "--json").stdout)[0]["status"] == "no changes"
             told = until(lambda: events_of(desk, str(changeset.changeset_id)), "its event", every_s=0.2)
             assert told == ["conetl.changeset.committed"]
         published = execute(conn, "select changeset_id from conetl.changeset_published")
