@@ -9,6 +9,8 @@ export PYTHON
 export PREFECT_SERVER_ANALYTICS_ENABLED := false
 export DO_NOT_TRACK := 1
 export NO_MKDOCS_2_WARNING := 1
+# As many containers set it: every process, such as those of tests, would compile conetl again, which takes it a second.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: $(shell sed -nE 's/^([a-z-]+):.*/\1/p' $(firstword $(MAKEFILE_LIST)))
 
@@ -29,8 +31,12 @@ down:           ## stop what `make up` started; data are kept
 	@$(BIN)/conetl down
 
 # A file's tests stay on one worker: they share servers, and some build on the one before. tests/conftest.py orders the files.
-test: setup     ## run all tests
-	@$(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder --durations=15
+PYTEST := $(BIN)/python -m pytest -n $(TEST_WORKERS) --dist loadfile --no-loadscope-reorder
+test: setup     ## run the tests of every change
+	@$(PYTEST) -m 'not release' --durations=15
+
+test-all: setup ## run all tests, as before a release
+	@$(PYTEST) --durations=30
 
 lint: setup     ## check style, types, import contracts, wording and documentation
 	$(BIN)/ruff check .

@@ -22,7 +22,6 @@ from conetl.model.params import IngestParams
 from conetl.pipeline.backfill_plan import attention_text, drop_folder_rows, plan_drives
 from conetl.pipeline.entries import find_entries
 from conetl.pipeline.maps.planned_zones import read_difference_table
-from conetl.pipeline.nightly_publication import REPORT, write_publication
 from conetl.pipeline.publish import catch_up_all
 from conetl.pipeline.settings import read_settings
 from flows import dispatch
@@ -51,6 +50,8 @@ def publish_map(
         folder: Folder for the publication; default: `exports` in CONETL_HOME.
         as_of: State of the road at this time; default: latest.
     """
+    from conetl.pipeline.nightly_publication import REPORT, write_publication  # matplotlib takes half a second to load
+
     settings = read_settings(map_name)
     with alive(settings) as database, database.connection() as conn:
         notify_map_receivers(settings, database)

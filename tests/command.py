@@ -27,6 +27,7 @@ _FORKS.set_forkserver_preload(
         "conetl.cli.ingest",
         "conetl.cli.services",
         "conetl.pipeline.ingest",
+        "conetl.reports.drive_page",
         "httpx",
     ]
 )

@@ -25,9 +25,8 @@ HOMES = Path("/tmp")
 TEMPLATE = "conetl_template"
 #: Files that take the most time, those that wait for servers and those that compute in turn.
 LONGEST = (
-    "integration/test_operations.py", "integration/test_ingest.py",
-    "integration/test_without_services.py", "integration/test_benchmarks.py", "mutants/test_recordings.py",
-    "integration/test_cluster.py",
+    "integration/test_operations.py", "integration/test_ingest.py", "integration/test_without_services.py",
+    "mutants/test_recordings.py", "integration/test_drop_folder.py", "integration/test_cluster.py",
     "unit/readers/test_video_drives.py", "integration/test_scale_out.py", "browser/test_ten_tasks.py",
     "integration/test_adjoining_drives.py", "mutants/test_cameras.py",
 )  # fmt: skip

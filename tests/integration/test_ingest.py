@@ -43,7 +43,7 @@ from conetl.pipeline.settings import Settings
 from conetl.reports.drive_page import drive_page
 from tests.command import ROOT, conetl, until
 from tests.integration.conftest import QUIET, command_line
-from tests.integration.small_drives import SAMPLES, cut_drive, shift_poses, spoil_huffman_table
+from tests.integration.small_drives import SAMPLES, cut_drive, shift_poses, spoil_huffman_table, unpublished
 
 SHARED = Path(os.environ.get("CONETL_SHARED_DATA", ROOT.parent / "shared" / "data"))
 KITTI = SHARED / "kitti_2011_09_26_drive_0005_sync"
@@ -90,8 +90,8 @@ class Desk:
         return Settings.model_validate(values)
 
     def ingest(self, drive: Path, **params: object) -> IngestReport:
-        """What the command does, in this process and without Prefect."""
-        return ingest(drive, IngestParams.model_validate(params), self.settings)
+        """What the command does to the map, in this process and without Prefect."""
+        return ingest(drive, IngestParams.model_validate(params), self.settings, publish_new=unpublished)
 
     def features(self, *options: object) -> Any:
         return json.loads(self.ask("map", "show", *options, "--json"))["features"]
@@ -224,22 +224,21 @@ def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
     values = oxts.read_text().split()
     oxts.write_text(" ".join(["nan", *values[1:]]))
 
-    result = desk.run("ingest", small_drive, "--json")
-    (report,) = json.loads(result.stdout)
-    assert result.returncode == 1, "3 of 16 pairs are more than a tenth"
-    assert "3 of 16 frame pairs" in result.stderr
-    assert report["frame_pairs"] == 13
-    assert report["frame_pairs_rejected"] == 3
-    reasons = report["rejections"]
-    assert (reasons["image_truncated"], reasons["image_missing"], reasons["pose_invalid"]) == (1, 1, 1)
-    assert report["counts"]["added"] > 0
+    with pytest.raises(TooManyRejectionsError, match="3 of 16 frame pairs") as doubted:
+        desk.ingest(small_drive)
+    assert doubted.value.exit_code == 1, "3 of 16 pairs are more than a tenth"
+    report = doubted.value.report
+    assert (report.frame_pairs, report.frame_pairs_rejected) == (13, 3)
+    reasons = ("image_truncated", "image_missing", "pose_invalid")
+    assert [report.rejections[RejectionReason(reason)] for reason in reasons] == [1, 1, 1]
+    assert report.counts[DeltaKind.ADDED] > 0
     assert desk.ingest(small_drive, max_rejected_fraction=0.5).frame_pairs_rejected == 3
     quarantine = desk.final_tables()["quarantine"]
     assert sum('"pose_invalid"' in line for line in quarantine) == 2, "once for each analysis"
 
 
 def test_the_versions_of_work_zones_are_stored_after_a_merge(desk: Desk, small_drive: Path) -> None:
-    assert desk.ingest(small_drive).counts[DeltaKind.ADDED] > 3
+    assert ingest(small_drive, settings=desk.settings).counts[DeltaKind.ADDED] > 3
     versions = json.loads(desk.ask("zones", "history", "--json"))
     assert [(one["version"], one["event"]) for one in versions] == [(1, "began")]
     assert versions[0]["state"]["work_zone_id"] == versions[0]["zone_id"]
@@ -390,19 +389,19 @@ def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, keyless: Path, smal
 
 
 def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
-    desk: Desk, module_database_url: str, database_url: str, tmp_path: Path, small_drive: Path
+    desk: Desk, module_database_url: str, database_url: str, tmp_path: Path
 ) -> None:
     """Killed during the analysis and after the commit, whose event a later run tells, once.
 
     Within the merge: `test_exactly_once.py`.
     """
-    clean = desk.with_database(module_database_url)
-    assert [clean.ingest(small_drive).status for _ in range(2)] == ["committed", "no changes"]
+    clean, drive = desk.with_database(module_database_url), cut_drive(SAMPLES[0], tmp_path / "cut", "2026-03-11")
+    assert [clean.ingest(drive).status for _ in range(2)] == ["committed", "no changes"]
     home = tmp_path / "home"
     victim = Desk({**desk.environment, "CONETL_HOME": str(home)})
     for point in ("matching", "commit"):
         with subprocess.Popen(
-            victim.command("ingest", small_drive), env=victim.environment, cwd=ROOT, stderr=subprocess.DEVNULL
+            victim.command("ingest", drive), env=victim.environment, cwd=ROOT, stderr=subprocess.DEVNULL
         ) as process:
             kill_at(point, home, database_url, process)
         assert process.returncode == -signal.SIGKILL, f"it was over before {point}"
@@ -413,7 +412,7 @@ def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
         assert execute(conn, "select * from conetl.changeset_published") == []
         conn.rollback()
         for _ in range(2):
-            assert json.loads(victim.run("ingest", small_drive, "--json").stdout)[0]["status"] == "no changes"
+            assert json.loads(victim.run("ingest", drive, "--json").stdout)[0]["status"] == "no changes"
             told = until(lambda: events_of(desk, str(changeset.changeset_id)), "its event", every_s=0.2)
             assert told == ["conetl.changeset.committed"]
         published = execute(conn, "select changeset_id from conetl.changeset_published")

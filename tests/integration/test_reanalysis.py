@@ -23,7 +23,7 @@ from conetl.pipeline.maps.decisions import decide_location
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
 from tests.integration.drives_of_days import failed_audits, valid_time_map
-from tests.integration.small_drives import SAMPLES, cut_drive
+from tests.integration.small_drives import SAMPLES, cut_drive, unpublished
 
 #: Of the first sample drive: counts of records, and number of positions, position, height and sigmas (m) of every track.
 RECORDS = Path(__file__).with_name("records_of_a_sample_drive.json")
@@ -75,7 +75,7 @@ def test_reanalysis_makes_the_map_of_an_older_version_that_of_this_one(
         older.setattr(chunks, "ANALYSIS_VERSION", "an older one")
         older.setattr(analysis, "fuse_tracks", lambda *data: (fuse(*data)[0][1:], fuse(*data)[1]))
         for drive in drives:
-            ingest(drive, params, settings)
+            ingest(drive, params, settings, publish_new=unpublished)
     made = read_current_features(conn)
     conn.rollback()
     decide_location(conn, "suppress", str(made[0].feature_id), map_name="default", note="a bollard")
@@ -86,12 +86,13 @@ def test_reanalysis_makes_the_map_of_an_older_version_that_of_this_one(
         lines = [line for line in plan(reanalyse=True).lines if line.action == "ingest"]
         assert len(lines) == left
         assert {line.why.partition(":")[0] for line in lines} == {"analysed by another version"}
-        ingest(lines[0].header.path, params, settings)
+        ingest(lines[0].header.path, params, settings, publish_new=unpublished)
     assert plan(reanalyse=True).todo == []
     assert failed_audits(conn) == []
     with another_database() as fresh:
         for drive in drives:
-            ingest(drive, params, settings.model_copy(update={"database_url": SecretStr(fresh.dsn)}))
+            in_fresh = settings.model_copy(update={"database_url": SecretStr(fresh.dsn)})
+            ingest(drive, params, in_fresh, publish_new=unpublished)
         decide_location(fresh, "suppress", str(made[0].feature_id), map_name="default", note="a bollard")
         assert valid_time_map(conn) == valid_time_map(fresh)
     assert len(read_current_features(conn)) > len(made)

@@ -25,6 +25,7 @@ from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import read_header
 from conetl.readers.rigs import read_rig
 from tests import recordings
+from tests.cases import cases
 from tests.folders import SHARED
 from tests.recordings import Layout, Recorded
 from tests.unit.readers import drive_formats as formats
@@ -119,7 +120,11 @@ def cones(sample_settings: Settings) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "name",
-    ["KITTI odometry, colour", "CameraInfo with a region", "Foxglove images", "binned", "Bayer in CompressedImage"],
+    cases(
+        "binned",
+        "Bayer in CompressedImage",
+        release=["KITTI odometry, colour", "CameraInfo with a region", "Foxglove images"],
+    ),
 )
 def test_cones_are_where_those_of_the_sample_drive_are(name: str, tmp_path: Path, cones: np.ndarray) -> None:
     """Within 2 cm. Images with less detail have the same cones within the sigmas of their own observations.

@@ -31,6 +31,7 @@ from conetl.pipeline.settings import Settings
 from conetl.tracking.matching.epipolar_search import blocks_of
 from conetl.tracking.positions import locate_positions
 from conetl.tracking.variance_components import VarianceFactors, with_variance_factors
+from tests.cases import cases
 from tests.integration.small_drives import SAMPLES, spoil_huffman_table
 
 PARAMS = IngestParams()
@@ -94,7 +95,7 @@ def test_the_same_cones_at_the_same_places(sample_settings: Settings, results: A
     assert np.median(apart) < 0.002 and apart.max() < 0.03
 
 
-@pytest.mark.parametrize("covered", ["image_02", "image_03"])
+@pytest.mark.parametrize("covered", cases("image_03", release=["image_02"]))
 def test_a_covered_lens_removes_nothing(
     tmp_path: Path, sample_settings: Settings, results: AnalysedDrive, covered: str
 ) -> None:

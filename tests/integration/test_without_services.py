@@ -11,7 +11,6 @@ from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from functools import partial
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -21,7 +20,7 @@ import pytest
 from prefect.client.orchestration import get_client
 from prefect.client.schemas.filters import FlowRunFilter, FlowRunFilterName
 
-from conetl.cli.ingest import print_report
+from conetl.cli.ingest import ingest_drives, print_report
 from conetl.db.connection import connect, execute
 from conetl.db.map.archive import rename_map
 from conetl.db.map.map_store import find_map, list_changesets
@@ -326,33 +325,43 @@ def test_what_was_is_pending_is_published_without_the_drive(
 
 
 def test_what_could_not_be_published_is_said_and_told_by_a_later_run(
-    tmp_path: Path, conn: Any, database_url: str, prefect: dict[str, str]
+    tmp_path: Path,
+    prefect_here: Path,
+    conn: Any,
+    database_url: str,
+    prefect: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Of two drives at the same time."""
-    home = tmp_path / "home"
+    from flows import backfill
+
+    home = prefect_here / "unpublished"
     for number in (1, 2):
         folder = cut_drive(SAMPLES[0], tmp_path / "drives" / f"2026-05-0{number}_run", f"2026-05-0{number}")
     in_the_way = home / "exports" / "default.geojson"
     in_the_way.mkdir(parents=True)
-    run = partial(conetl_process, home, database_url, **prefect)
-    done = run("backfill", folder.parent, "--here", "--max-parallel", 2)
+    done = conetl_process(home, database_url, "backfill", folder.parent, "--here", "--max-parallel", 2, **prefect)
     drives = json.loads(done.stdout)["drives"]
     assert [drive["state"] for drive in drives] == ["committed"] * 2, done.stderr
     assert all("default.geojson" in drive["reason"] for drive in drives)
     assert done.returncode == 1
-    done = run("ingest", folder)
-    assert done.returncode == 1, "it is still in the way"
-    (said,) = json.loads(done.stdout)
-    assert said["status"] == "no changes"
-    assert "default.geojson" in said["unpublished"] and "run the same command again" in said["unpublished"]
-    assert said["unpublished"] in " ".join(done.stderr.split())
+    settings = Settings(home=home, database_url=database_url)  # type: ignore[arg-type]
+    capsys.readouterr()
+    [said], code = ingest_drives([folder], settings, IngestParams(), map_srid=None, show=lambda _: None)
+    assert code == 1, "it is still in the way"
+    assert said.status == "no changes" and said.unpublished is not None
+    assert "default.geojson" in said.unpublished and "run the same command again" in said.unpublished
+    assert said.unpublished in " ".join(capsys.readouterr().err.split())
     changesets = [changeset.changeset_id for changeset in list_changesets(conn)]
     assert [is_published(conn, one) for one in changesets] == [False] * 2
     in_the_way.rmdir()
     execute(conn, "update conetl.changeset set committed_at = committed_at - interval '1 hour'")
     conn.commit()
-    done = run("backfill", folder.parent, "--here")
-    assert done.returncode == 0, done.stderr
+    monkeypatch.setenv("CONETL_HOME", str(home))
+    monkeypatch.setenv("CONETL_DATABASE_URL", database_url)
+    state = backfill.backfill(str(folder.parent), max_parallel=1, where="here", return_state=True)
+    assert state.name == "NothingNew", state.message
     assert [is_published(conn, one) for one in changesets] == [True] * 2
     assert in_the_way.is_file()
     assert list((home / "exports" / "reports").rglob("*.html"))

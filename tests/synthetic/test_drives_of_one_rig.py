@@ -26,6 +26,7 @@ from conetl.model.params import ReconcileParams
 from conetl.model.rig import Rig
 from conetl.tracking.error_propagation import common_axes, common_error_id
 from tests import records
+from tests.cases import cases
 from tests.synthetic.world import ORIGIN_M, START_NS, calibrated, make_path, make_rig
 
 Floats = NDArray[np.float64]
@@ -202,8 +203,10 @@ def figures(late_from: int, drive_m: float, cone_m: float) -> Figures:
     return Figures(first, late, squared**0.5)
 
 
-@pytest.mark.parametrize(("drive_m", "cone_m"), [(0.05, 0.01), (0.2, 0.02)], ids=["RTK", "no fix"])
-@pytest.mark.parametrize("late_from", [1, 9])
+@pytest.mark.parametrize(
+    ("late_from", "drive_m", "cone_m"),
+    cases((1, 0.05, 0.01), (9, 0.2, 0.02), release=[(9, 0.05, 0.01), (1, 0.2, 0.02)]),
+)
 def test_the_map_states_its_errors_and_keeps_cones_together(late_from: int, drive_m: float, cone_m: float) -> None:
     """Where a difference was shared out twice, between drive and map and again between place and place, NEES was above 3."""
     found = figures(late_from, drive_m, cone_m)

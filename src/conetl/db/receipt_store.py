@@ -34,6 +34,8 @@ State = Literal["started", "committed", "held", "known", "failed", "crashed"]
 CHECK_EVERY_S = 1.0
 #: A run that has just committed publishes its changes itself within this time.
 QUIET = timedelta(minutes=2)
+#: Actions for what is no drive; the reason of its receipt begins with one of them.
+STRAYS = ("needs init", "not recognised")
 _UNREAD = "The receipts cannot be read"
 
 

@@ -19,7 +19,7 @@ from conetl.db.connection import Connection
 from conetl.db.map.decision_store import held_drives
 from conetl.db.map.map_store import list_changesets
 from conetl.db.map.results import CommittedChangeset
-from conetl.db.receipt_store import Receipt, headers_by_changeset, held_locks, latest_receipts, pairs_per_second
+from conetl.db.receipt_store import STRAYS, Receipt, headers_by_changeset, held_locks, latest_receipts, pairs_per_second
 from conetl.files.atomic import write_json
 from conetl.files.names import printable
 from conetl.model.errors import InputError
@@ -29,14 +29,11 @@ from conetl.pipeline.chunks import Analysis, analysis_of
 from conetl.pipeline.entries import Entry, find_entries, quoted
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives.header import DriveHeader
-from conetl.reports.night_page import NO_DRIVE
 
 #: After this many starts, scheduled runs do not try again.
 MAX_ATTEMPTS = 3
 #: For so long a run whose process died is started again by the deployment `recover`; afterwards its drive is planned anew.
 RECOVERED_FOR = timedelta(hours=1)
-#: Of what is no drive; the reason of its receipt begins with it.
-STRAYS = tuple(start.rstrip(":") for start in NO_DRIVE)
 Action = Literal["ingest", "wait", "skip", "refuse", "needs init", "not recognised"]
 _ON_HOLD = "on hold since"
 

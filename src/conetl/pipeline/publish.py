@@ -30,7 +30,6 @@ from conetl.pipeline.executor import step
 from conetl.pipeline.maps.decisions import DecisionOutcome
 from conetl.pipeline.maps.notices import record_notices
 from conetl.pipeline.settings import Settings, read_settings
-from conetl.reports.drive_page import write_drive_page
 
 _log = logging.getLogger(__name__)
 #: Sends the report of a changeset and the cones that it removed (`removed_by_changeset`); returns when they are sent.
@@ -152,5 +151,7 @@ def _map_path(settings: Settings) -> Path:
 def _write_page(
     conn: Connection, changeset: CommittedChangeset, settings: Settings, plan_path: Path | None = None
 ) -> Path:
+    from conetl.reports.drive_page import write_drive_page  # matplotlib takes half a second to load
+
     path = settings.drive_report_path(changeset.drive_id, changeset.changeset_no).resolve()
     return write_drive_page(conn, changeset, path, map_name=settings.map_name, plan_path=plan_path)

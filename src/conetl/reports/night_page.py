@@ -14,6 +14,7 @@ from typing import Any
 from conetl.db.connection import Connection, database_errors, query
 from conetl.db.map.decision_store import held_drives, hold_events
 from conetl.db.map.map_store import find_map, list_changesets, read_paths, require_map
+from conetl.db.receipt_store import STRAYS
 from conetl.model.arrays import Floats
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
@@ -26,8 +27,6 @@ from conetl.reports.map_picture import PlanContent, draw_plan
 #: Rows of a table; the rest is counted.
 _MAX_ROWS = 400
 _WORST = 8
-#: With what the reason of a receipt begins that is of no drive (`pipeline/backfill_plan.py`).
-NO_DRIVE = ("needs init:", "not recognised:")
 Row = dict[str, Any]
 
 
@@ -119,7 +118,8 @@ def read_night(
     # What failed earlier is listed until it is repaired, or its folder removed.
     failures = [row for row in failures if row["at"] >= since or os.path.lexists(row["drive_path"])]
     for row in failures:
-        row["state"] = row["reason"].partition(":")[0] if row["reason"].startswith(NO_DRIVE) else row["state"]
+        start = row["reason"].partition(":")[0]
+        row["state"] = start if start in STRAYS else row["state"]
     reported = {(row["drive_path"], row["drive_id"]) for row in failures}
     unseen = {"frame_pairs": None, "attempts": 0, "at": None, "host": ""}
     new = [row for row in drop_folder if (row["drive_path"], row["drive_id"]) not in reported]

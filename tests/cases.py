@@ -1,0 +1,14 @@
+"""Cases of one parametrized test: some run in `make test`, the others of their kind before a release (`make test-all`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import pytest
+
+
+def cases(*always: Any, release: Iterable[Any]) -> list[Any]:
+    """For `pytest.mark.parametrize`; a case of several arguments is a tuple."""
+    later = (one if isinstance(one, tuple) else (one,) for one in release)
+    return [*always, *(pytest.param(*one, marks=pytest.mark.release) for one in later)]
