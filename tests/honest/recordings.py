@@ -218,8 +218,9 @@ def excerpt(source: Path, left: str, folder: Path) -> Base:
     return Base(source.name, drive.model_copy(update={"frame_pairs": pairs}), poses_between(pairs))
 
 
-def driven(drive: Drive, speed_m_s: float) -> tuple[tuple[FramePair, ...], int]:
-    """The frame pairs with poses by odometry, and how many of its motions were measured. speed_m_s: a guess for the first run.
+def driven(drive: Drive, speed_m_s: float) -> tuple[tuple[FramePair, ...], tuple[int, float]]:
+    """The frame pairs with poses by odometry; how many of its motions were measured, and minus the largest change of a motion's
+    length (m): from a wrong guess a motion may be wrong. speed_m_s: a guess for the first run.
 
     With the calibration as the images correct it: another one would make all distances longer.
     """
@@ -239,7 +240,8 @@ def driven(drive: Drive, speed_m_s: float) -> tuple[tuple[FramePair, ...], int]:
         for step in steps:
             last = last if step is None else step
             poses.append(poses[-1] @ own @ se3.invert(np.array(last)) @ se3.invert(own))
-    return with_poses(drive, poses).frame_pairs, number
+    lengths_m = np.linalg.norm(np.diff([pose[:3, 3] for pose in poses], axis=0), axis=1)
+    return with_poses(drive, poses).frame_pairs, (number, -float(np.abs(np.diff(lengths_m)).max()))
 
 
 def with_poses(drive: Drive, poses: list[Floats]) -> Drive:

@@ -1,7 +1,4 @@
-"""Every benchmark runs once with little to do, most of them before a release only.
-
-Its figures are checked where they do not depend on the machine.
-"""
+"""Every benchmark runs once with little to do. Its figures are checked where they do not depend on the machine."""
 
 from __future__ import annotations
 
@@ -14,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from tests.cases import cases
 from tests.chromium import CHROMIUM
 from tests.command import conetl
 from tests.folders import ROOT, SAMPLE, SHARED
@@ -122,18 +118,13 @@ TINY = {
     ),
     "watch": Tiny("{sample} --rate 5 --frames 6", lambda f: 1 <= f["watch"]["frame_pairs"] <= 6),
 }
-#: What takes longer; other tests run what it measures.
-LONGER = {
-    "alike", "calibration", "changes", "detect", "fleet", "health", "honest", "ingest", "kills", "mutants", "overhead", "plans",
-    "recordings", "text_limits", "trajectory", "view", "watch",
-}  # fmt: skip
 
 
 def test_every_benchmark_is_here() -> None:
     assert {path.stem.removeprefix("bench_") for path in (ROOT / "benchmarks").glob("bench_*.py")} == set(TINY)
 
 
-@pytest.mark.parametrize("name", cases(*sorted(TINY.keys() - LONGER), release=sorted(LONGER)))
+@pytest.mark.parametrize("name", TINY)
 def test_a_benchmark_gives_plausible_figures(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     tiny = TINY[name]
     if tiny.skipped:
