@@ -68,13 +68,16 @@ where p.drive_uuid = %(drive_uuid)s
 order by p.frame_index;
 
 -- name: frame_pairs
--- The frame pairs of a drive. Parameters: drive_uuid; easting_m, northing_m, within_m: only those in a square around a position
--- (map CRS; all null: everywhere). Columns: as FramePair and its Pose.
+-- The frame pairs of a drive. Parameters: drive_uuid; eastings_m, northings_m (float8[]), within_m: only those in squares around
+-- places (map CRS; all null: everywhere). Columns: as FramePair and its Pose.
 select {{frame_pair columns of p}}
 from conetl.frame_pair p
 where p.drive_uuid = %(drive_uuid)s and (
     %(within_m)s::float8 is null
-    or abs(ST_X(p.geom) - %(easting_m)s) <= %(within_m)s and abs(ST_Y(p.geom) - %(northing_m)s) <= %(within_m)s
+    or exists (
+        select from unnest(%(eastings_m)s::float8[], %(northings_m)s::float8[]) n (x, y)
+        where abs(ST_X(p.geom) - n.x) <= %(within_m)s and abs(ST_Y(p.geom) - n.y) <= %(within_m)s
+    )
 )
 order by p.frame_index;
 

@@ -34,12 +34,15 @@ where x.cell = conetl.cell_of(%(feature_id)s) and x.feature_id = %(feature_id)s 
 and upper_inf(x.system_period);
 
 -- name: tracks_near
--- Tracks of a drive near a position, without the one of a feature. Parameters: drive_uuid; easting_m, northing_m; radius_m;
--- feature_id. Columns: easting, northing, height (metres).
+-- Tracks of a drive in squares around places, without the one of a feature. Parameters: drive_uuid; eastings_m, northings_m
+-- (float8[]); within_m; feature_id (null: with all). Columns: easting, northing, height (metres).
 select ST_X(t.geom), ST_Y(t.geom), ST_Z(t.geom)
 from conetl.track t
 where t.drive_uuid = %(drive_uuid)s
-and abs(ST_X(t.geom) - %(easting_m)s) <= %(radius_m)s and abs(ST_Y(t.geom) - %(northing_m)s) <= %(radius_m)s
+and exists (
+    select from unnest(%(eastings_m)s::float8[], %(northings_m)s::float8[]) n (x, y)
+    where abs(ST_X(t.geom) - n.x) <= %(within_m)s and abs(ST_Y(t.geom) - n.y) <= %(within_m)s
+)
 and not exists (
     select from conetl.delta x
     join conetl.changeset c using (changeset_id)

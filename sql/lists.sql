@@ -4,9 +4,10 @@
 
 -- name: standing
 -- The features of a map now: all that lists filter and sort by is in the index feature_version_now. Parameters: map_name.
--- Columns: kind, shift_m, changed_at, old_row_id; those of conetl.feature_state that lists have.
+-- Columns: kind, shift_m, changed_at, old_row_id; judged_by (the changeset, if it is not that of the state); those of
+-- conetl.feature_state that lists have. Where changeset_no is not read, changesets are not either.
 select
-    'standing' as kind, null::float8 as shift_m, null::timestamptz as changed_at, null::bigint as old_row_id,
+    'standing' as kind, null::float8 as shift_m, null::timestamptz as changed_at, null::bigint as old_row_id, null::bigint as judged_by,
     v.version_row_id, v.cell, v.feature_id, v.category, v.existence_probability, v.observation_count, {{sigma columns of v}} as sigma_m,
     case when v.category <> 'lane_marking' then v.object_height_m end as object_height_m,
     timestamptz 'epoch' + v.last_seen_ns / 1000 * interval '1 microsecond' as last_seen_at, c.changeset_no, v.geom
@@ -18,7 +19,7 @@ and v.present and upper_inf(v.system_period) and upper_inf(v.valid_period);
 -- name: stood
 -- The features of any state. Parameters: map_name; valid_at, known_at (timestamptz; 'infinity' = latest). Columns: as standing.
 select
-    'standing' as kind, null::float8 as shift_m, null::timestamptz as changed_at, null::bigint as old_row_id,
+    'standing' as kind, null::float8 as shift_m, null::timestamptz as changed_at, null::bigint as old_row_id, null::bigint as judged_by,
     s.version_row_id, s.cell, s.feature_id, s.category, s.existence_probability, s.observation_count, s.sigma_m, s.object_height_m,
     s.last_seen_at, s.changeset_no, s.geom
 from conetl.feature_states(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s::timestamptz) s;
@@ -26,7 +27,7 @@ from conetl.feature_states(%(map_name)s, %(valid_at)s::timestamptz, %(known_at)s
 -- name: changed_by
 -- What a changeset did to each feature that it judged. Parameters: map_name; changeset_no; box (geometry; null: everywhere).
 -- Columns: kind, changed_at, shift_m; old_row_id (before a move); those of the state after the change, of a removed feature the last one.
-select x.*, %(changeset_no)s as changeset_no
+select x.*, %(changeset_no)s as changeset_no, %(changeset_no)s as judged_by
 from conetl.changeset_changes(%(map_name)s, %(changeset_no)s, %(box)s::geometry) x;
 
 -- name: changed_between
@@ -34,7 +35,8 @@ from conetl.changeset_changes(%(map_name)s, %(changeset_no)s, %(box)s::geometry)
 -- to_known_at (timestamptz; 'infinity' = latest); box (geometry; null: everywhere). Columns: as changed_by.
 -- offset 0: the planner expects few changes in a box, and would read all features of the box anew for each.
 select
-    c.change as kind, c.shift_m, c.changed_at, case when c.change = 'moved' then c.old_row_id end as old_row_id, s.*
+    c.change as kind, c.shift_m, c.changed_at, case when c.change = 'moved' then c.old_row_id end as old_row_id,
+    null::bigint as judged_by, s.*
 from conetl.feature_changes(
     %(map_name)s, %(from_valid_at)s::timestamptz, %(to_valid_at)s::timestamptz, %(to_known_at)s::timestamptz,
     %(from_known_at)s::timestamptz, %(box)s::geometry
@@ -53,7 +55,7 @@ cross join lateral (
 -- Placeholders: {{key}} (what it is sorted by), {{direction}}. Columns: key; row_id; of conetl.feature_state; kind, changed_at, shift_m, old_xyz_m.
 with page as materialized (
     select
-        s.version_row_id, {{key}} as key, s.kind, s.shift_m, s.changed_at, s.old_row_id, s.existence_probability, s.changeset_no
+        s.version_row_id, {{key}} as key, s.kind, s.shift_m, s.changed_at, s.old_row_id, s.existence_probability, s.judged_by
     from ({{source}}) s
     where {{where}}
     order by 2 {{direction}}, s.version_row_id
@@ -61,8 +63,8 @@ with page as materialized (
 )
 select
     p.key, p.version_row_id as row_id, p.kind, p.shift_m, p.changed_at, conetl.offset_m(o.geom, %(origin_m)s::float8[]) as old_xyz_m,
-    p.existence_probability, p.changeset_no, s.feature_id, s.version, s.category, s.sigma_m, s.object_height_m, s.last_seen_at,
-    s.observation_count, conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m
+    p.existence_probability, coalesce(p.judged_by, s.changeset_no) as changeset_no, s.feature_id, s.version, s.category, s.sigma_m,
+    s.object_height_m, s.last_seen_at, s.observation_count, conetl.offset_m(s.geom, %(origin_m)s::float8[]) as xyz_m
 from page p
 join conetl.feature_state s using (version_row_id)
 left join conetl.feature_state o on o.version_row_id = p.old_row_id

@@ -96,11 +96,13 @@ order by c.feature_id, is_old desc;
 
 -- name: find_features
 -- Features of a map by the beginning of their id, standing or removed. Two rows are enough to show that it is
--- ambiguous. Parameters: map_name; beginning (lower case, no wildcard characters); max_rows. Columns: feature_id.
+-- ambiguous. Parameters: map_name; beginning (lower case); first_id, last_id (uuid: no others begin so); max_rows.
+-- Columns: feature_id. map_id > 0: for the index feature_by_id.
 select f.feature_id
 from conetl.feature f
 join conetl.map m using (map_id)
-where m.map_name = %(map_name)s and starts_with(f.feature_id::text, %(beginning)s)
+where m.map_name = %(map_name)s and f.feature_id between %(first_id)s and %(last_id)s and f.map_id > 0
+and starts_with(f.feature_id::text, %(beginning)s)
 order by f.feature_id
 limit %(max_rows)s;
 

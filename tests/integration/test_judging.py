@@ -8,9 +8,13 @@ from collections import Counter
 import pytest
 from pydantic import SecretStr
 
+from conetl.db.map.drive_store import read_view
 from conetl.db.map.map_store import list_changesets
+from conetl.db.serve_store import read_feature_history
 from conetl.pipeline.settings import Settings
+from conetl.reports import drive_passes
 from conetl.reports.drive_page import write_drive_page
+from conetl.reports.drive_passes import reasons_of
 from conetl.web.decisions import Writer
 from tests.integration.conftest import command_line
 from tests.integration.drives_of_days import failed_audits, merge, survey
@@ -83,6 +87,24 @@ def test_the_sentence_is_the_same_everywhere(client, module_database_url, home):
     assert [line for line in logged.splitlines() if line in sentences] == sentences
     assert [entry["why"] for entry in json.loads(conetl("map", "log", removed["feature_id"], "--json"))] == sentences
     assert sentences[-1] in client.get(f"{MAP}/changesets/2/report").text
+
+
+def test_each_drive_is_read_once_for_all_it_did_not_observe(client, module_conn, monkeypatch):
+    """The sentences are those of each change by itself, as if both drives had missed all cones."""
+    ids = [change["feature_id"] for change in get(client, "changes/view?changeset_no=2")["changes"]]
+    found = [row for one in ids for row in read_feature_history(module_conn, "default", one)]
+    rows = [row | {"kind": "missed", "track_index": None} for row in found]
+    alone = [reasons_of(module_conn, [row])[0] for row in rows]
+    read = []
+
+    def counted(conn, header, near):
+        read.append(header["drive_uuid"])
+        return read_view(conn, header, near)
+
+    monkeypatch.setattr(drive_passes, "read_view", counted)
+    assert reasons_of(module_conn, rows) == alone and len({*alone}) > len(ids)
+    assert sorted(read) == sorted({row["drive_uuid"] for row in rows}) and len(rows) > len(read) == 2
+    module_conn.rollback()
 
 
 def test_the_history_is_that_of_an_instant_of_the_database(client):

@@ -16,7 +16,7 @@ from conetl.db.connection import connect, execute
 from conetl.db.reader_pool import ReaderPool, open_reader
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.base import utc_from_ns
-from conetl.model.map_records import DeltaKind
+from conetl.model.map_records import Delta, DeltaKind
 from conetl.web.live import MAX_STREAMS, HeadWatcher
 from conetl.web.models import ChangesInView, FeatureTile
 from tests.view_map import commit, cone, missed, shown, view_of
@@ -281,6 +281,18 @@ def test_unknown_things_are_not_found(client, path):
     assert client.get(path).status_code == 404
 
 
+def test_changes_of_a_drive_are_of_its_changeset_although_the_state_is_not(conn, samples, own_view):
+    cone = samples.feature("stays")
+    samples.commit(conn, samples.added(cone), key="1")
+    same = Delta(
+        kind=DeltaKind.CONFIRMED, feature_id=cone.feature_id, old=cone, new=cone, changed_at_ns=samples.START_NS + samples.DAY_NS
+    )  # fmt: skip
+    samples.commit(conn, same, key="2", start_ns=samples.START_NS + samples.DAY_NS)
+    [row] = get(own_view, f"{MAP}/changes", changeset_no=2)["changes"]
+    [now] = get(own_view, f"{MAP}/features")["features"]
+    assert (row["kind"], row["changeset_no"], now["changeset_no"]) == ("confirmed", 2, 1)
+
+
 def test_the_search_knows_ids_drives_days_and_coordinates(client, features, samples):
     wanted = str(features["stays"].feature_id)
 
@@ -288,7 +300,12 @@ def test_the_search_knows_ids_drives_days_and_coordinates(client, features, samp
         return get(client, f"{MAP}/search", text=text)
 
     assert found(wanted[:10].upper())["feature_ids"] == [wanted]
-    assert found("0123456789")["feature_ids"] == []
+    standing = sorted(str(feature.feature_id) for feature in features.values())
+    for size in range(1, len(wanted) + 1):
+        beginning = wanted[:size]
+        assert found(beginning)["feature_ids"] == [one for one in standing if one.startswith(beginning)], beginning
+    for text in ("0123456789", "-", wanted[:4] + "-" + wanted[4:9], wanted.replace("-", "")):
+        assert found(text)["feature_ids"] == []
     assert [d["drive_id"] for d in found("DRIVE_")["drives"]] == ["drive_2", "drive_1"]
     day = utc_from_ns(samples.START_NS + samples.DAY_NS).date().isoformat()
     assert [d["drive_id"] for d in found(day)["drives"]] == ["drive_2"]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import threading
+from concurrent.futures import ThreadPoolExecutor, wait
 from datetime import timedelta
 
 import geopandas
@@ -10,10 +12,11 @@ import numpy as np
 import shapely
 import shapely.ops
 
+from conetl.db import reader_pool
 from conetl.db.connection import execute
 from conetl.exports.wzdx import SOURCES, schema_faults
 from conetl.model.base import utc_from_ns
-from conetl.pipeline.maps.work_zones import export_zones
+from conetl.pipeline.maps.work_zones import export_zones, read_zones
 from conetl.readers.plans.datex2 import read_datex2
 from conetl.web import zones
 from tests.integration.drives_of_days import merge, survey
@@ -70,6 +73,33 @@ def test_a_work_zone_that_is_gone_on_the_third_day_ends(conn, samples, conetl, o
     marks = sorted(mark["type"] for d in devices for mark in d["properties"]["marked_locations"])
     assert marks == ["delineator", "delineator", "work-zone-end", "work-zone-start"]
     assert "nothing" not in conetl("map", "check-layout", "--as-of", times[2])
+
+
+def test_zones_of_one_state_are_computed_once_and_who_waits_has_no_connection(conn, samples, own_view, monkeypatch):
+    path, computed, going = "/api/maps/default/work-zones", [], threading.Event()
+
+    def slow(*args, **options):
+        computed.append(options["as_of"])
+        assert going.wait(60)
+        return read_zones(*args, **options)
+
+    def cone_counts(answer):
+        return [zone["cone_count"] for zone in answer.json()["zones"]]
+
+    monkeypatch.setattr(zones, "read_zones", slow)
+    monkeypatch.setattr(reader_pool, "WAIT_S", 0.5)
+    cones = [samples.feature(str(k), xyz_m=(458_000.0 + 6.0 * k, 5_428_010.0, 114.5)) for k in range(6)]
+    samples.commit(conn, *[samples.added(cone) for cone in cones[:5]], key="1")
+    with ThreadPoolExecutor(2 * reader_pool.MAX_CONNECTIONS) as pool:
+        waiting = [pool.submit(own_view.get, path) for _ in range(2 * reader_pool.MAX_CONNECTIONS)]
+        wait(waiting, timeout=1.5)  # longer than a request waits for a connection
+        meanwhile = own_view.get("/api/maps/default/summary").status_code, any(one.done() for one in waiting)
+        going.set()
+        assert meanwhile == (200, False)
+        assert [cone_counts(one.result()) for one in waiting] == [[5]] * len(waiting)
+    assert cone_counts(own_view.get(path)) == [5] and computed == [None]
+    samples.commit(conn, samples.added(cones[5]), key="2", start_ns=samples.START_NS + samples.DAY_NS)
+    assert cone_counts(own_view.get(path)) == [6] == cone_counts(own_view.get(path)) and computed == [None, None]
 
 
 def test_a_feed_says_when_it_was_surveyed_and_does_not_outlive_it(conn, samples, conetl, tmp_path):

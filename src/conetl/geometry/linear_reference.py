@@ -7,10 +7,12 @@ line, positive to the left of its direction. Lines are (N, 2) arrays in metres.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from typing import TypeVar
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
+from scipy.spatial import KDTree
 
 from conetl.model.arrays import Floats, Ints
 
@@ -71,18 +73,24 @@ def project(line_m: Floats, points_m: Floats) -> tuple[Floats, Floats]:
     directions = steps / lengths[:, None]
     low, high = np.zeros(len(starts)), lengths.copy()
     low[0], high[-1] = -np.inf, np.inf
+    # A segment is at most half a length nearer than its middle (and rounding). The outer ones have no end.
+    tree, outer = KDTree(starts + steps / 2), (0, len(starts) - 1)
+    reach_m = tree.query(points_m)[0] + lengths.max() / 2 + 1e-6
     found_s, found_o = np.empty(len(points_m)), np.empty(len(points_m))
     for first in range(0, len(points_m), _CHUNK):
         some = slice(first, first + _CHUNK)
-        # One (P, N) array per coordinate: several times faster than (P, N, 2).
-        x, y = (points_m[some, k, None] - starts[:, k] for k in range(2))
-        foot = np.clip(x * directions[:, 0] + y * directions[:, 1], low, high)
-        squared = (x - foot * directions[:, 0]) ** 2 + (y - foot * directions[:, 1]) ** 2
-        best = np.argmin(squared, axis=1)
-        each = np.arange(len(best))
-        cross = directions[best, 0] * y[each, best] - directions[best, 1] * x[each, best]
-        found_s[some] = station[best] + foot[each, best]
-        found_o[some] = np.copysign(np.sqrt(squared[each, best]), cross)
+        near = [sorted({*outer, *found}) for found in tree.query_ball_point(points_m[some], reach_m[some])]
+        counts = np.array([len(found) for found in near])
+        k = np.fromiter(chain.from_iterable(near), np.intp, counts.sum())
+        x, y = (np.repeat(points_m[some], counts, axis=0) - starts[k]).T
+        east, north = directions[k].T
+        foot = np.clip(x * east + y * north, low[k], high[k])
+        squared = (x - foot * east) ** 2 + (y - foot * north) ** 2
+        rows = np.cumsum(counts) - counts
+        least = np.flatnonzero(squared == np.repeat(np.minimum.reduceat(squared, rows), counts))
+        best = least[np.searchsorted(least, rows)]
+        found_s[some] = station[k[best]] + foot[best]
+        found_o[some] = np.copysign(np.sqrt(squared[best]), east[best] * y[best] - north[best] * x[best])
     return found_s, found_o
 
 

@@ -110,9 +110,7 @@ def read_drive_facts(conn: Connection, changeset: CommittedChangeset, *, map_nam
     rows.sort(key=lambda row: (_ORDER.index(DeltaKind(row["kind"])), row["changed_at"], str(row["feature_id"])))
     drive = {"drive_id": changeset.drive_id, "drive_uuid": changeset.drive_uuid, "drive_kind": "drive"}
     explained = [row | drive for row in rows if row["kind"] != DeltaKind.CONFIRMED][:MAX_ILLUSTRATED]
-    reasons = {
-        row["feature_id"]: why for row, why in zip(explained, reasons_of(conn, map_name, None, explained), strict=True)
-    }
+    reasons = {row["feature_id"]: why for row, why in zip(explained, reasons_of(conn, explained), strict=True)}
     frame_pairs = read_frame_pairs(conn, changeset.drive_uuid)
     path_m = np.array([map_SE3_left(pair.pose, rig)[:2, 3] for pair in frame_pairs])
     (west, south), (east, north) = path_m.min(axis=0) - _AROUND_M, path_m.max(axis=0) + _AROUND_M

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from datetime import datetime
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 from uuid import UUID
 
 import numpy as np
@@ -15,7 +16,8 @@ from conetl.db.map.drive_store import read_view
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import camera_of, map_SE3_camera
 from conetl.mapping.reasons import ChangeFacts, explain_change
-from conetl.mapping.visibility import pairs_in_view, visible_pairs
+from conetl.mapping.visibility import DriveObservations, pairs_in_view, visible_pairs
+from conetl.model.arrays import Floats
 from conetl.model.base import Record, Vec3, utc_from_ns
 from conetl.model.drive import Pose
 from conetl.model.feature_classes import CONE, LINE_CLASSES, noun_of
@@ -90,7 +92,7 @@ def passes_of(
     found = []
     for row in store.read_rows(conn, "judging.drives_past", map_name=map_name, max_rows=max_drives, **past):
         kind, frames = observed.get(row["drive_uuid"]) or (None, dict[int, int]())
-        in_view = _frames_in_view(conn, row, feature_id, state, frames)
+        in_view = _frames_in_view(_read_near(conn, row, [state], feature_id), state, frames)
         if in_view:
             known = {name: row[name] for name in ("changeset_no", "drive_id", "drive_uuid", "counts")}
             at = utc_from_ns(row["captured_from_ns"])
@@ -98,26 +100,41 @@ def passes_of(
     return found
 
 
-def _frames_in_view(
-    conn: Connection, header: Row, feature_id: UUID, state: Row, observed: Collection[int]
-) -> tuple[PassFrame, ...]:
-    params = ReconcileParams.model_validate(header["reconcile"])
-    drive_uuid, easting_m, northing_m = header["drive_uuid"], state["easting_m"], state["northing_m"]
-    foot_m = np.array([easting_m, northing_m, state["ellipsoidal_height_m"]])
-    height_m, category = state["object_height_m"], state["category"]
-    drive = read_view(conn, header, (easting_m, northing_m, _WITHIN_M))
+class _Near(NamedTuple):
+    """What a drive had in view near some places."""
+
+    drive: DriveObservations
+    tracks_m: Floats
+    """(M, 3) others than that of the feature."""
+    params: ReconcileParams
+
+
+def _read_near(conn: Connection, header: Row, states: Sequence[Row], feature_id: UUID | None = None) -> _Near:
+    """At once for all places. header: of drives.header; feature_id: whose track is left out."""
+    drive_uuid = header["drive_uuid"]
+    eastings_m, northings_m = ([state[name] for state in states] for name in ("easting_m", "northing_m"))
+    drive = read_view(conn, header, (eastings_m, northings_m, _WITHIN_M))
+    tracks = stream_values(
+        conn, "The tracks of a drive cannot be read", "judging.tracks_near", drive_uuid=drive_uuid, feature_id=feature_id,
+        eastings_m=eastings_m, northings_m=northings_m, within_m=_NEIGHBOUR_M,
+    )  # fmt: skip
+    tracks_m = np.array(list(tracks), np.float64).reshape(-1, 3)
+    return _Near(drive, tracks_m, ReconcileParams.model_validate(header["reconcile"]))
+
+
+def _frames_in_view(near: _Near, state: Row, observed: Collection[int]) -> tuple[PassFrame, ...]:
+    drive, others_m, params = near
     if not drive.frames:
         return ()
-    near = {"easting_m": easting_m, "northing_m": northing_m, "radius_m": _NEIGHBOUR_M, "feature_id": feature_id}
-    what = "The tracks of a drive cannot be read"
-    rows = stream_values(conn, what, "judging.tracks_near", drive_uuid=drive_uuid, **near)
-    others_m = np.array(list(rows), np.float64).reshape(-1, 3)
+    foot_m = np.array([state["easting_m"], state["northing_m"], state["ellipsoidal_height_m"]])
+    height_m, category = state["object_height_m"], state["category"]
     visible = {pair.row: pair.occupied for pair in visible_pairs(foot_m, height_m, others_m, drive, params, category)}
     states: dict[int, FrameState] = {}
     for row in pairs_in_view(foot_m, height_m, drive, params, category)[0].tolist():
         states[row] = "hidden" if row not in visible else "occupied" if visible[row] else "empty"
     states |= {row: "observed" for row, frame in enumerate(drive.frames) if frame in observed}
     cameras_m = drive.map_SE3_left[:, :3, 3]
+    within = np.abs(cameras_m - foot_m)[:, :2].max(axis=1) <= _WITHIN_M  # other frame pairs are near other places
     return tuple(
         PassFrame(
             frame_index=drive.frames[row],
@@ -127,6 +144,7 @@ def _frames_in_view(
             camera_xyz_m=tuple(cameras_m[row].tolist()),
         )
         for row in sorted(states)
+        if within[row]
     )
 
 
@@ -149,26 +167,21 @@ def expected_box(
     return None if np.isnan(x0) else (x0 + 0.5, y0 + 0.5, x1 - x0, y1 - y0)
 
 
-def reasons_of(conn: Connection, map_name: str, feature_id: UUID | None, rows: Sequence[Row]) -> list[str]:
-    """The sentence of `mapping.reasons` for each change.
-
-    rows: with the columns of serving.feature_history that `ChangeFacts` needs. feature_id: of all of them; None where each row
-    has its own.
-    """
+def reasons_of(conn: Connection, rows: Sequence[Row]) -> list[str]:
+    """The sentence of `mapping.reasons` for each change. rows: with the columns of serving.feature_history that it needs."""
     points = [row for row in rows if row["category"] not in LINE_CLASSES]  # tracks of lines are numbered by themselves
     tracks = [(row["drive_uuid"], row["track_index"]) for row in points if row["track_index"] is not None]
     ranges = store.track_ranges(conn, list(dict.fromkeys(tracks)))
     absences = [row for row in reversed(points) if row["kind"] in (DeltaKind.REMOVED, DeltaKind.MISSED)]
     absences = sorted(absences, key=lambda row: row["kind"] == DeltaKind.MISSED)[:_MAX_ABSENCES]
-    with_range = {id(row) for row in absences}
+    absent_ranges = _ranges_of_absences(conn, absences)
     sentences = []
     for row in rows:
         is_line = row["category"] in LINE_CLASSES
         found = None if is_line else ranges.get((row["drive_uuid"], row["track_index"]))
         near_m, far_m, frames = found or (None, None, None)
         range_m = (near_m, far_m) if near_m is not None and far_m is not None else None
-        if id(row) in with_range:
-            range_m = _range_of_absence(conn, map_name, feature_id or row["feature_id"], row)
+        range_m = absent_ranges.get(id(row), range_m)
         facts = ChangeFacts(
             **{name: row[name] for name in _OF_ROW}, kind=DeltaKind(row["kind"]), is_import=row["drive_kind"] == "import",
             frames_seen=frames or row["frames_seen"], range_m=range_m, noun=noun_of(row["category"]),
@@ -177,11 +190,21 @@ def reasons_of(conn: Connection, map_name: str, feature_id: UUID | None, rows: S
     return sentences
 
 
-def _range_of_absence(conn: Connection, map_name: str, feature_id: UUID, row: Row) -> tuple[float, float] | None:
-    """Nearest and farthest distance from which a drive had the position in view; None where its records were pruned."""
-    found = passes_of(conn, map_name, feature_id, row, max_drives=1, only=[row["drive_uuid"]])
-    if not found:
-        return None
-    frames = found[0].frames
+def _ranges_of_absences(conn: Connection, rows: Sequence[Row]) -> dict[int, tuple[float, float] | None]:
+    """Nearest and farthest distance from which its drive had the position of each row in view, by id(row); None where the records
+    of the drive were pruned. Each drive is read once."""
+    by_drive: dict[UUID, list[Row]] = defaultdict(list)
+    for row in rows:
+        by_drive[row["drive_uuid"]].append(row)
+    found: dict[int, tuple[float, float] | None] = {}
+    for drive_uuid, some in by_drive.items():
+        [header] = store.read_rows(conn, "drives.header", drive_uuid=drive_uuid)
+        near = None if header["rig"] is None else _read_near(conn, header, some)
+        found |= {id(row): None if near is None else _range_of(near, row) for row in some}
+    return found
+
+
+def _range_of(near: _Near, row: Row) -> tuple[float, float] | None:
+    frames = _frames_in_view(near, row, ())
     shown = [frame.range_m for frame in frames if frame.state in ("empty", "occupied")] or [f.range_m for f in frames]
-    return min(shown), max(shown)
+    return (min(shown), max(shown)) if shown else None

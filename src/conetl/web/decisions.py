@@ -202,7 +202,7 @@ def _current_state(pool: ReaderPool, map_name: str, decision: DecisionRequest) -
     with pool.reading() as conn:
         origin = origin_of(conn, map_name)
         last = read_feature_history(conn, map_name, decision.feature_id, origin_m=origin)[-1:]
-        reasons = reasons_of(conn, map_name, decision.feature_id, last)
+        reasons = reasons_of(conn, last)
         return to.history(last, reasons)[0] if last else None
 
 
@@ -230,7 +230,7 @@ def review(
         first_row, max_rows = max(offset - before, 0), limit - len(items)
         counts[kind], ids = review_page(conn, map_name, statement, first_row=first_row, max_rows=max_rows, **bounds)
         changes = last_changes(conn, map_name, ids)
-        items += _cones(conn, map_name, kind, [changes[one] for one in ids if one in changes], origin)
+        items += _cones(conn, kind, [changes[one] for one in ids if one in changes], origin)
         before += counts[kind]
     return Review(origin_m=origin, counts=counts, items=items)
 
@@ -244,8 +244,8 @@ def _held(drive: HeldDrive) -> ReviewItem:
     )  # fmt: skip
 
 
-def _cones(conn: Connection, map_name: str, kind: Any, rows: list[dict[str, Any]], origin: Vec3) -> list[ReviewItem]:
+def _cones(conn: Connection, kind: Any, rows: list[dict[str, Any]], origin: Vec3) -> list[ReviewItem]:
     return [
         to.answer(ReviewItem, row, origin, kind=kind, changeset_id=None, at=row["changed_at"], why=why, checks=[])
-        for row, why in zip(rows, reasons_of(conn, map_name, None, rows), strict=True)
+        for row, why in zip(rows, reasons_of(conn, rows), strict=True)
     ]

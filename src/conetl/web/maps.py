@@ -49,7 +49,7 @@ def feature_history(
 ) -> m.FeatureHistory:
     """The history of one feature, in the state of the database at `known_at`."""
     rows = store.read_feature_history(conn, map_name, feature_id, known_at, origin)
-    history = to.history(rows, reasons_of(conn, map_name, feature_id, rows))
+    history = to.history(rows, reasons_of(conn, rows))
     if not history:
         raise HTTPException(
             404,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -34,6 +35,20 @@ def test_many_points_are_projected_like_one():
     alone = [project(BEND, point[None]) for point in points]
     assert np.allclose(together[0], [s[0] for s, _ in alone])
     assert np.allclose(together[1], [o[0] for _, o in alone])
+
+
+def test_long_lines_with_uneven_parts_are_projected_as_shapely_does():
+    """Also where parts of the line are long, cross each other or have no length, and far from all of them."""
+    rng = np.random.default_rng(3)
+    steps = rng.normal(0, 1, (2000, 2)) * rng.choice([0.0, 0.1, 2.0, 300.0], (2000, 1), p=[0.1, 0.3, 0.5, 0.1])
+    line = np.cumsum(steps, axis=0) + np.array([458_000.0, 5_428_000.0])
+    points = line[rng.integers(0, len(line), 700)] + rng.normal(0, 1, (700, 2)) * rng.choice([1, 2000], (700, 1))
+    s, o = project(line, points)
+    beyond_m = 1e5
+    ends = locate(line, np.array([-beyond_m, float(np.hypot(*np.diff(line, axis=0).T).sum()) + beyond_m]), np.zeros(2))
+    whole, places = shapely.LineString([ends[0], *line, ends[1]]), shapely.points(points)
+    assert np.allclose(np.abs(o), shapely.distance(whole, places), atol=1e-6)
+    assert np.allclose(s, shapely.line_locate_point(whole, places) - beyond_m, atol=1e-4)
 
 
 def test_smoothing_removes_wiggles_and_keeps_straight_lines_to_their_ends():

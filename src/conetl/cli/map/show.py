@@ -91,7 +91,7 @@ def log(
                 raise InputError(f"{feature!r} matches several features: give more characters of the id")
             entries = [entry for entry in feature_log(conn, found[0]) if _is_known(entry, known)]
             classified = read_decisions(conn, map_name=name).classified
-            reasons = reasons_of(conn, name, found[0], entries)
+            reasons = reasons_of(conn, entries)
     if as_json and feature is None:
         ui.print_json(
             [vars(c) | {"holds": [e for e in events if e.changeset_id == c.changeset_id]} for c in changesets]

@@ -28,8 +28,8 @@ from conetl.model.params import ReconcileParams
 from conetl.model.rig import Rig
 
 _UNREAD = "The drives of the map cannot be read"
-#: Easting, northing and half the side of a square, in metres of the map's CRS.
-Square = tuple[float, float, float]
+#: Eastings and northings of places, and half the side of the square around each, in metres of the map's CRS.
+Squares = tuple[Sequence[float], Sequence[float], float]
 
 
 #: Views of drives are large; a merge needs them one after the other.
@@ -190,7 +190,7 @@ def read_ends(conn: Connection, drive_uuids: Collection[UUID], count: int) -> di
     return found
 
 
-def read_view(conn: Connection, drive: Row, near: Square | None = None) -> DriveObservations:
+def read_view(conn: Connection, drive: Row, near: Squares | None = None) -> DriveObservations:
     """What a drive had in view, and what was detected and located there.
 
     drive: its drive_uuid, rig and absence_figures, as stored. near: only frame pairs recorded there.
@@ -206,9 +206,9 @@ def read_view(conn: Connection, drive: Row, near: Square | None = None) -> Drive
     return observations_of_drive(Rig.model_validate(drive["rig"]), frame_pairs, detections, spots, known)
 
 
-def read_frame_pairs(conn: Connection, drive_uuid: UUID, near: Square | None = None) -> list[FramePair]:
+def read_frame_pairs(conn: Connection, drive_uuid: UUID, near: Squares | None = None) -> list[FramePair]:
     """Frame pairs with their poses, in order. near: only those recorded there."""
-    square = dict(zip(("easting_m", "northing_m", "within_m"), near or (None, None, None), strict=True))
+    square = dict(zip(("eastings_m", "northings_m", "within_m"), near or (None, None, None), strict=True))
     what = f"Drive {drive_uuid} cannot be read"
     return [_frame_pair(row) for row in stream(conn, what, "drives.frame_pairs", drive_uuid=drive_uuid, **square)]
 

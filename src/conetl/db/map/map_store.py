@@ -155,8 +155,15 @@ def feature_log(conn: Connection, feature_id: UUID) -> list[dict[str, Any]]:
 
 def find_features(conn: Connection, beginning: str, *, map_name: str = "default", max_rows: int = 2) -> list[UUID]:
     """Ids that begin with `beginning`, of standing and removed features; two results mean that it is ambiguous."""
-    wanted = {"beginning": clean_text(beginning).lower(), "max_rows": max_rows}
-    rows = db.read(conn, f"The map {map_name} cannot be read", "map.find_features", map_name=map_name, **wanted)
+    text = clean_text(beginning).lower()
+    try:
+        first_id, last_id = (UUID(text.replace("-", "").ljust(32, digit)) for digit in "0f")
+    except ValueError:  # no id begins so
+        return []
+    rows = db.read(
+        conn, f"The map {map_name} cannot be read", "map.find_features", map_name=map_name, beginning=text,
+        first_id=first_id, last_id=last_id, max_rows=max_rows,
+    )  # fmt: skip
     return [row["feature_id"] for row in rows]
 
 
