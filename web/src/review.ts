@@ -131,6 +131,8 @@ export function createReview<T>(app: HTMLElement, viewer: Viewer, actions: Revie
       draw();
     }
     const found: T[] = [];
+    // What is saved while this is read may be missing in it.
+    const saved = new Set([...verdicts].flatMap(([key, verdict]) => (verdict.state === "saved" ? key : [])));
     try {
       do {
         const part = await of.read(actions.map(), found.length);
@@ -139,7 +141,7 @@ export function createReview<T>(app: HTMLElement, viewer: Viewer, actions: Revie
         found.push(...part.items);
         if (!part.items.length) break;
       } while (found.length < Math.min(total, MOST));
-      keep(found);
+      keep(found, saved);
       failed = "";
     } catch (error) {
       if (mine !== loadNo) return;
@@ -151,7 +153,7 @@ export function createReview<T>(app: HTMLElement, viewer: Viewer, actions: Revie
   }
 
   /** Items keep their place while the review is open, and those judged here stay in the list. */
-  function keep(found: T[]): void {
+  function keep(found: T[], saved: Set<string>): void {
     const now = new Map(found.map((i) => [keyOf(i), i]));
     for (const [key, verdict] of verdicts) {
       if (verdict.state !== "failed" || now.has(key)) continue;
@@ -160,7 +162,7 @@ export function createReview<T>(app: HTMLElement, viewer: Viewer, actions: Revie
     }
     const kept = page.hidden ? [] : items.flatMap((i) => now.get(keyOf(i)) ?? (verdicts.has(keyOf(i)) ? i : []));
     const known = new Set(kept.map(keyOf));
-    for (const [key, verdict] of verdicts) if (verdict.state === "saved" && now.has(key) && !writing) verdicts.delete(key); // withdrawn elsewhere
+    for (const [key, verdict] of verdicts) if (verdict.state === "saved" && saved.has(key) && now.has(key) && !writing) verdicts.delete(key); // withdrawn elsewhere
     items = [...kept, ...found.filter((i) => !known.has(keyOf(i)))];
   }
 
