@@ -71,13 +71,13 @@ def create_app(
     app.state.image_log = image_log
     app.state.basemap = base_map
     app.state.embed_host = embed_host
-    app.state.comparisons = zones.Comparisons()
+    app.state.zone_cache = zones.ZoneCache()
     app.state.watcher = live.HeadWatcher(pool, closing=closing)
     for routes in (lists, maps, tiles, search, frames, layers, zones, basemap, downloads, decisions, live):
         app.include_router(routes.router, prefix="/api")
     for error, status in _STATUS.items():
         app.add_exception_handler(error, _answer_with(status))
-    compare = partial(app.state.comparisons.read_whole, pool)
+    compare = partial(app.state.zone_cache.read_whole, pool)
     app.mount("/ogc", create_ogc_app(ogc_pool, map_name, compare), name="ogc")
     app.add_route("/ogc", lambda request: RedirectResponse(request.url.replace(path="/ogc/")), include_in_schema=False)
     if embed_host:

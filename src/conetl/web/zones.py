@@ -45,7 +45,7 @@ _MOST_KEPT = 16
 _WIDE_M = 1.5
 
 
-class Comparisons:
+class ZoneCache:
     """The last zones and comparisons: pages, tiles and people ask for the same ones."""
 
     def __init__(self) -> None:
@@ -115,7 +115,7 @@ class VerdictRequest(Record):
 @router.get("/work-zones")
 def work_zones(map_name: MapName, request: Request, valid_at: Instant = None) -> m.WorkZoneAreas:
     """The work zones that stand at an instant, as the database knows them now; none, and `truncated`, where features are many."""
-    origin, found = request.app.state.comparisons.zones(request.app.state.pool, map_name, valid_at)
+    origin, found = request.app.state.zone_cache.zones(request.app.state.pool, map_name, valid_at)
     if found is None:
         return m.WorkZoneAreas(origin_m=origin, zones=[], truncated=True)
     zones = [
@@ -141,7 +141,7 @@ def differences(
     known_at: Instant = None,
 ) -> m.Differences:
     """Planned work zones against those that were found, at an instant; the worst difference first, what agrees last."""
-    found = request.app.state.comparisons.read(conn, map_name, valid_at, known_at)
+    found = request.app.state.zone_cache.read(conn, map_name, valid_at, known_at)
     if found is None:
         return m.Differences(origin_m=origin, plan_count=0, counts={}, rows=[], truncated=True)
     rest = [row for row in found.rows if row.rank is None]

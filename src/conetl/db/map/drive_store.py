@@ -208,9 +208,9 @@ def read_view(conn: Connection, drive: Row, near: Squares | None = None) -> Driv
 
 def read_frame_pairs(conn: Connection, drive_uuid: UUID, near: Squares | None = None) -> list[FramePair]:
     """Frame pairs with their poses, in order. near: only those recorded there."""
-    square = dict(zip(("eastings_m", "northings_m", "within_m"), near or (None, None, None), strict=True))
+    squares = dict(zip(("eastings_m", "northings_m", "within_m"), near or (None, None, None), strict=True))
     what = f"Drive {drive_uuid} cannot be read"
-    return [_frame_pair(row) for row in stream(conn, what, "drives.frame_pairs", drive_uuid=drive_uuid, **square)]
+    return [_frame_pair(row) for row in stream(conn, what, "drives.frame_pairs", drive_uuid=drive_uuid, **squares)]
 
 
 def _frame_pair(row: Row) -> FramePair:
