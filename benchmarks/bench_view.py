@@ -8,6 +8,7 @@ list of another map with `--rows` cones is scrolled from its top to its end. Map
 the first image with cones or clusters, of tiles, and of the lists' requests.
 
     python benchmarks/bench_view.py [--points 100000] [--cones 500] [--lines 200] [--runs 3] [--rows 2000] [--sizes 60000 1000000]
+        [--seconds 6]
 """
 
 from __future__ import annotations
@@ -227,6 +228,7 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=2_000)
     parser.add_argument("--sizes", type=int, nargs="*", default=[])
     parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--seconds", type=float, default=6, help="of panning, in each view")
     parser.add_argument("--images", type=Path)
     options = parser.parse_args()
     with own_cluster() as (home, url):
@@ -239,7 +241,7 @@ def main() -> None:
         subprocess.run([*CONETL, "base", "import", *files], env=os.environ | environment, check=True)
         with served_view(home, url, MAP_NAME, "--decisions") as (address, _), sync_playwright() as playwright:
             figures = measure(playwright, address, options)
-            figures["pan"] = {view: pan(playwright, address, view, part, options.cones) for view, part in VIEWS.items()}
+            figures["pan"] = {view: pan(playwright, address, view, part, options) for view, part in VIEWS.items()}
             if options.rows:
                 figures |= scroll(playwright, f"{address}/#map={MANY}&mode=instant&list=cones", options.images)
     with sync_playwright() as playwright:
@@ -319,9 +321,9 @@ def use(tab: Any, folder: Path | None) -> dict[str, float]:
     return {"points": most, "click_ms": float(np.median(times))}
 
 
-def pan(playwright: Any, address: str, view: str, part: str, cones: int) -> dict[str, float]:
+def pan(playwright: Any, address: str, view: str, part: str, options: argparse.Namespace) -> dict[str, float]:
     """Frames per second, and per second of Chromium's processor time, while the camera moves 150 m from the town's middle."""
-    length_m = cones * SPACING_M
+    length_m = options.cones * SPACING_M
     east_m, north_m = min(length_m, STREET_M) / 2, length_m / STREET_M * STREETS_APART_M / 2
     browser = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
@@ -329,9 +331,9 @@ def pan(playwright: Any, address: str, view: str, part: str, cones: int) -> dict
     tab.wait_for_selector("html[data-cones][data-lines]", state="attached", timeout=120_000)
     tab.wait_for_selector("canvas[data-loading='0']", timeout=120_000)
     tab.wait_for_timeout(3000)
-    tab.evaluate(PAN, 2)
+    tab.evaluate(PAN, options.seconds / 3)
     start_s = processor_s(os.getpid(), name="chrom")
-    frames, ms = tab.evaluate(PAN, 6)
+    frames, ms = tab.evaluate(PAN, options.seconds)
     used_s = processor_s(os.getpid(), name="chrom") - start_s
     browser.close()
     print(

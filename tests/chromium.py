@@ -15,6 +15,8 @@ FLAGS = [
     "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update",
     "--disable-sync", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--disable-gpu-compositing",
+    # The pages behind the address bar, which no test sees, take a second of processor time for each new window.
+    "--disable-features=WebUIOmniboxPopup,WebUIOmniboxAimPopup,HttpsUpgrades,PaintHolding",
 ]  # fmt: skip
 #: Runs where a page takes it for HTML, and requests `x` even where the page removes what would run. Names of files hold no slash,
 #: so the second one is for other texts.

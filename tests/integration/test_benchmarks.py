@@ -112,7 +112,7 @@ TINY = {
     ),
     "trajectory": Tiny("{drive}", lambda f: len(f) == 4 and all(row["largest shift of a cone m"] < 0.5 for row in f)),
     "view": Tiny(
-        "--points 1000 --cones 20 --lines 8 --runs 1 --rows 100",
+        "--points 1000 --cones 20 --lines 8 --runs 1 --rows 100 --seconds 0.5",
         lambda f: (f["points"], f["list_gaps"]) == (1000, 0) and 90 <= f["list_rows"] <= 100,
         "" if CHROMIUM else "no Chromium on this machine (Debian: apt install chromium)",
     ),
