@@ -24,6 +24,8 @@ from tests.integration.small_drives import SAMPLES, unpublished
 from tests.mutants.images import copy_drive
 from tests.mutants.table import RECORDINGS, SECOND
 
+#: They would stand in a user's output.
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 SECOND_DRIVE = {recording.name: recording.files for recording in RECORDINGS if SECOND in recording.on}
 BLIND = ("left lens covered", "images x 0.06", "fog 0.9", "blur 8 px")
 WRONG_SIDES = ("images mirrored", "images upside down")

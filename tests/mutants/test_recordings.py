@@ -33,6 +33,8 @@ from tests.integration.small_drives import SAMPLES, cut_drive, spoil_huffman_tab
 from tests.mutants import recordings as wrong
 from tests.mutants.table import FIRST, RECORDINGS, SECOND, WrongRecording
 
+#: They would stand in a user's output.
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 HELD = [recording for recording in RECORDINGS if recording.fast]
 #: Causes that the images alone show.
 BY_IMAGES = ("covered in part", "shifted sideways", "distorted by k1", "too far to be corrected")

@@ -249,7 +249,7 @@ def read_log(
     )
     times_s, stated, between, apart_s, renewed = records = stated_errors(frame_pairs, renewed)
     step_s = np.maximum(np.diff(times_s), LEAST_STEP_S)
-    usual_s = float(np.median(step_s))
+    usual_s = float(np.median(step_s)) if step_s.size else np.inf
     poses = np.stack([se3.map_SE3_body(pair.pose) for pair in frame_pairs])
     variance = factor * stated**2
     jitter = np.zeros_like(stated)

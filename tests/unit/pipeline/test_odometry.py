@@ -30,6 +30,9 @@ from tests.integration.small_drives import SAMPLES
 from tests.mutants.recordings import images_shifted
 from tests.synthetic.world import make_path, make_rig
 
+#: They would stand in a user's output.
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
 
 @pytest.mark.parametrize(
     ("frames", "named"), [(1, "before frame pair 8:"), (-1, "before frame pair 8:"), (0, "No frame")]

@@ -217,6 +217,8 @@ def check_lost_frames(
 
 def _is_clear(off_m: Floats) -> Bools:
     """(N,): which differences (N,) between images and log exceed the scatter of most; so do those that were not measured."""
+    if np.isnan(off_m).all():
+        return np.ones(len(off_m), dtype=bool)
     off_m = np.abs(off_m - np.nanmedian(off_m))
     return np.asarray(~(off_m < _CLEAR_SIGMAS * SIGMA_OF_MEDIAN * np.nanmedian(off_m)))
 

@@ -39,7 +39,8 @@ def log_steps(log: LoggedPoses, motions: MeasuredMotions) -> Bools:
     differs[seen] = roughness(seen, residual[:, 3:])[seen]
     sigma[seen] = np.sqrt(np.diagonal(motions.cov[:, 3:, 3:], axis1=1, axis2=2).max(axis=1))
     usual = np.full(len(every), np.median(of_log))
-    usual[seen] = np.median(differs[seen])
+    if len(seen):
+        usual[seen] = np.median(differs[seen])
     steps = differs > _STEP_SIGMAS * np.hypot(sigma, SIGMA_OF_MEDIAN * usual)
     steps &= of_log > _STEPS_BY * of_images
     return steps if steps.mean() <= _MOST_STEPS else np.zeros(len(every), dtype=bool)
