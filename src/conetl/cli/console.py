@@ -266,7 +266,7 @@ def cell(value: object) -> str:
         case float():
             return f"{value:.3f}"
         case datetime():
-            return f"{value:%Y-%m-%d %H:%M:%S}"
+            return f"{value.astimezone(UTC):%Y-%m-%d %H:%M:%S}"
         case UUID():
             return str(value)[:8]
         case StrEnum():
