@@ -131,9 +131,10 @@ export function requestEarly(map: string, maps: unknown): void {
   }
 }
 
+/** A person needs no token; an empty one would replace the password that the browser sends. */
 const posted = (body: unknown, token: string): RequestInit => ({
   method: "POST",
-  headers: { "Content-Type": "application/json", Authorization: `Bearer ${token}` },
+  headers: { "Content-Type": "application/json", ...(token && { Authorization: `Bearer ${token}` }) },
   body: JSON.stringify(body),
 });
 

@@ -48,7 +48,7 @@ export function changeQueue(actions: Actions<ReviewItem> & { decidesDrives(): bo
       key: `${i.kind} ${i.feature_id ?? i.changeset_id ?? ""} ${i.changeset_no}`, version: String(i.version), ...KINDS[i.kind],
       name: i.feature_id ? shortId(i.feature_id) : i.drive_id, isId: i.feature_id !== null, judged: "",
       about: i.checks[0]?.name ?? `${i.drive_id} · ${utc(i.at, false)} UTC`,
-      why: [i.why, ...i.checks.map((c) => c.figures && `${c.name}: ${c.figures}`)].filter(Boolean).join(" "),
+      why: [i.why, i.checks.filter((c) => c.figures).map((c) => `${c.name}: ${c.figures}`).join("; ")].filter(Boolean).join(" Measured: "),
     }),
     answers: (i) => [answer(i, "A", "Accept:", KINDS[i.kind].accept.text, KINDS[i.kind].accept), answer(i, "R", "Reject:", KINDS[i.kind].reject.text, KINDS[i.kind].reject)],
     classes: (i) => (i.feature_id === null || i.kind === "removal" ? [] : [...CLASSES.keys()].filter((c) => c !== "lane_marking" && c !== i.category).map((c, n) => answer(i, String(n + 1), classOf(c).label, "", ofClass(c)))),

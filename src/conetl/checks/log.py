@@ -7,7 +7,7 @@ from conetl.model.health import Verdict
 
 _ENOUGH = "images that show structure"
 _LONGER = (
-    "either the calibration is wrong (baseline, focal length, lens, or raw images taken for rectified ones), or GNSS/INS drifts. "
+    "Either the calibration is wrong (baseline, focal length, lens, or raw images taken for rectified ones), or GNSS/INS drifts. "
     "Calibrate the rig (conetl calibrate), or reprocess the GNSS/INS log."
 )
 
@@ -65,7 +65,7 @@ CHECKS = (
             "other path": "The images show a different path than GNSS/INS: check first when they were taken "
                           "(images.start in drive.yaml, its time zone, time stamps, clocks), then the alignment, the "
                           "stated sigmas and the calibration.",
-            "scale": "Distances in the images differ by {scale_percent:+.1f} % from GNSS/INS throughout: " + _LONGER,
+            "scale": "Distances in the images differ by {scale_percent:+.1f} % from GNSS/INS throughout. " + _LONGER,
             "unknown": "They have no common cause that conetl knows. Check the alignment and clocks of cameras and GNSS/INS, "
                        "their stated sigmas, and the calibration.",
         },
@@ -164,7 +164,7 @@ CHECKS = (
                 "widened by such a drift", unit="%",
         effect="distances from the camera are wrong by that percentage, or positions drift by it",
         messages={
-            "": "Distances in the images differ by {value:+.1f} +- {sigma:.1f} % from GNSS/INS: " + _LONGER,
+            "": "Distances in the images differ by {value:+.1f} +- {sigma:.1f} % from GNSS/INS. " + _LONGER,
             "covered": "The sigmas of all positions include such a drift.",
         },
         passed="Images and GNSS/INS show the same distances.",

@@ -266,7 +266,7 @@ def cell(value: object) -> str:
         case float():
             return f"{value:.3f}"
         case datetime():
-            return f"{value:%Y-%m-%d %H:%M:%S}"
+            return f"{value.astimezone(UTC):%Y-%m-%d %H:%M:%S}"
         case UUID():
             return str(value)[:8]
         case StrEnum():
@@ -395,16 +395,16 @@ def _parse_time(text: str | None, *, at_end: bool) -> datetime | None:
         if re.fullmatch(r"\d{4}-?W\d\d", text.strip()):
             raise ValueError("a week is no date")
         time = datetime.fromisoformat(text.strip())
-        day = timedelta(days=1, microseconds=-1) if at_end and _is_date(text.strip()) else timedelta()
+        day = timedelta(days=1, microseconds=-1) if at_end and is_date(text) else timedelta()
         return (time if time.tzinfo else time.replace(tzinfo=UTC)) + day
     except (ValueError, OverflowError):
         raise InputError(f"invalid time {text!r}: use for example 2026-03-02 or 2026-03-02T10:00:00+01:00") from None
 
 
-def _is_date(text: str) -> bool:
+def is_date(text: str) -> bool:
     """Whether the text is a date without a time, in any form of ISO 8601."""
     try:
-        date.fromisoformat(text)
+        date.fromisoformat(text.strip())
     except ValueError:
         return False
     return True

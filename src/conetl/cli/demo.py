@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from conetl.cli.console import JsonOption, MapOption, print_json, print_table, say
+from conetl.cli.console import JsonOption, print_json, print_table, say
 from conetl.cli.database import open_map
 from conetl.cli.ingest import ingest_drives, print_report
 from conetl.cli.map.base_layers import import_one, print_imported
@@ -37,7 +37,7 @@ _NEXT_STEPS = """\
 
 def demo(
     samples: Annotated[Path, typer.Argument(help="Folder of sample drives, each with a truth.csv.")] = _SAMPLES,
-    map_name: MapOption = None,
+    map_name: Annotated[str, typer.Option("--map", metavar="NAME", help="Name of the map.")] = "demo",
     as_json: JsonOption = False,
 ) -> None:
     """Ingest the sample drives into the map `demo` and compare the map with the ground truth."""
@@ -45,7 +45,7 @@ def demo(
     drives = sorted(path for path in samples.iterdir() if path.is_dir()) if samples.is_dir() else []
     if not drives:
         raise InputError(f"{samples}: contains no sample drives; run this in a clone of conetl, or give their folder")
-    settings = read_settings(map_name or "demo")
+    settings = read_settings(map_name)
     if not as_json:
         say(f"Ingesting {len(drives)} sample drives, one after the other.\n")
     reports, exit_code = ingest_drives(

@@ -16,13 +16,14 @@ from typing import Annotated, Any
 import typer
 
 from conetl.cli.console import (
+    Columns,
     DecisionsOption,
     JsonOption,
     MapOption,
     answer,
     counted,
     print_json,
-    print_table,
+    print_records,
     say,
     spinner,
 )
@@ -199,8 +200,11 @@ def status(as_json: JsonOption = False) -> None:
     if as_json:
         print_json(found)
     else:
-        rows = [[service[key] for key in ("name", "state", "address", "pid", "since")] for service in found["services"]]
-        print_table("", ("service", "state", "address", "process", "since"), rows, numbers_from=9)
+        columns: Columns = {
+            "service": "name", "state": "state", "address": "address", "process": "pid",
+            "since (UTC)": lambda row: row["since"] and datetime.fromisoformat(row["since"]),
+        }  # fmt: skip
+        print_records("", columns, found["services"], numbers_from=9)
         for service in found["services"]:
             if service["log_tail"]:
                 say(f"\n{service['name']}: the end of {service['log']}:\n{service['log_tail']}")

@@ -6,6 +6,7 @@ Where the data are, a check computes a `Finding`;
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from enum import StrEnum
@@ -169,5 +170,6 @@ def hold_checks(checks: Sequence[HealthCheck]) -> tuple[HealthCheck, ...]:
 
 
 def hold_reason(checks: Sequence[HealthCheck]) -> str | None:
-    """Why a drive is on hold, in sentences; None if it is not."""
-    return " ".join(check.detail for check in hold_checks(checks)) or None
+    """Why a drive is on hold, in sentences; None if it is not. What several checks advise is said once."""
+    text = " ".join(check.detail for check in hold_checks(checks))
+    return " ".join(dict.fromkeys(re.split(r"(?<=[.?]) (?=[A-Z])", text))) or None

@@ -32,8 +32,8 @@ class Section:
     image_alt: str = ""
 
     def is_text(self, column: int) -> bool:
-        """Whether a column holds words, which are aligned to the left."""
-        return any(re.search(r"[^\W\d_]{3}", str(row[column])) for row in self.rows)
+        """Whether a column holds words or long cells, which are aligned to the left."""
+        return any(re.search(r"[^\W\d_]{3}", text) or len(text) > 24 for row in self.rows if (text := str(row[column])))
 
 
 def write_page(path: Path, page: str) -> Path:

@@ -19,7 +19,7 @@ _COLUMNS = {
     "planned": ("planned_from", "planned_until"), "looked at": ("coverage",), "confidence": ("confidence",),
     "verdict": ("verdict", "note", "decided_by"),
 }  # fmt: skip
-_NOTE = "Set up between the passes `absent` and `first seen`, taken away between `last seen` and `gone`; times in UTC."
+_NOTE = "Set up between the passes absent and first seen, taken away between last seen and gone. Times are in UTC."
 
 
 def write_plan_page(path: Path, map_name: str, at: datetime, rows: Sequence[Mapping[str, Any]], view: str) -> Path:

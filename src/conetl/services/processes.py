@@ -28,7 +28,7 @@ from uuid import uuid4
 import httpx
 import psutil
 
-from conetl.files.atomic import write_json
+from conetl.files.atomic import atomic_text_file
 from conetl.files.home import make_home
 from conetl.model.errors import InputError, ServiceError, storage_error, write_error
 
@@ -57,6 +57,7 @@ def services_lock(home: Path) -> Iterator[None]:
     used."""
     make_home(home)
     with (home / _LOCK).open("w") as handle:
+        os.fchmod(handle.fileno(), 0o600)
         fcntl.flock(handle, fcntl.LOCK_EX)
         yield
 
@@ -77,8 +78,10 @@ def read_services(home: Path) -> dict[str, Service]:
 
 
 def write_services(home: Path, services: Mapping[str, Service]) -> None:
-    """Record the services of a home folder."""
-    write_json(home / _STATE, [asdict(service) for service in services.values()])
+    """Record the services of a home folder, for its owner only."""
+    with atomic_text_file(home / _STATE) as file:
+        os.fchmod(file.fileno(), 0o600)
+        json.dump([asdict(service) for service in services.values()], file, indent=1)
 
 
 def start_service(

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC
 from typing import Any
 from uuid import NAMESPACE_URL, uuid5
 
@@ -350,7 +351,8 @@ def _row(
     shape: Any = shapely.MultiPoint(one.zone.phases[-1].xy_m) if one is not None else getattr(placed, "shape", None)
     if placed is not None and times is not None:
         values |= {"list_name": placed.list_name, "plan_id": placed.plan.plan_id, "coverage": times.coverage}
-        values |= {"planned_from": placed.plan.starts_at, "planned_until": placed.plan.ends_at}
+        start, end = placed.plan.starts_at, placed.plan.ends_at
+        values |= {"planned_from": start.astimezone(UTC), "planned_until": end and end.astimezone(UTC)}
     if one is not None:
         values |= {"zone_id": one.zone.zone_id} | {
             name: getattr(one, name) for name in ("absent", "first", "last", "gone")

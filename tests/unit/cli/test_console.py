@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 import logging
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 from rich.console import Console
@@ -44,6 +44,11 @@ def test_a_span_that_ends_before_it_begins_is_refused_with_its_options():
 def test_times_in_json_have_the_form_of_the_models(capsys):
     console.print_json({"at": datetime(2026, 3, 2, 10, tzinfo=UTC)})
     assert json.loads(capsys.readouterr().out) == {"at": "2026-03-02T10:00:00Z"}
+
+
+def test_times_in_tables_are_in_utc(capsys):
+    print_table("", ("from (UTC)",), [(datetime(2026, 3, 2, 6, tzinfo=timezone(timedelta(hours=1))),)])
+    assert capsys.readouterr().out.split() == ["from", "(UTC)", "2026-03-02", "05:00:00"]
 
 
 @pytest.mark.parametrize("text", ["2026", "1772352000", "1772352000.5", "0", "2026-03", "9999-12-32", "yesterday", ""])

@@ -52,6 +52,14 @@ def test_the_proposals_and_the_other_values_make_a_drive(odometry: Path) -> None
     assert drive.clock_sigma_s is None, "images and poses have the same times"
 
 
+def test_each_key_of_the_written_file_stands_once(odometry: Path) -> None:
+    """Also those that a section of a section has too: shutter.right."""
+    for stated in ([], ["--set", "shutter={readout_ms: 12, stamp_row: first}"]):
+        run(str(odometry), *stated)
+        text = (odometry / "drive.yaml").read_text()
+        assert text.count("readout_ms:") == text.count("stamp_row:") == 1, text
+
+
 def test_a_terminal_shows_the_list_before_the_first_question(odometry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("conetl.cli.init._is_terminal", lambda: True)
     code, said = run(str(odometry), text=f"\n{PLACE}\n0.1\n")

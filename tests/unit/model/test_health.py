@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from conetl.model.health import HealthCheck, Verdict
+from conetl.model.health import HealthCheck, Verdict, hold_reason
 
 
 @pytest.mark.parametrize(
@@ -26,3 +26,12 @@ def test_a_value_has_the_decimals_of_its_sigma(
         name="a check", verdict=Verdict.PASS, value=value, sigma=sigma, limit=limit, unit="m", detail="It passed."
     )
     assert check.figures == shown
+
+
+def test_what_several_checks_advise_is_said_once() -> None:
+    advice = "Calibrate the rig (conetl calibrate), or reprocess the GNSS/INS log."
+    checks = [
+        HealthCheck(name=name, verdict=Verdict.HOLD, value=1.0, detail=f"{said} {advice}")
+        for name, said in (("motions", "38 of 38 contradict."), ("distances", "They differ by -12.0 %."))
+    ]
+    assert hold_reason(checks) == f"38 of 38 contradict. {advice} They differ by -12.0 %."

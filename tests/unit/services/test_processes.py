@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from conetl.files.home import make_home
+from conetl.files.home import home_access, make_home
 from conetl.model.errors import InputError, ServiceError, StorageError
 from conetl.services import processes
 
@@ -40,6 +40,18 @@ def start(home: Path, code: str) -> processes.Service:
     return processes.start_service(
         "thing", [sys.executable, "-c", code], home=home, environment=dict(os.environ), address=None
     )
+
+
+def test_the_record_of_services_is_for_the_owner_only(tmp_path: Path) -> None:
+    """Also in the home folder of root, which other users may pass through, and where an older version made it."""
+    home = tmp_path / "home"
+    with processes.services_lock(home):
+        processes.write_services(home, {})
+    home.chmod(0o711)
+    assert home_access(home) == "owner only"
+    (home / "services.lock").chmod(0o644)
+    with processes.services_lock(home):
+        assert home_access(home) == "owner only"
 
 
 def last_line(service: processes.Service, word: str = "") -> str:

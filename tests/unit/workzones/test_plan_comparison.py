@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone
 from uuid import UUID
 
 import numpy as np
@@ -186,6 +186,15 @@ def test_a_row_says_between_which_drives_and_by_how_much():
     )
     assert 0.9 < unsure.confidence < 0.99
     assert away.xy_m == pytest.approx((17.0, 3.0), abs=1) and away.radius_m == pytest.approx(45, abs=3)
+
+
+def test_a_row_has_the_times_of_its_plan_in_utc():
+    """As its other times, whatever zone the permit states."""
+    placed, berlin = plan(), timezone(timedelta(hours=1))
+    here = {"starts_at": day(0).astimezone(berlin), "ends_at": day(10).astimezone(berlin)}
+    stated = PlacedPlan(placed.list_name, placed.plan.model_copy(update=here), placed.shape)
+    [row] = compare([stated], [zone()], DAILY, PARAMS, at_ns=ns(14))
+    assert (str(row.planned_from), str(row.planned_until)) == ("2026-03-01 12:00:00+00:00", "2026-03-11 12:00:00+00:00")
 
 
 def test_a_zone_that_shrinks_was_there_before():

@@ -63,7 +63,7 @@ def diff(
 
         if not changes and not new:
             raise InputError(f"nothing to draw: the map has no cones at {before} or at {after}")
-        title = f"Map {info.map_name}: {_shown(before)} to {_shown(after)}"
+        title = f"Map {info.map_name}: {_span(before, after)}"
         footer = _footer(end, (before, after), known_at, info.last_committed_at)
         save_figure(draw_plan(_content(info.srid, new, changes), title=title, footer=footer), picture)
     if as_json:
@@ -72,8 +72,9 @@ def diff(
     counts, lines = (
         kinds_text(Counter(one.kind for one in changes if one.is_line is of_line)) for of_line in (False, True)
     )
-    known = f"{_shown(before)} to {_shown(after)}, {ui.known_text(known_at)}"
-    ui.say(f"From {known}: {counts or ('no cones differ' if lines else 'no differences')}.")
+    ui.say(
+        f"From {_span(before, after)}, {ui.known_text(known_at)}: {counts or ('no cones differ' if lines else 'no differences')}."
+    )
     if lines:
         ui.say(f"Stretches of lane markings: {lines}.")
     ordered = sorted(changes, key=lambda change: change.kind is DeltaKind.CONFIRMED)
@@ -97,9 +98,15 @@ def _standing(conn: Connection, at: MapInstant, map_name: str) -> list[MapFeatur
     return [version.feature for version in versions]
 
 
-def _shown(state: str) -> str:
-    """A state as it is named in pictures: `changeset 2`, or the time."""
-    return f"changeset {state}" if _is_number(state) else state
+def _shown(state: str, edge: str = "") -> str:
+    """A state as it is named in pictures: `changeset 2`, or the time; edge: of a date, which is meant."""
+    if _is_number(state):
+        return f"changeset {state}"
+    return f"{edge} of {state}" if edge and ui.is_date(state) else state
+
+
+def _span(before: str, after: str, word: str = "to") -> str:
+    return f"{_shown(before, 'beginning')} {word} {_shown(after, 'end')}"
 
 
 def _is_number(state: str) -> bool:
@@ -256,7 +263,7 @@ def picture(
     if title is None:
         drawn = [*standing, *(change.old for change in differing or () if change.old is not None)]
         title = f"Traffic cones, map {name}" if {one.category for one in drawn} <= {CONE} else f"Map {name}"
-        title += f": changes from {_shown(changes[0])} to {_shown(changes[1])}" if changes else ""
+        title += f": changes from {_span(*changes)}" if changes else ""
     footer = _footer(state, changes, known_at, info.last_committed_at)
     done = save_figure(draw_plan(content, bbox=extent, size_mm=size_mm, title=title, footer=footer), output)
     lines, points = len(content.boundaries_m), len(content.points_m)
@@ -289,7 +296,7 @@ def _content(srid: int, standing: Sequence[MapFeature], changes: Sequence[Featur
 def _footer(state: MapInstant, changes: tuple[str, str] | None, known_at: str | None, last: datetime | None) -> str:
     """Which state of the map is drawn."""
     if changes:
-        parts = [f"{_shown(changes[0])} compared with {_shown(changes[1])}"]
+        parts = [_span(*changes, "compared with")]
     else:
         parts = [f"on the road at {state.valid_at:%Y-%m-%d %H:%M} UTC" if state.valid_at else "latest state"]
     parts.append(

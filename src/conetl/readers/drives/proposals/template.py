@@ -172,8 +172,10 @@ def _section(name: str, values: object, needed: Mapping[str, Missing]) -> str:
     stated, lines = values or {}, ""
     # Most rigs have a mount.
     optional = _OPTIONAL.get(name, ()) if name != "mount" or stated or "mount.forward_m" in needed else ()
-    for key in (key for key in KEYS if key.startswith(f"{name}.")):
-        word = key.rpartition(".")[2]
+    for key in KEYS:
+        section, _, word = key.rpartition(".")
+        if section != name:
+            continue  # what is in a section of its section, such as shutter.right, is written with that
         if word in stated:
             lines += f"  {word}: {in_yaml(stated[word])}\n"
         elif key in needed:
