@@ -6,6 +6,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import lru_cache
 from typing import Annotated, Any
@@ -114,17 +115,12 @@ class Rows(Sequence[ImportedFeature]):
 
     def _stated(self, index: int) -> tuple[UUID | None, int | None]:
         """Feature id and version of a row, by which our own export is recognised; None where they are missing or invalid."""
-        text, version = (
-            str(self.table.columns[name][index].as_py()) if name in self.table.columns else ""
-            for name in ("feature_id", "version")
-        )
-        if not text:
-            return None, None
-        try:
-            stated_id = UUID(text)
-        except ValueError:
-            return None, None
-        return stated_id, int(version) if version.isdecimal() and len(version) < 10 else None
+        columns = self.table.columns
+        version = str(columns["version"][index].as_py()) if "version" in columns else ""
+        with suppress(KeyError, ValueError):
+            stated_id = UUID(str(columns["feature_id"][index].as_py()))
+            return stated_id, int(version) if version.isdecimal() and len(version) < 10 else None
+        return None, None
 
     def _fail(self, index: int, what: object) -> None:
         self._good = index
@@ -142,8 +138,8 @@ class Rows(Sequence[ImportedFeature]):
 
     def _cells(self, name: str) -> list[Any]:
         """Values of the good rows, None for empty cells."""
-        column = self.table.columns.get(name)
-        return [None] * self._good if column is None else column[: self._good].to_pylist()
+        columns = self.table.columns
+        return columns[name][: self._good].to_pylist() if name in columns else [None] * self._good
 
     def _checked(self, name: str) -> list[Any]:
         """Values of the good rows, the default for empty cells."""
@@ -182,14 +178,14 @@ class Rows(Sequence[ImportedFeature]):
         with np.errstate(over="ignore", invalid="ignore"):
             plane = e * e * n * n - en * en
             minor = plane * u * u + 2 * en * eu * nu - e * e * nu * nu - n * n * eu * eu
-        not_one = "the sigmas and covariances do not form a covariance matrix (it is not positive definite)"
-        self._require((plane > 0) & (minor > 0), not_one)
+        what = "the sigmas and covariances do not form a covariance matrix (it is not positive definite)"
+        self._require((plane > 0) & (minor > 0), what)
         last = np.where(seen_ns == NO_TIME, stated_ns, seen_ns)
         first = self.instants_ns("first_seen_at", last)
         valid = self.instants_ns("valid_from", first)
         last, first = last[: self._good], first[: self._good]
-        crossed = "first_seen_at, last_seen_at and the time of the survey are not in this order"
-        self._require((first <= last) & (last <= stated_ns), crossed)
+        what = "first_seen_at, last_seen_at and the time of the survey are not in this order"
+        self._require((first <= last) & (last <= stated_ns), what)
         self._require(valid[: self._good] <= stated_ns, "valid_from is after the time of the survey")
         self.require_all()
         others = [column[name] for name in ("object_height_m", "object_height_sigma_m", "existence_probability")]

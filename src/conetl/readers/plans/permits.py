@@ -39,9 +39,9 @@ _COLUMNS = {
 }
 _DATE = re.compile(r"\d{4}[-/]\d\d[-/]\d\d")
 _LISTS = frozenset({"lanes", "road_names"})
-#: Of GDAL: names of the columns of positions in CSV files.
+#: Of GDAL: names of the columns of positions in CSV files, which it keeps: 3.12 dies where it drops one of two of a name.
 _CSV = {
-    "X_POSSIBLE_NAMES": "lon,lon_deg,longitude,x,easting,easting_m", "KEEP_GEOM_COLUMNS": "NO",
+    "X_POSSIBLE_NAMES": "lon,lon_deg,longitude,x,easting,easting_m", "KEEP_GEOM_COLUMNS": "YES",
     "Y_POSSIBLE_NAMES": "lat,lat_deg,latitude,y,northing,northing_m", "GEOM_POSSIBLE_NAMES": "wkt,geometry,geom",
 }  # fmt: skip
 
