@@ -50,11 +50,11 @@ def read_vector_file(path: Path) -> LineFile:
     systems: dict[str, None] = {}
     with library_errors(f"{path}: not a file of lines that GDAL can read"):
         for name, _ in pyogrio.list_layers(path):
-            meta, fids, geometries, fields = pyogrio.raw.read(
-                path, layer=name, return_fids=True, force_2d=False, datetime_as_string=True, max_features=MAX_LINES + 1
-            )
-            if len(fids) > MAX_LINES:
+            if pyogrio.read_info(path, layer=name, force_feature_count=True)["features"] > MAX_LINES:
                 raise InputError(f"{path}: more than {MAX_LINES:,} features in layer {shown(name)}: import it in parts")
+            meta, fids, geometries, fields = pyogrio.raw.read(
+                path, layer=name, return_fids=True, force_2d=False, datetime_as_string=True
+            )
             if geometries is None:
                 continue
             before = len(lines)
