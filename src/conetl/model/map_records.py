@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
@@ -11,6 +11,7 @@ from uuid import UUID
 
 from pydantic import Field, field_serializer, model_validator
 
+from conetl.model.arrays import Floats
 from conetl.model.base import Cov3, NonNegative, Positive, Probability, Record, SharedErrorJacobian, Vec2, Vec3
 from conetl.model.markings import Marking
 
@@ -264,10 +265,12 @@ class ImportedMap:
     stated_at_ns: int
     """The instant on the road for which it is valid (UTC)."""
     statements: Sequence[ImportedFeature]
+    classes: Mapping[str, int]
+    """Number of statements of each category."""
     founds_ids: bool = False
     """True where the file has no ids, or they are not to be used: the ids follow from file and row, and each map that imports
     it assigns its own."""
     lines_left_out: int = 0
     """Lane markings in the file, which are not imported."""
-    as_written: tuple[tuple[float, float], ...] = ()
-    """The first two coordinates of each statement in a file of projected coordinates, as they are written there."""
+    as_written: Floats | None = None
+    """(N, 2): the first two coordinates of each statement in a file of projected coordinates, as they are written there."""

@@ -53,7 +53,7 @@ def read_surveyed_points(
     _require_finite(path, xyz, f"the point is outside the area of {shown(source)} or of EPSG:{srid}")
     sigmas = _sigmas(table, sigma_m, path)
     require_exact(table, own_crs, sigmas)
-    names = next((table.columns[name] for name in _NAMES if name in table.columns), None) or range(1, count + 1)
+    names = next((table.columns[name].to_pylist() for name in _NAMES if name in table.columns), range(1, count + 1))
     return [
         SurveyedPoint(name=printable(str(name))[:60], xyz_m=tuple(p), sigma_m=tuple(s))
         for name, p, s in zip(names, xyz.tolist(), sigmas.tolist(), strict=True)

@@ -295,6 +295,25 @@ def test_long_cells_take_no_time(tmp_path: Path, text: str) -> None:
     refused(path, "row")
 
 
+def test_of_all_errors_the_first_one_of_the_first_row_counts(tmp_path: Path) -> None:
+    """Columns are checked one after the other."""
+    names = "easting,northing,z,existence_probability,cov_en_m2,first_seen_at,object_height_m"
+    good = ["0.9", "0", "2026-02-01", "0.5"]
+    bad = {
+        "existence_probability is '2', expected at most 1": ["2", "0", "2026-02-01", "0.5"],
+        "object_height_m is '-1', expected more than 0": ["2", "0", "soon", "-1"],
+        "not form a covariance matrix": ["0.9", "1", "soon", "0.5"],
+        "first_seen_at is 'soon', expected a time": ["0.9", "0", "soon", "0.5"],
+        "are not in this order": ["0.9", "0", "2026-03-09", "0.5"],
+    }
+    path = tmp_path / "points.csv"
+    for first, (message, cells) in enumerate(bad.items(), 2):
+        rows = [good] * (first - 1) + [cells] + [row for row in bad.values() if row is not cells]
+        lines = [f"{458300 + 7.123 * k:.3f},{5427800 + k / 3:.3f},160,{','.join(row)}" for k, row in enumerate(rows)]
+        path.write_text("\n".join([names, *lines]))
+        refused(path, f"row {first}: .*{message}.*; nothing was written")
+
+
 def test_messages_have_no_control_characters(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("east\x1b[31m,north\n1,2\n")

@@ -150,6 +150,51 @@ def test_a_broken_permit_is_named_and_costs_only_itself(tmp_path: Path) -> None:
     assert all(words in one.reason and one.is_broken for one, words in zip(found.unused, wanted.values(), strict=True))
 
 
+def test_a_column_of_positions_may_be_there_twice(tmp_path: Path) -> None:
+    """GDAL 3.12 died where it was to drop both."""
+    path = tmp_path / "permits.csv"
+    path.write_text("id,start,lon,lon,lat\nA,2026-03-01T00:00Z,8.43,8.5,49\n")
+    assert read_plans(path).zones[0].parts in [(((lon, 49.0),),) for lon in (8.43, 8.5)]
+
+
+def test_a_coordinate_of_a_thousand_digits_costs_its_permit(tmp_path: Path) -> None:
+    far = {"type": "Point", "coordinates": [10**1000, 49]}
+    found = read_plans(permits_file(tmp_path / "permits.geojson", permit(far), permit(permit_id="B")))
+    assert [zone.plan_id for zone in found.zones] == ["B"] and [one.record for one in found.unused] == ["feature 1"]
+
+
+def test_parts_of_collections_and_outlines_of_areas(tmp_path: Path) -> None:
+    """All geometries are cut into parts at once, so each must get its own."""
+    area, inner = "(8 49, 8.1 49, 8.1 49.1, 8 49)", "(8.02 49.01, 8.03 49.01, 8.03 49.02, 8.02 49.01)"
+    shapes = {
+        f"POLYGON ({area}, {inner})": [4],
+        "": None,
+        f"GEOMETRYCOLLECTION (POINT (8 49), GEOMETRYCOLLECTION (MULTIPOINT ((8 49), (8 48)), MULTIPOLYGON (({area}))))": [
+            1,
+            1,
+            1,
+            4,
+        ],
+        "POINT (8": None,
+        "MULTILINESTRING ((8 49, 8.2 49), (8 48, 8 47, 8 46))": [2, 3],
+    }
+    path = tmp_path / "permits.csv"
+    path.write_text("id;start;wkt\n" + "".join(f"P{k};2026-03-01T00:00Z;{shape}\n" for k, shape in enumerate(shapes)))
+    found = read_plans(path)
+    assert [[len(part) for part in zone.parts] for zone in found.zones] == [
+        counts for counts in shapes.values() if counts
+    ]
+    assert [one.record for one in found.unused] == ["row 2", "row 4"]
+
+
+def test_a_table_of_permits_has_a_limit_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "permits.csv"
+    with path.open("wb") as file:
+        file.truncate(2 << 30)
+    with pytest.raises(InputError, match="2,147,483,648 bytes, expected at most 5,000,000"):
+        read_plans(path)
+
+
 def test_columns_of_other_names_and_crs(tmp_path: Path) -> None:
     path = tmp_path / "permits.csv"
     path.write_text("Nr;Beginn;x;y\n7;2026-03-01T00:00Z;458000;5428000\n")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
@@ -188,8 +187,7 @@ def import_(
         imported = read_map_file(
             file, params, crs=crs, map_srid=srid, stated_at=parse_instant(surveyed_at), layer=layer
         )
-        total = len(imported.statements)
-        noun = "cone" if all(one.feature.category == CONE for one in imported.statements) else "object"
+        total, noun = len(imported.statements), "cone" if imported.classes.keys() == {CONE} else "object"
         done = import_map(conn, imported, params, map_name=settings.map_name, accept=accept)
     if imported.lines_left_out:
         note(
@@ -210,11 +208,10 @@ def import_(
             f"{done.far} of {counted(total, noun)} are more than 1 km from everything on the map {settings.map_name}: check "
             "the CRS of the file and of the map. If one is wrong, undo the import with `conetl map revert`"
         )
-    others = Counter(one.feature.category for one in imported.statements if one.feature.category not in FEATURE_CLASSES)
-    if others:
+    if others := imported.classes.keys() - FEATURE_CLASSES.keys():
         note(
-            f"{others.total()} of {counted(total, 'object')} have a class that drives do not confirm or remove: "
-            f"{', '.join(sorted(others))}. conetl detects {', '.join(FEATURE_CLASSES)}"
+            f"{sum(imported.classes[name] for name in others)} of {counted(total, 'object')} have a class that drives do not "
+            f"confirm or remove: {', '.join(sorted(others))}. conetl detects {', '.join(FEATURE_CLASSES)}"
         )
     if done.committed:
         again = f" {counted(done.replayed, 'later drive')} recomputed." if done.replayed else ""

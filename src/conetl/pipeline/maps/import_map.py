@@ -82,7 +82,7 @@ def import_map(
         if len(own) == len(imported.statements):
             return ImportResult(None, False, dict.fromkeys(DeltaKind, 0), 0, own=len(own))
         left = [i for i in range(len(imported.statements)) if i not in own]
-        written = tuple(imported.as_written[i] for i in left) if imported.as_written else ()
+        written = None if imported.as_written is None else imported.as_written[left]
         imported = replace(imported, statements=[imported.statements[i] for i in left], as_written=written)
         keys = _keys(imported, params)
         taken = [known for one in keys if (known := find_changeset(conn, one, map_name=map_name)) is not None]
@@ -259,7 +259,10 @@ def _refuse_doubled(imported: ImportedMap) -> None:
 
 def _refuse_other_crs(conn: Connection, imported: ImportedMap, info: MapInfo) -> None:
     """Refuse coordinates that are far from everything in their stated CRS, but not in the map's or a neighbouring zone."""
-    if not (imported.as_written and store.far_from_all(conn, info, _positions_m(imported.statements), FAR_M).all()):
+    if (
+        imported.as_written is None
+        or not store.far_from_all(conn, info, _positions_m(imported.statements), FAR_M).all()
+    ):
         return
     written = np.column_stack((imported.as_written, np.zeros(len(imported.as_written))))
     for srid in (info.srid, info.srid - 1, info.srid + 1):  # zones follow each other in EPSG's numbers

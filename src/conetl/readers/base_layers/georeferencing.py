@@ -8,18 +8,21 @@ geoid to ellipsoidal ones requires a geoid model, which PROJ lacks without its g
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import shapely
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 from scipy.spatial import cKDTree
 
 from conetl.files.documents import input_errors, shown
 from conetl.geometry.geodesy import to_geodetic
-from conetl.model.arrays import Bools, Floats
+from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.errors import InputError
 
+#: GEOS's number of the first type that has parts.
+_MULTI_POINT = 4
 #: Coordinates farther outside the CRS's area of use are warned of.
 _AREA_MARGIN_DEG = 0.5
 #: PROJ's confidence (percent) that a CRS is one of EPSG's.
@@ -30,6 +33,38 @@ FAR_M, _LAYER_FAR_M = 1_000.0, 100.0
 _ROAD_WITHIN_M = 6.0
 #: ... and are warned of from this difference to the drives' heights.
 _HEIGHT_DIFFERS_M = 1.0
+
+
+class Geometries(NamedTuple):
+    """Geometries and their parts: points, lines, and outlines of areas."""
+
+    shapes: Any
+    """(G,) of shapely; None where one is missing or broken."""
+    part_at: Ints
+    """(G + 1,) number of the first part of each, then that of all parts."""
+    vertex_at: Ints
+    """(P + 1,) number of the first vertex of each part, then that of all vertices."""
+    xyz: Floats
+    """(V, 3); heights are NaN where the file has none."""
+
+
+def geometries_of(well_known_binary: Any) -> Geometries:
+    """Geometries (G,) as GDAL gives them, None where one is missing: all in one call of GEOS, as one for each takes 50 us."""
+    shapes = shapely.from_wkb(np.asarray(well_known_binary, object), on_invalid="ignore")
+    owner = np.flatnonzero(~shapely.is_missing(shapes))
+    parts = shapes[owner]
+    while (shapely.get_type_id(parts) >= _MULTI_POINT).any():  # collections may be in collections
+        parts, inside = shapely.get_parts(parts, return_index=True)
+        owner = owner[inside]
+    outlines = shapely.get_exterior_ring(parts)
+    parts = np.where(shapely.is_missing(outlines), parts, outlines)
+    xyz, part = shapely.get_coordinates(parts, include_z=True, return_index=True)
+    return Geometries(
+        shapes,
+        np.searchsorted(owner, np.arange(len(shapes) + 1)),
+        np.searchsorted(part, np.arange(len(parts) + 1)),
+        xyz,
+    )
 
 
 class LayerCrs(NamedTuple):

@@ -6,7 +6,8 @@ Of GeoJSON, GeoPackage and all other formats of GDAL every line of every layer i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,19 +20,23 @@ from pyproj import Transformer
 from conetl.files.documents import library_errors, require_few_features, shown
 from conetl.model.errors import InputError
 from conetl.model.work_zone_records import LaneLine
-from conetl.readers.base_layers.georeferencing import parse_crs
+from conetl.readers.base_layers.georeferencing import geometries_of, parse_crs
 from conetl.readers.base_layers.lines import (
     LANELET2_BOUNDARIES,
     MAX_LINES,
     Line,
     LineFile,
-    add_line,
+    add_lines,
     bounds_lanes,
     full_kind,
     read_lanelet2,
 )
 from conetl.readers.base_layers.opendrive import read_opendrive
 
+#: GEOS's numbers of the types of lines and multi-lines.
+_LINES = (1, 5)
+#: Features of which objects of Python exist at once.
+_BATCH = 20_000
 #: Properties that may be the kind of a line; the first existing one counts.
 _KIND_NAMES = ("kind", "type", "subtype", "class", "lane_type", "boundary_type")
 
@@ -52,10 +57,13 @@ def read_vector_file(path: Path) -> LineFile:
             )
             if geometries is None:
                 continue
-            found = _lines(name, meta["fields"], fids, geometries, fields, refused)
-            if found and meta["crs"]:
+            before = len(lines)
+            for start in range(0, len(fids), _BATCH):
+                own = slice(start, start + _BATCH)
+                columns = {str(key): _plain(column[own]) for key, column in zip(meta["fields"], fields, strict=True)}
+                add_lines([*_lines(shown(name), columns, fids[own], geometries[own])], lines, refused)
+            if len(lines) > before and meta["crs"]:
                 systems[meta["crs"]] = None
-            lines += found
     if not lines:
         reasons = f"; {refused[0]}" if refused else ""
         raise InputError(f"{path}: there is no line; expected LineString or MultiLineString features{reasons}")
@@ -67,35 +75,35 @@ def read_vector_file(path: Path) -> LineFile:
         return LineFile(lines, None, refused, str(error))
 
 
-def _lines(layer: str, names: Any, fids: Any, geometries: Any, fields: Any, refused: list[str]) -> list[Line]:
-    lines: list[Line] = []
-    for row, (fid, data) in enumerate(zip(fids, geometries, strict=True)):
-        what = f"feature {fid} of layer {shown(layer)}"
-        if data is None:
-            refused.append(f"{what}: it has no geometry")
-            continue
-        geometry = shapely.from_wkb(data, on_invalid="ignore")
-        if geometry is None or geometry.geom_type not in ("LineString", "MultiLineString"):
-            refused.append(
-                f"{what}: it is a {geometry.geom_type if geometry is not None else 'broken geometry'}, not a line"
-            )
-            continue
-        attributes = {str(name): _plain(column[row]) for name, column in zip(names, fields, strict=True)}
-        attributes = {name: value for name, value in attributes.items() if value is not None}
-        kind = next((str(attributes[name]) for name in _KIND_NAMES if attributes.get(name)), "line")
-        for part in shapely.get_parts(geometry):
-            xyz = shapely.get_coordinates(part, include_z=True).astype(np.float64)
-            add_line(Line(kind, xyz, attributes), what, lines, refused)
-    return lines
+def _lines(layer: str, columns: dict[str, list[Any]], fids: Any, binary: Any) -> Iterator[tuple[str, Line | str]]:
+    """Each feature, with its lines or why it has none, for `add_lines`."""
+    shapes, part_at, vertex_at, xyz = geometries_of(binary)
+    is_line = np.isin(shapely.get_type_id(shapes), _LINES).tolist()
+    kinds = ["line"] * len(fids)
+    for name in reversed([name for name in _KIND_NAMES if name in columns]):
+        kinds = [str(value) if value else kind for value, kind in zip(columns[name], kinds, strict=True)]
+    for row, (start, end) in enumerate(pairwise(part_at.tolist())):
+        what = f"feature {fids[row]} of layer {layer}"
+        if binary[row] is None:
+            yield what, "it has no geometry"
+        elif not is_line[row]:
+            yield what, f"it is a {getattr(shapes[row], 'geom_type', 'broken geometry')}, not a line"
+        else:
+            attributes = {name: values[row] for name, values in columns.items() if values[row] is not None}
+            for first, last in pairwise(vertex_at[start : end + 1].tolist()):
+                yield what, Line(kinds[row], xyz[first:last], attributes)
 
 
-def _plain(value: Any) -> Any:
-    """A property as a JSON value."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value if value is None or isinstance(value, bool | int | float) else str(value)
+def _plain(column: Any) -> list[Any]:
+    """Properties as JSON values."""
+    return [
+        value
+        if isinstance(value, bool | int) or (isinstance(value, float) and math.isfinite(value))
+        else None
+        if value is None or isinstance(value, float)
+        else str(value)
+        for value in column.tolist()
+    ]
 
 
 #: By suffix; `read_vector_file` reads all other formats that GDAL supports.

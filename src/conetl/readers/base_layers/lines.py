@@ -6,7 +6,7 @@ and its documentation, LinestringTagging). Nodes are WGS 84.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -54,17 +54,24 @@ class LineFile(NamedTuple):
     why_no_crs: str = "the file has no CRS"
 
 
-def add_line(line: Line, what: str, lines: list[Line], refused: list[str]) -> None:
-    """Append a line to `lines`, or to `refused` why it cannot be used."""
-    xy = line.xyz[:, :2]
-    if not np.isfinite(xy).all():
-        refused.append(f"{what}: a coordinate is not a number")
-    elif not (xy != xy[:1]).any():
-        refused.append(f"{what}: fewer than two different points")
-    elif np.isinf(line.xyz[:, 2]).any():
-        refused.append(f"{what}: a height is not a number")
-    else:
-        lines.append(line)
+def add_lines(found: Sequence[tuple[str, Line | str]], lines: list[Line], refused: list[str]) -> None:
+    """Append lines to `lines`, or to `refused` why they cannot be used: names of records with a line, or why they have none."""
+    some = [line.xyz for _, line in found if isinstance(line, Line)]
+    counts = np.array([len(xyz) for xyz in some], np.int64)
+    xyz = np.concatenate([np.empty((0, 3)), *some])
+    line_of = np.repeat(np.arange(len(counts)), counts)
+    first = xyz[np.repeat(np.cumsum(counts) - counts, counts), :2]
+    no_place, other, no_height = (
+        np.bincount(line_of[vertices], minlength=len(counts)) > 0
+        for vertices in (~np.isfinite(xyz[:, :2]).all(axis=1), (xyz[:, :2] != first).any(axis=1), np.isinf(xyz[:, 2]))
+    )
+    words = ["a coordinate is not a number", "fewer than two different points", "a height is not a number"]
+    problems = iter(np.select([no_place, ~other, no_height], words, "").tolist())
+    for what, line in found:
+        if problem := line if isinstance(line, str) else next(problems):
+            refused.append(f"{what}: {problem}")
+        elif isinstance(line, Line):
+            lines.append(line)
 
 
 def bounds_lanes(kind: str, attributes: Mapping[str, Any]) -> bool:
@@ -139,8 +146,7 @@ def read_lanelet2(path: Path) -> LineFile:
         for identity, way in found.ways.items()
         if identity in found.lanelet_ways or way[1].get("type") in BOUNDARIES
     }
-    lines: list[Line] = []
-    refused = found.refused
+    made: list[tuple[str, Line | str]] = []
     nodes = np.concatenate([np.empty(0, np.int64), *(references for references, _ in used.values())])
     at = np.searchsorted(found.node_ids, nodes).clip(0, max(len(found.node_ids) - 1, 0))
     exists = found.node_ids[at] == nodes if len(found.node_ids) else np.zeros(len(nodes), bool)
@@ -148,13 +154,16 @@ def read_lanelet2(path: Path) -> LineFile:
     for identity, (references, tags) in used.items():
         own = slice(start, start + len(references))
         start = own.stop
-        what = f"way {shown(str(identity))}"
+        what = f"way '{identity}'"
         if missing := references[~exists[own]].tolist():
             first = "one whose id is not a number" if missing[0] == NO_ID else f"node {shown(str(missing[0]))}"
-            refused.append(f"{what}: {len(missing)} of its {len(references)} nodes are missing, {first} first")
+            made.append((what, f"{len(missing)} of its {len(references)} nodes are missing, {first} first"))
             continue
         attributes = {**tags, "way": str(identity), "bounds_a_lanelet": identity in found.lanelet_ways}
-        add_line(Line(tags.get("type", "unknown"), found.lon_lat_ele[at[own]], attributes), what, lines, refused)
+        made.append((what, Line(tags.get("type", "unknown"), found.lon_lat_ele[at[own]], attributes)))
+    lines: list[Line] = []
+    refused = found.refused
+    add_lines(made, lines, refused)
     if not lines:
         reason = f"{refused[-1]}; " if refused else ""
         raise InputError(

@@ -22,7 +22,7 @@ from conetl.files.documents import XmlFile, input_errors, library_errors, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
-from conetl.readers.base_layers.lines import Line, LineFile, add_line, simplified
+from conetl.readers.base_layers.lines import Line, LineFile, add_lines, simplified
 
 Element = ElementTree.Element
 
@@ -196,8 +196,8 @@ def read_opendrive(path: Path) -> LineFile:
             elif part.tag == "road":
                 what = f"road {shown(part.get('id', ''))}"
                 try:
-                    for line in simplified(_road_lines(part, spend)):
-                        add_line(line, f"{what}, {line.attributes.get('border')}", lines, refused)
+                    some = simplified(_road_lines(part, spend))
+                    add_lines([(f"{what}, {line.attributes.get('border')}", line) for line in some], lines, refused)
                 except (ValueError, KeyError, shapely.errors.ShapelyError) as error:
                     refused.append(f"{what}: {error}")
         turn, shift = _offset_of(header)

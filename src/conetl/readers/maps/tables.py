@@ -1,21 +1,19 @@
-"""The rows of a map file of any format: columns as Python values, positions, and the file's CRS.
+"""The rows of a map file of any format: columns as Arrow arrays, positions, and the file's CRS.
 
 Row counts and sizes stated in a file are compared with its size before anything is read; rows are read in batches.
 """
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 import struct
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import chain
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -24,27 +22,24 @@ import pyarrow.parquet as pq
 import shapely
 from pyproj import CRS
 
-from conetl.files.documents import encoding_of, input_errors, library_errors, require_few_features, shown
+from conetl.files.documents import input_errors, library_errors, require_few_features, shown
 from conetl.geometry.geodesy import ELLIPSOIDAL
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
-from conetl.readers.base_layers.georeferencing import height_unit_m, parse_crs, require_unit
+from conetl.readers.base_layers.georeferencing import geometries_of, height_unit_m, parse_crs, require_unit
+from conetl.readers.maps.csv_text import MAX_VALUES, read_csv_text, too_many
 
 #: Larger files are not cone maps and do not fit into memory.
 MAX_ROWS = 1_000_000
 #: Largest uncompressed size.
 MAX_BYTES = 2 << 30
-#: Most values (rows times columns), as they are in memory; ten times those of our own exports.
-MAX_VALUES = 50_000_000
 TEXT_SUFFIXES = (".csv", ".geojson", ".json")
 _BATCH = 20_000
-#: GEOS's number of the type.
-_MULTI_POINT = 4
+#: GEOS's numbers of the types of points and multi-points.
+_POINTS = (0, 4)
 #: A feature has at least this many bytes in any format.
 _MIN_ROW_BYTES = 8
-#: Characters of a line of a text file: no row of a map is as long.
-_MAX_LINE = 1 << 20
 #: Columns of positions in CSV files, by their names without a unit.
 _POSITIONS = {
     **dict.fromkeys(("lon", "lng", "long", "longitude"), "lon_deg"),
@@ -61,7 +56,6 @@ HEIGHTS = (
 _OF_OBJECTS, _HIGHEST_OBJECT_M = HEIGHTS[-4:], 10.0
 _UNIT = re.compile(r"[_\[(](m|ft|feet|deg|°|met(?:re|er)s?|degrees?)[\])]?$")
 _UNITS_M = {"m": 1.0, "f": 0.3048}
-_DECIMAL_COMMA = re.compile(r"[-+]?(?:\d+(?:,\d*)?|,\d+)(?:[eE][-+]?\d+)?")
 #: The first bytes of a FlatGeobuf file, without the patch version.
 _FGB_MAGIC = b"fgb\x03fgb"
 #: Options of GDAL's drivers, which would read times in GeoJSON with milliseconds only.
@@ -77,7 +71,8 @@ class MapTable:
     """None where the file has none."""
     xyz: Floats = field(default_factory=lambda: np.empty((0, 3)))
     """(n, 3) in `crs`, east before north, longitude before latitude; heights of the geometry, else NaN (`add_heights`)."""
-    columns: dict[str, list[Any]] = field(default_factory=dict)
+    columns: dict[str, pa.ChunkedArray] = field(default_factory=dict)
+    """Values by name, None in empty cells; of CSV files as text."""
     layers: tuple[str, ...] = ()
     """Names of the file's layers with geometry, in its order; empty for formats without layers."""
     layer: str | None = None
@@ -220,7 +215,7 @@ def _read_parquet(most_rows: int, path: Path) -> MapTable:
 
 
 def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry: str, most_rows: int) -> None:
-    parts = []
+    parts, kept = [], []
     count = 0
     for every in batches:
         damaged = "a feature has no geometry where a point is expected, or the file is damaged"
@@ -231,87 +226,47 @@ def _append_batches(table: MapTable, batches: Iterable[pa.RecordBatch], geometry
         if "category" in every.schema.names:
             batch = every.filter(pc.invert(pc.is_in(every.column("category"), pa.array(LINE_CLASSES))))
         table.lines_left_out += every.num_rows - batch.num_rows
-        points = shapely.from_wkb(np.asarray(batch.column(geometry).to_pylist(), object), on_invalid="ignore")
-        single = (shapely.get_type_id(points) == _MULTI_POINT) & (shapely.get_num_geometries(points) == 1)
-        points = np.where(single, shapely.get_geometry(points, 0), points)
-        bad = np.flatnonzero((shapely.get_type_id(points) != 0) | shapely.is_empty(points))
-        if len(bad):
-            kind = getattr(points[bad[0]], "geom_type", None)
+        shapes, part_at, vertex_at, xyz = geometries_of(batch.column(geometry).to_pylist())
+        is_point = np.isin(shapely.get_type_id(shapes), _POINTS) & (np.diff(vertex_at[part_at]) == 1)
+        for bad in np.flatnonzero(~is_point)[:1].tolist():
+            kind = getattr(shapes[bad], "geom_type", None)
             kind = {None: "no or a broken geometry", "Point": "an empty point"}.get(kind, kind)
-            raise InputError(f"{table.path}, row {count + int(bad[0]) + 1}: {kind} where a point is expected")
-        parts.append(shapely.get_coordinates(points, include_z=True))
+            raise InputError(f"{table.path}, row {count + bad + 1}: {kind} where a point is expected")
+        parts.append(xyz)
         count += batch.num_rows
         if count > most_rows:
-            raise _too_many(table.path, most_rows)
-        for name, column in zip(batch.schema.names, batch.columns, strict=True):
-            if name != geometry:
-                table.columns.setdefault(name, []).extend(column.to_pylist())
-    table.xyz = np.concatenate(parts) if parts else table.xyz
+            raise too_many(table.path, most_rows)
+        kept.append(batch.drop_columns([geometry]))
+    if kept:
+        table.xyz = np.concatenate(parts)
+        columns = pa.Table.from_batches(kept)
+        table.columns = dict(zip(columns.column_names, columns.columns, strict=True))
 
 
-def _read_csv(most: int, path: Path) -> MapTable:
-    """Columns lon_deg, lat_deg (WGS 84), or easting_m, northing_m (their CRS has to be stated).
-
-    The separator is the most frequent of comma, semicolon and tab in the header; names of columns may be in capitals, numbers
-    have a decimal comma where it is not the separator.
-    """
-    with library_errors(f"{path} cannot be read as CSV", OSError, UnicodeError, csv.Error):
-        with path.open("rb") as raw:
-            encoding = encoding_of(iter(partial(raw.read, _MAX_LINE), b""))
-        with path.open(encoding=encoding, newline="") as file:
-            texts = _short_lines(path, file)
-            header = next(texts, "")
-            header = next(texts, "") if header.lower().startswith("sep=") else header  # of Excel
-            delimiter = max(",;\t", key=header.count)
-            rows = csv.reader(chain([header], texts), strict=True, delimiter=delimiter)
-            names = [text.strip().lower() for text in next(rows, [])]
-            lines = []
-            most_rows = min(most, MAX_VALUES // max(1, len(names)))
-            for number, line in enumerate(rows, start=1):
-                if number > most_rows:
-                    raise _too_many(path, most_rows)
-                if not line:
-                    continue
-                if len(line) != len(names):
-                    raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(names)}")
-                lines.append(line)
-    units_m = [unit_m for base, unit_m in map(_split, names) if unit_m and _POSITIONS.get(base, "").endswith("_m")]
-    names = [_POSITIONS.get(_split(name)[0], name) for name in names]
+def _read_csv(most_rows: int, path: Path) -> MapTable:
+    """Columns lon_deg, lat_deg (WGS 84), or easting_m, northing_m (their CRS has to be stated), their names in any spelling."""
+    text = read_csv_text(path, most_rows)
+    stated = [_split(name) for name in text.column_names]
+    units_m = [unit_m for base, unit_m in stated if unit_m and _POSITIONS.get(base, "").endswith("_m")]
+    names = [_POSITIONS.get(base, name) for (base, _), name in zip(stated, text.column_names, strict=True)]
     if len(set(names)) != len(names):
         raise InputError(f"{path}: the header contains a column name twice")
-    columns = dict(zip(names, (_values(texts, delimiter) for texts in zip(*lines, strict=True)), strict=False))
+    columns = dict(zip(names, text.columns, strict=True))
     geographic = {"lon_deg", "lat_deg"} <= set(names)
     if not geographic and not {"easting_m", "northing_m"} <= set(names):
         found = shown(names)
         raise InputError(f"{path}: no columns lon_deg and lat_deg, nor easting_m and northing_m; found: {found}")
     horizontal = ("lon_deg", "lat_deg") if geographic else ("easting_m", "northing_m")
-    axes = [numbers_of(path, name, columns.get(name, []), required=True) for name in horizontal]
-    xyz = np.column_stack([*axes, np.full(len(lines), np.nan)])
+    axes = [numbers_of(path, name, columns[name], required=True) for name in horizontal]
+    xyz = np.column_stack([*axes, np.full(text.num_rows, np.nan)])
     crs = CRS("OGC:CRS84") if geographic else None
     return MapTable(path, crs, xyz, columns, unit_m=max(units_m, default=None))
 
 
-def _short_lines(path: Path, file: TextIO) -> Iterator[str]:
-    """The lines of a file, one in memory at a time. Raises InputError for one that is too long."""
-    for number, line in enumerate(iter(partial(file.readline, _MAX_LINE), ""), start=1):
-        if len(line) == _MAX_LINE:
-            raise InputError(
-                f"{path}: line {number} has more than {_MAX_LINE:,} characters: that is not a table of points"
-            )
-        yield line
-
-
-def _values(texts: Sequence[str], delimiter: str) -> list[str | None]:
-    """The cells of a column, None for empty ones; numbers with a decimal point."""
-    values = [text.strip() for text in texts]
-    if delimiter != "," and all(_DECIMAL_COMMA.fullmatch(text) for text in values if text):
-        values = [text.replace(",", ".") for text in values]
-    return [text or None for text in values]
-
-
-def numbers_of(path: Path, name: str, values: Sequence[Any], *, required: bool = False) -> Floats:
+def numbers_of(path: Path, name: str, column: pa.ChunkedArray, *, required: bool = False) -> Floats:
     """The values of a column (N,) as numbers, NaN for empty cells. Raises InputError, which names the row."""
-    if not (required and None in values):
+    values = column.to_pylist()
+    if not (required and column.null_count):
         with suppress(ValueError, TypeError, OverflowError):
             return np.array(values, np.float64).reshape(-1)
     found = np.empty(len(values))
@@ -354,7 +309,8 @@ def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:
             if ((known_m > 0) & (known_m <= _HIGHEST_OBJECT_M)).all():
                 continue
             del table.columns[name]
-        systems = {str(system) for system in table.columns.get("height_system", ()) if system is not None}
+        stated = table.columns.get("height_system", pa.chunked_array([], pa.string()))
+        systems = {str(system) for system in stated.drop_null().to_pylist()}
         if HEIGHTS[order] == "ground_height" and not crs.is_compound and systems - {ELLIPSOIDAL}:
             raise InputError(
                 f"{table.path}: {shown(name)} is in the height system {shown(sorted(systems)[0])}: state it with the CRS, like "
@@ -380,7 +336,7 @@ def _check_flatgeobuf_header(path: Path) -> None:
 
 def _check_claim(path: Path, count: int, noun: str, columns: int, most_rows: int) -> None:
     if count > most_rows:
-        raise _too_many(path, most_rows)
+        raise too_many(path, most_rows)
     if count * columns > MAX_VALUES:
         raise InputError(
             f"{path} has {count:,} {noun} with {columns:,} columns, expected at most {MAX_VALUES:,} values: leave out columns"
@@ -388,7 +344,3 @@ def _check_claim(path: Path, count: int, noun: str, columns: int, most_rows: int
     # Equal values compress to almost nothing; but geometries differ.
     if count * _MIN_ROW_BYTES > path.stat().st_size + 4096:
         raise InputError(f"{path} states {count} {noun}, but has {path.stat().st_size} bytes: truncated or damaged")
-
-
-def _too_many(path: Path, most_rows: int) -> InputError:
-    return InputError(f"{path} has more than {most_rows:,} rows or {MAX_VALUES:,} values: import it in parts")

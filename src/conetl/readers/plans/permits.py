@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
+from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
@@ -13,13 +15,12 @@ import numpy as np
 import pyogrio.raw
 import shapely
 from pyproj import Transformer
-from pyproj.exceptions import ProjError
 
-from conetl.files.documents import input_errors, library_errors, shown
+from conetl.files.documents import MAX_JSON_BYTES, input_errors, library_errors, require_size, shown
 from conetl.files.names import printable
 from conetl.model.errors import InputError
 from conetl.model.planned_zones import PlanFile, PlannedZone
-from conetl.readers.base_layers.georeferencing import parse_crs
+from conetl.readers.base_layers.georeferencing import geometries_of, parse_crs
 from conetl.readers.plans.wzdx import features_of, parts_of, used_and_unused
 
 #: Field of `PlannedZone` -> common names of its column, small letters.
@@ -36,10 +37,11 @@ _COLUMNS = {
     "description": ("description", "comment", "remarks"),
     "source": ("source", "authority", "applicant"),
 }
+_DATE = re.compile(r"\d{4}[-/]\d\d[-/]\d\d")
 _LISTS = frozenset({"lanes", "road_names"})
-#: Of GDAL: names of the columns of positions in CSV files.
+#: Of GDAL: names of the columns of positions in CSV files, which it keeps: 3.12 dies where it drops one of two of a name.
 _CSV = {
-    "X_POSSIBLE_NAMES": "lon,lon_deg,longitude,x,easting,easting_m", "KEEP_GEOM_COLUMNS": "NO",
+    "X_POSSIBLE_NAMES": "lon,lon_deg,longitude,x,easting,easting_m", "KEEP_GEOM_COLUMNS": "YES",
     "Y_POSSIBLE_NAMES": "lat,lat_deg,latitude,y,northing,northing_m", "GEOM_POSSIBLE_NAMES": "wkt,geometry,geom",
 }  # fmt: skip
 
@@ -70,20 +72,19 @@ def read_permits(path: Path, document: Any, stated: Permits) -> PlanFile:
     rows, crs = _read_by_gdal(path)
     with input_errors(path):
         to_degrees = Transformer.from_crs(parse_crs(stated.crs or crs), "OGC:CRS84", always_xy=True)
-    return used_and_unused(
-        rows, lambda row: _permit(row[0], _parts_in_degrees(row[1], to_degrees), stated, zone), "row"
-    )
+    parts = _parts_in_degrees([binary for _, binary in rows], to_degrees)
+    return used_and_unused(zip(rows, parts, strict=True), lambda row: _permit(row[0][0], row[1], stated, zone), "row")
 
 
 def _permit(properties: Mapping[str, Any], parts: Any, stated: Permits, zone: ZoneInfo | None) -> PlannedZone:
-    known = {str(name).strip().lower(): one for name, one in properties.items() if str(one) not in ("None", "", "nan")}
-    values: dict[str, Any] = {"kind": "permit", "parts": parts}
-    for field, names in _COLUMNS.items():
-        own = (stated.columns[field].lower(),) if field in stated.columns else names
-        name = next((one for one in own if one in known), None)
-        if name is None:
+    if isinstance(parts, str):
+        raise ValueError(parts)
+    values: dict[str, Any] = {}
+    for field, name, column in _fields_of(tuple(properties), tuple(sorted(stated.columns.items()))):
+        value, text = properties[column], str(properties[column])
+        if field in values or text in ("None", "", "nan"):
             continue
-        value, text = known[name], printable(str(known[name])).strip()
+        text = printable(text).strip()
         if field in ("starts_at", "ends_at"):
             values[field] = _instant(name, text, zone, is_end=field == "ends_at")
         elif field in _LISTS:
@@ -94,12 +95,23 @@ def _permit(properties: Mapping[str, Any], parts: Any, stated: Permits, zone: Zo
         raise ValueError(
             f"it has no {missing[0]}: expected a column {' or '.join(_COLUMNS[missing[0]][:3])}, or --column"
         )
-    return PlannedZone.model_validate(values)
+    return PlannedZone.model_validate({"kind": "permit", "parts": parts, **values})
+
+
+@lru_cache(maxsize=100)
+def _fields_of(columns: tuple[str, ...], stated: tuple[tuple[str, str], ...]) -> list[tuple[str, str, str]]:
+    """Fields of `PlannedZone` with a name and a column of a record that may state it; the first one with a value counts."""
+    own = {field: (name.lower(),) for field, name in stated}
+    spelled: dict[str, list[str]] = {}
+    for column in reversed(columns):
+        spelled.setdefault(str(column).strip().lower(), []).append(column)
+    fields = [(field, name) for field, names in _COLUMNS.items() for name in own.get(field, names)]
+    return [(field, name, column) for field, name in fields for column in spelled.get(name, ())]
 
 
 def _instant(name: str, text: str, zone: ZoneInfo | None, *, is_end: bool) -> datetime:
     """A time with its zone, or of the stated one; a date is all of its day. Raises ValueError."""
-    is_date = re.fullmatch(r"\d{4}[-/]\d\d[-/]\d\d", text) is not None
+    is_date = _DATE.fullmatch(text) is not None
     try:
         found = datetime.fromisoformat(text.replace("/", "-"))
     except ValueError:
@@ -110,19 +122,22 @@ def _instant(name: str, text: str, zone: ZoneInfo | None, *, is_end: bool) -> da
     return found + timedelta(days=1) if is_end and is_date else found
 
 
-def _parts_in_degrees(geometry: bytes | None, to_degrees: Transformer) -> list[list[tuple[float, float]]]:
-    """Raises ValueError for a geometry that is missing, broken or outside of the area of its CRS."""
-    made = None if geometry is None else shapely.from_wkb(geometry, on_invalid="ignore")
-    if made is None or made.is_empty:
-        raise ValueError("it has no geometry, or a broken one: expected points, lines or areas")
-    parts = [np.array(part) for part in parts_of(shapely.geometry.mapping(shapely.force_2d(made)))]
-    try:
-        axes = [to_degrees.transform(part[:, 0], part[:, 1], errcheck=True) for part in parts]
-    except ProjError as error:
-        raise ValueError("its coordinates are outside of the area of their CRS") from error
-    if max(np.abs(axis).max() for part in axes for axis in part) > 360:  # a CSV file of metres, taken for degrees
-        raise ValueError("its coordinates are no degrees: state their CRS with --crs, like --crs EPSG:25832")
-    return [list(zip(*(axis.tolist() for axis in part), strict=True)) for part in axes]
+def _parts_in_degrees(binary: Sequence[bytes | None], to_degrees: Transformer) -> list[Any]:
+    """The parts of each geometry, or why one has none: it is missing, broken or outside of the area of its CRS."""
+    shapes, part_at, vertex_at, xyz = geometries_of(binary)
+    lon_lat = np.column_stack(to_degrees.transform(xyz[:, 0], xyz[:, 1]))
+    places = list(map(tuple, lon_lat.tolist()))
+    parts = [places[start:end] for start, end in pairwise(vertex_at.tolist())]
+    found: dict[int, Any] = {k: parts[start:end] for k, (start, end) in enumerate(pairwise(part_at.tolist()))}
+    of_vertices = np.searchsorted(vertex_at[part_at], np.arange(len(xyz)), side="right") - 1
+    metres = "its coordinates are no degrees: state their CRS with --crs, like --crs EPSG:25832"  # taken for degrees
+    missing = np.flatnonzero(shapely.is_missing(shapes) | shapely.is_empty(shapes))
+    found |= dict.fromkeys(of_vertices[(np.abs(lon_lat) > 360).any(axis=1)].tolist(), metres)
+    found |= dict.fromkeys(
+        of_vertices[np.isinf(lon_lat).any(axis=1)].tolist(), "its coordinates are outside of the area of their CRS"
+    )
+    found |= dict.fromkeys(missing.tolist(), "it has no geometry, or a broken one: expected points, lines or areas")
+    return list(found.values())
 
 
 def _read_by_gdal(path: Path) -> tuple[list[tuple[dict[str, Any], bytes | None]], str]:
@@ -130,6 +145,8 @@ def _read_by_gdal(path: Path) -> tuple[list[tuple[dict[str, Any], bytes | None]]
     is_table = path.suffix.lower() == ".csv"
     rows: list[tuple[dict[str, Any], bytes | None]] = []
     systems = set()
+    if is_table:
+        require_size(path, MAX_JSON_BYTES)
     with library_errors(f"{path}: not a file that GDAL can read"):
         layers = [None] if is_table else [name for name, kind in pyogrio.list_layers(path) if kind is not None]
         for layer in layers:

@@ -70,7 +70,7 @@ def used_and_unused(records: Iterable[Any], zone: Callable[[Any], PlannedZone], 
         name = f"{noun} {number}"
         try:
             made = zone(record)
-        except (ValueError, LookupError, TypeError, AttributeError) as error:
+        except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
             lacks = f"{error} is missing" if isinstance(error, KeyError) else "it has not the form of this format"
             reason = printable(first_message(error)) if isinstance(error, ValueError) else lacks
             unused.append(UnusedRecord(name, reason, not isinstance(error, NotAPlanError)))
