@@ -12,7 +12,7 @@ The month, at scale 1:N: 1/N of the vehicles in 1/N of the towns, so that every 
 Drives arrive in the order of their recording, except for a share that arrives a day late. The first days are played again beside
 the last ones, on a map of their own, drive by drive in turn: the speed of a machine that others use changes within minutes.
 
-    python benchmarks/bench_fleet.py [--writers 8] [--drives 6] [--days 30] [--scale 100] [--late 0.05] [--only month]
+    python benchmarks/bench_fleet.py [--writers 8] [--drives 6] [--days 30] [--scale 100] [--zones 4] [--late 0.05] [--only month]
 """
 
 from __future__ import annotations
@@ -71,6 +71,8 @@ class Trip:
     day: int
     number: int
     """Of the drives of that day on that street."""
+    zones: int = ZONES
+    """Of its work zones, from the start of the street."""
 
 
 @cache
@@ -94,7 +96,7 @@ def survey_of_trip(trip: Trip) -> Survey:
     gnss_m = np.array([*rng.normal(0, 0.2, 2), 0.0])
     logged: list[FramePair] = []
     boxes: Boxes = {}
-    for zone in range(ZONES):
+    for zone in range(trip.zones):
         first = zone * FRAMES
         pairs = [
             pair.model_copy(
@@ -278,7 +280,7 @@ def sizes(conn: Connection) -> dict[str, int]:
     return {row["name"]: row["bytes"] for row in rows}
 
 
-def trips_of_month(days: int, scale: int, late: float) -> list[list[Trip]]:
+def trips_of_month(days: int, scale: int, late: float, zones: int) -> list[list[Trip]]:
     """The drives of each day in the order in which they arrive."""
     rng = np.random.default_rng(11)
     streets = max(1, VEHICLES // scale) * STREETS_A_TOWN
@@ -288,14 +290,15 @@ def trips_of_month(days: int, scale: int, late: float) -> list[list[Trip]]:
         for number in range(a_street):
             for street in range(streets):
                 delay = int(rng.random() < late)
-                arriving[day + delay].append(Trip(100 + street // STREETS_A_TOWN, street % STREETS_A_TOWN, day, number))
+                where = 100 + street // STREETS_A_TOWN, street % STREETS_A_TOWN
+                arriving[day + delay].append(Trip(*where, day, number, zones))
     arriving[days - 1] += arriving.pop()
     return arriving
 
 
-def month(url: str, days: int, scale: int, late: float) -> dict[str, object]:
+def month(url: str, days: int, scale: int, late: float, zones: int) -> dict[str, object]:
     """Play the month, and measure the map at its end."""
-    arriving, compared_days = trips_of_month(days, scale, late), min(COMPARED_DAYS, days // 4)
+    arriving, compared_days = trips_of_month(days, scale, late, zones), min(COMPARED_DAYS, days // 4)
     begun = datetime.now(UTC)
     grown: list[int] = []
     by_day: list[list[Commit]] = []
@@ -345,7 +348,9 @@ def month(url: str, days: int, scale: int, late: float) -> dict[str, object]:
             with settled(conn):
                 execute(conn, "vacuum full conetl.detection, conetl.stereo_match, conetl.position")
             archived_bytes = sum(sizes(conn).values())
-            came_back = commit(conn, survey_of_trip(Trip(100, 0, 0, 9)))  # the archived drives of its street come back
+            came_back = commit(
+                conn, survey_of_trip(Trip(100, 0, 0, 9, zones))
+            )  # the archived drives of its street come back
             failed += [f"{audit.name} (archived)" for audit in run_audits(conn) if not audit.passed]
     # The first day of the young map finds nothing there.
     old = [one for day in by_day[-compared_days:] for one in day]
@@ -406,13 +411,14 @@ def main() -> None:
     add("--drives", type=int, default=6, help="that each writer commits")
     add("--days", type=int, default=30, help="of the month, at least 8")
     add("--scale", type=int, default=100, help="1:N of the fleet and its towns")
+    add("--zones", type=int, default=ZONES, help="work zones of a street")
     add("--late", type=float, default=0.05, help="share of drives that arrive a day late")
     add("--pairs", type=int, default=1000, help="random pairs of drives that are merged at once")
     add("--only", choices=["writers", "pairs", "month"])
     options = parser.parse_args()
     if options.days < 8:
         parser.error(f"--days {options.days}: expected 8 or more")
-    n, drives = options.writers, options.drives
+    n, drives, zones = options.writers, options.drives, options.zones
     logging.getLogger("conetl").setLevel(logging.ERROR)  # no warnings about sessions that wait
     figures: dict[str, object] = {}
     print(f"{psutil.cpu_count()} cores, load {load()}", flush=True)
@@ -425,17 +431,17 @@ def main() -> None:
                 conn.commit()
         if options.only in (None, "writers"):
             # In every round each drive is the newest of its street; the same town is used once.
-            one = [Trip(0, 0, day, 0) for day in range(n * drives)]
+            one = [Trip(0, 0, day, 0, zones) for day in range(n * drives)]
             rounds = [
                 ("1", [one[: 2 * drives]]),
-                (f"{n} in one town", [[Trip(1, k, 0, d) for d in range(drives)] for k in range(n)]),
-                (f"{n} in {n} towns", [[Trip(2 + k, 0, 0, d) for d in range(drives)] for k in range(n)]),
+                (f"{n} in one town", [[Trip(1, k, 0, d, zones) for d in range(drives)] for k in range(n)]),
+                (f"{n} in {n} towns", [[Trip(2 + k, 0, 0, d, zones) for d in range(drives)] for k in range(n)]),
             ]
             figures["writers"] = rows = writers(url, rounds)
             print_rows("Writers; limit: commits/s that would keep all cores busy", rows)
             print(in_words(rows, psutil.cpu_count()))
         if options.only in (None, "month"):
-            figures["month"] = played = month(url, options.days, options.scale, options.late)
+            figures["month"] = played = month(url, options.days, options.scale, options.late, zones)
             print_rows(
                 f"{options.days} days of {VEHICLES} vehicles at 1:{options.scale}, {100 * options.late:g} % late",
                 [{"figure": name, "value": value} for name, value in played.items()],

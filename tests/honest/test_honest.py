@@ -18,7 +18,7 @@ from tests.honest.recordings import outcome_of as with_images
 from tests.honest.recordings import sample
 
 WITH_IMAGES = ("constant", "white", "saw-tooth of 1 s", "rounded to 1e-7 degrees", "attitudes white")
-_DRIVES = 3
+_DRIVES = 2
 #: For all that images show, an error that fluctuates has a mean as large as its changes: of one that has none, sigmas are large.
 _LEAST_NEES = 0.3
 #: Of one drive, whose cones share most errors.

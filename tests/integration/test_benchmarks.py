@@ -71,7 +71,7 @@ TINY = {
     ),
     "detect": Tiny("--runs 1", lambda f: all(d["passes"]["conetl whole"]["objects_found"] for d in f["detections"])),
     "export": Tiny("--features 1000", lambda f: f["rows"] == 1000),
-    "fleet": Tiny("--writers 2 --drives 1 --days 8 --scale 400 --pairs 2", merged_all),
+    "fleet": Tiny("--writers 2 --drives 1 --days 8 --scale 400 --zones 1 --pairs 2", merged_all),
     "health": Tiny("--drives 2 --no-cost", held_no_drive),
     "honest": Tiny(
         "--drives 1 --recordings 1 --only ^steps",
