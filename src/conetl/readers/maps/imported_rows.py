@@ -22,7 +22,7 @@ from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.map_records import ImportedMap
 from conetl.model.params import ImportParams
 from conetl.readers.base_layers.georeferencing import in_area, parse_crs
-from conetl.readers.maps.statements import EARLIEST_NS, NO_TIME, Rows
+from conetl.readers.maps.statements import EARLIEST_NS, NO_TIME, StatementRows
 from conetl.readers.maps.tables import MapTable, add_heights, read_table
 from conetl.readers.stated_sigmas import require_exact
 from conetl.readers.trajectories.times import DAY_NS, clock_problem
@@ -69,7 +69,7 @@ def read_map_file(
     sha256 = file_sha256(path)
     if table.layer not in (None, *table.layers[:1]):  # the hash identifies an import: of a later layer, that of both
         sha256 = hashlib.sha256(f"{sha256}/{table.layer}".encode()).hexdigest()
-    rows = Rows(table, params)
+    rows = StatementRows(table, params)
     seen_ns = rows.instants_ns("last_seen_at")
     rows.require_all()
     latest_ns = None if (seen_ns == NO_TIME).all() else int(seen_ns.max())

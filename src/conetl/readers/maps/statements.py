@@ -77,7 +77,7 @@ _COLUMNS: dict[str, TypeAdapter[list[Any]]] = {
 _FORMER_NAMES = {"object_height_m": "height_m", "object_height_sigma_m": "height_sigma_m"}
 
 
-class Rows(Sequence[ImportedFeature]):
+class StatementRows(Sequence[ImportedFeature]):
     """The rows of a table as statements. `check` goes through it column by column; of all errors the first one of the first row
     counts. Records are made where they are used: those of a million rows take gigabytes."""
 
