@@ -121,7 +121,7 @@ export function createLists(pane: ListPane, actions: ListActions) {
       const source = name === "cones" ? listed.features : listed.changes;
       const filters = listFilter(state, name === "changes", actions.area);
       const of = source && { ...source, ...filters, sort: sortOf() };
-      const key = JSON.stringify([listed.map, listed.version, of]);
+      const key = JSON.stringify([listed.map, listed.version, of, total()]); // drawn before the numbers are known, it is drawn again
       if (key === asked) return void chooseShown(scrollToChosen);
       asked = key;
       const isFiltered = Object.values(filters).some((value) => value !== null);
