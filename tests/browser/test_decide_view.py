@@ -20,7 +20,7 @@ from conetl.db.map.decision_store import list_decisions
 from conetl.db.map.map_store import list_changesets, read_current_features
 from conetl.pipeline.maps.decisions import PIN, decide_location, revert
 from conetl.web.decisions import Writer
-from tests.browser.test_view import click_cone, settle
+from tests.browser.test_view import click_cone, legend_becomes, settle
 from tests.chromium import HTML, HTML_NAME, nothing_of_html_happens
 from tests.integration.drives_of_days import merge, survey
 from tests.unit.readers.test_base_layers import geojson, line
@@ -285,4 +285,4 @@ def test_a_decision_shows_at_once_in_selector_image_and_lists(page, conn):
     page.wait_for_selector(f'html[data-cones="{count - 1}"]', state="attached")
     page.wait_for_selector(f"#map option:text-is('default ({count - 1} features)')", state="attached")
     page.wait_for_selector(f"#list-cones .table[aria-rowcount='{count}']")
-    assert page.locator(".legend label").all_inner_texts() == [f"standing\n{count - 1}"]
+    legend_becomes(page, [f"standing {count - 1}"])

@@ -11,7 +11,7 @@ import pytest
 from pydantic import SecretStr
 
 from conetl.db.connection import connect
-from tests.browser.test_view import click_cone, open_view, settle
+from tests.browser.test_view import click_cone, legend_becomes, open_view, settle
 from tests.view_map import commit, cone, serving
 
 TOKEN = "reader-of-the-tests"
@@ -63,11 +63,11 @@ def test_a_drive_arrives_on_every_page(browser, database_url, samples, tmp_path,
 def test_the_road_now_comes_first_and_the_changes_of_a_drive_are_one_click(tab, address, features):
     tab.goto(address)
     tab.wait_for_selector('html[data-cones="3"]', state="attached")
-    assert tab.locator(".legend label").all_inner_texts() == ["standing\n3"]
+    legend_becomes(tab, ["standing 3"])
     assert "mode=" not in tab.url
     tab.click(".instant-view button:text-is('drive_2')")
     tab.wait_for_selector('html[data-cones="4"]', state="attached")
-    assert tab.locator(".legend label").all_inner_texts() == ["added\n1", "moved\n1", "removed\n1", "confirmed\n1"]
+    legend_becomes(tab, ["added 1", "moved 1", "removed 1", "confirmed 1"])
     tab.click("text=The road")
     tab.wait_for_selector('html[data-cones="3"]', state="attached")
     tab.click(".instant-view .chip[data-kind=moved]")

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.made_up_maps import make_closures
 from tests.browser.conftest import page_without_problems
-from tests.browser.test_view import settle
+from tests.browser.test_view import legend_becomes, settle
 from tests.view_map import serving
 
 COUNT = 30_000
@@ -49,7 +49,7 @@ def test_numbers_of_clusters_and_cones_are_those_of_the_map(browser, address):
         assert sum(drawn(page)) == COUNT
         texts = page.eval_on_selector_all(".cluster:not([hidden])", "all => all.map((n) => n.textContent)")
         assert 3 < len(texts) < 400
-        assert page.locator(".legend label").all_inner_texts() == [f"standing\n{COUNT:,}"]
+        legend_becomes(page, [f"standing {COUNT:,}"])
         page.click("button:has-text('List') >> nth=0")
         assert page.inner_text("#list-tab-cones") == f"Cones{COUNT:,}"
         page.keyboard.press("l")

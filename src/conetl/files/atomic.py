@@ -37,9 +37,11 @@ def atomic_text_file(path: Path) -> Iterator[TextIO]:
         yield file
 
 
-def write_json(path: Path, content: object, *, indent: int | None = 1, **options: Any) -> None:
-    """Write a JSON file by `atomic_text_file`; options: of `json.dump`."""
+def write_json(path: Path, content: object, *, indent: int | None = 1, private: bool = False, **options: Any) -> None:
+    """Write a JSON file by `atomic_text_file`. private: for its owner only; options: of `json.dump`."""
     with atomic_text_file(path) as file:
+        if private:
+            os.fchmod(file.fileno(), 0o600)
         json.dump(content, file, indent=indent, **options)
         file.write("\n")
 

@@ -28,7 +28,7 @@ from uuid import uuid4
 import httpx
 import psutil
 
-from conetl.files.atomic import atomic_text_file
+from conetl.files.atomic import write_json
 from conetl.files.home import make_home
 from conetl.model.errors import InputError, ServiceError, storage_error, write_error
 
@@ -79,9 +79,7 @@ def read_services(home: Path) -> dict[str, Service]:
 
 def write_services(home: Path, services: Mapping[str, Service]) -> None:
     """Record the services of a home folder, for its owner only."""
-    with atomic_text_file(home / _STATE) as file:
-        os.fchmod(file.fileno(), 0o600)
-        json.dump([asdict(service) for service in services.values()], file, indent=1)
+    write_json(home / _STATE, [asdict(service) for service in services.values()], private=True)
 
 
 def start_service(

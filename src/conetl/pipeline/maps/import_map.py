@@ -78,12 +78,13 @@ def import_map(
     started_at = datetime.now(UTC)
     with map_transaction(conn, map_name):
         before = find_map(conn, map_name)
-        own = set() if before is None or imported.founds_ids else _own_rows(conn, before, imported.statements)
-        if len(own) == len(imported.statements):
+        statements = list(imported.statements)  # a reader makes each when it is asked for
+        own = set() if before is None or imported.founds_ids else _own_rows(conn, before, statements)
+        if len(own) == len(statements):
             return ImportResult(None, False, dict.fromkeys(DeltaKind, 0), 0, own=len(own))
-        left = [i for i in range(len(imported.statements)) if i not in own]
+        left = [i for i in range(len(statements)) if i not in own]
         written = None if imported.as_written is None else imported.as_written[left]
-        imported = replace(imported, statements=[imported.statements[i] for i in left], as_written=written)
+        imported = replace(imported, statements=[statements[i] for i in left], as_written=written)
         keys = _keys(imported, params)
         taken = [known for one in keys if (known := find_changeset(conn, one, map_name=map_name)) is not None]
         for known in taken:
