@@ -33,7 +33,9 @@ def test_differences_between_changesets_and_times(conetl, surveyed, tmp_path):
     assert {seen[1][key] - count for key, count in seen[0].items()} == {0, 1}, "without the drive that came later"
     assert conetl("map", "diff", 3, 3).strip() == "From changeset 3 to changeset 3, as known now: no differences."
     of_days = conetl("map", "diff", "2026-03-02", "2026-03-04").splitlines()[0]
-    assert of_days.startswith("From beginning of 2026-03-02 to end of 2026-03-04, as known now: "), "as --help says"
+    assert of_days.startswith("From the beginning of 2026-03-02 to the end of 2026-03-04, as known now: "), (
+        "as --help says"
+    )
     for states in ((2, 3), ("2026-03-04", "2026-03-03")):
         assert "exchange them" in conetl("map", "diff", *states, code=2)
         assert "exchange them" in conetl("map", "picture", tmp_path / "no.png", "--changes", *states, code=2)

@@ -106,7 +106,7 @@ def _shown(state: str, edge: str = "") -> str:
 
 
 def _span(before: str, after: str, word: str = "to") -> str:
-    return f"{_shown(before, 'beginning')} {word} {_shown(after, 'end')}"
+    return f"{_shown(before, 'the beginning')} {word} {_shown(after, 'the end')}"
 
 
 def _is_number(state: str) -> bool:
