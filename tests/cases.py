@@ -9,6 +9,7 @@ import pytest
 
 
 def cases(*always: Any, release: Iterable[Any]) -> list[Any]:
-    """For `pytest.mark.parametrize`; a case of several arguments is a tuple."""
-    later = (one if isinstance(one, tuple) else (one,) for one in release)
-    return [*always, *(pytest.param(*one, marks=pytest.mark.release) for one in later)]
+    """For `pytest.mark.parametrize` and parameters of fixtures; a case of several arguments is a tuple."""
+    made = [(one if isinstance(one, tuple) else (one,), ()) for one in always]
+    made += [(one if isinstance(one, tuple) else (one,), (pytest.mark.release,)) for one in release]
+    return [pytest.param(*one, marks=marks) for one, marks in made]

@@ -103,6 +103,7 @@ PAN = """async () => {
 }"""
 
 
+@pytest.mark.release
 def test_a_moving_picture_is_light_and_at_rest_it_is_whole_again(page, address):
     open_view(page, address)
     page.wait_for_selector("canvas[data-points]:not([data-points='0'])")
@@ -153,6 +154,7 @@ def test_the_preset_of_the_paper_is_one_click_and_a_link(page, address, features
     assert sandy(screenshot(page)) > 1_000
 
 
+@pytest.mark.release
 def test_points_are_lit_by_depth_and_cones_stay_before_them(page, address, features):
     open_view(page, f"{address}#map=default&mode=drive&size=2")
     all_drawn(page)

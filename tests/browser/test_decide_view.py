@@ -117,6 +117,7 @@ def test_a_refusal_leaves_the_buttons_of_the_drive_form_free_and_goes_with_it(pa
     assert status.is_hidden()
 
 
+@pytest.mark.release
 def test_a_stated_class_shows_on_drives_that_were_committed_before(page, conn):
     assert page.locator(".classes").is_hidden()  # cones alone
     decided = decide_location(conn, "classify", the_one(conn, 4), map_name="default", category="drum")
@@ -207,6 +208,7 @@ def test_stored_html_is_text(browser, address, conn, module_database_url, tmp_pa
     tab.close()
 
 
+@pytest.mark.release
 def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: Path):
     """Last in this file: a drive, a base layer that comes and goes, a decision made elsewhere. Prints how long each took."""
     page.evaluate("""() => {

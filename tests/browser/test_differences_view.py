@@ -124,6 +124,7 @@ def test_a_person_judges_and_opens_again(page, address, conn, tmp_path):
     assert page.get_attribute("[data-queue=differences] .badge", "data-count") == "4"
 
 
+@pytest.mark.release
 def test_it_fits_small_screens_without_axe_findings_in_light_and_dark(browser, address, tmp_path):
     for theme in ("light", "dark"):
         for width, height in SIZES:

@@ -96,6 +96,7 @@ def test_a_removed_cone_shows_its_empty_position_and_why(page, address, changed)
     assert page.locator(".panel h2").is_visible(), "Escape closes the images only"
 
 
+@pytest.mark.release
 def test_before_and_after_are_a_swipe_that_keys_move(page, address, changed):
     open_cone(page, address, changed["removed"])
     page.wait_for_selector(".panel-images .pane >> nth=1 >> path.cone.dashed")
@@ -185,6 +186,7 @@ def test_the_maps_camera_follows_the_image_along_the_drive(page, address, change
     page.wait_for_url(lambda url: "follow" not in url)
 
 
+@pytest.mark.release
 def test_the_images_are_zoomed_panned_and_played(page, address, changed):
     open_cone(page, address, changed["moved"])
     page.wait_for_selector(".panel-images .pane img")

@@ -144,6 +144,7 @@ def test_filters_hold_for_map_and_list_and_are_in_the_address(page, address, fea
     page.wait_for_url("**show=removed**")
 
 
+@pytest.mark.release
 def test_classes_have_a_legend_a_filter_and_words(page, address, conn, features):
     def set_category(category: str) -> None:
         with conn, conn.cursor() as cursor:
@@ -175,6 +176,7 @@ def test_classes_have_a_legend_a_filter_and_words(page, address, conn, features)
         set_category("traffic_cone")
 
 
+@pytest.mark.release
 def test_only_in_view_follows_the_camera(page, address, features):
     open_view(page, address, f"#list=changes&feature={features['stays']}")
     page.wait_for_selector(".panel >> text=Evidence")
@@ -189,6 +191,7 @@ def test_only_in_view_follows_the_camera(page, address, features):
     wait_for_rows(page, 4, "changes")
 
 
+@pytest.mark.release
 def test_counts_of_a_drive_open_the_list_of_its_changes(page, address, features):
     open_view(page, address)
     page.click(".drive-text .chip[data-kind=moved]")
@@ -291,6 +294,7 @@ def long_name(conn: Any) -> Iterator[str]:
             yield new
 
 
+@pytest.mark.release
 def test_a_phone_needs_no_sideways_scrolling(browser, address, features, long_name):
     tab = browser.new_page(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True)
     for hash_ in (

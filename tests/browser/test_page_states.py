@@ -24,6 +24,7 @@ from conetl.pipeline.settings import Settings
 from conetl.web.decisions import Writer
 from tests.browser.conftest import page_without_problems
 from tests.browser.test_judge_view import AXE, TOKEN, merge_days
+from tests.cases import cases
 from tests.integration.drives_of_days import survey
 from tests.unit.readers.test_base_layers import geojson, line
 from tests.view_map import serving
@@ -111,6 +112,12 @@ STATES: dict[str, tuple[str, list[Act]]] = {
     "misspelt link": ("map=default&colour=pink&nonsense=1", []),
 }  # fmt: skip
 
+#: In every run of the tests; the others show parts of these.
+OFTEN = (
+    "measure", "download", "decide", "camera follows", "changes, filter", "list and cone", "revert", "removed cone",
+    "full images, compared", "compare, side by side", "review, next", "misspelt link",
+)  # fmt: skip
+
 
 @pytest.fixture(scope="module")
 def address(
@@ -185,7 +192,7 @@ def loaded(page: Any) -> None:
     page.wait_for_timeout(400)
 
 
-@pytest.mark.parametrize("name", STATES)
+@pytest.mark.parametrize("name", cases(*OFTEN, release=[name for name in STATES if name not in OFTEN]))
 def test_a_state_of_the_page_on_every_screen(browser, address, ids, sheets, name):
     fragment, acts = STATES[name]
     at = list(STATES).index(name)

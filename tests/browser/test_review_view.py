@@ -78,6 +78,7 @@ def wait_for_images(page: Any, other_than: str | None = None) -> str:
     return str(page.locator(".review-items [aria-current=true]").inner_text().split("\n")[0])
 
 
+@pytest.mark.release
 def test_it_opens_on_small_screens_and_without_axe_findings(browser, address):
     for width, height in SIZES:
         page = browser.new_page(viewport={"width": width, "height": height})
@@ -100,6 +101,7 @@ def test_it_opens_on_small_screens_and_without_axe_findings(browser, address):
         page.close()
 
 
+@pytest.mark.release
 def test_what_is_skipped_stays_away_and_nothing_is_written_without_a_name(browser, address, conn):
     page = browser.new_page()  # it logs the refusal
     count = open_review(page, address, known=False)

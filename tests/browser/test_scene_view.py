@@ -20,6 +20,7 @@ from conetl.db.connection import connect
 from conetl.web.basemap import base_map
 from tests.browser.conftest import page_without_problems
 from tests.browser.test_view import ADDED, MOVED, click_cone, open_view, pixels_of, screenshot, settle
+from tests.cases import cases
 from tests.pmtiles_file import write_pmtiles
 from tests.view_map import serving
 
@@ -129,6 +130,7 @@ def test_distance_width_and_area_have_the_sigma_of_the_cones(page, address, feat
     )
 
 
+@pytest.mark.release
 def test_the_page_is_dark_if_the_system_is_and_by_a_switch(browser, address):
     tab = browser.new_page(viewport={"width": 1280, "height": 800}, color_scheme="dark")
     open_view(tab, address)
@@ -203,7 +205,7 @@ class _Tiles(BaseHTTPRequestHandler):
         pass
 
 
-@pytest.mark.parametrize("source", ["server", "file"])
+@pytest.mark.parametrize("source", cases("file", release=["server"]))
 def test_a_base_map_lies_where_it_belongs(browser, module_database_url, features, tmp_path: Path, source):
     tiles = ThreadingHTTPServer(("127.0.0.1", 0), _Tiles)
     threading.Thread(target=tiles.serve_forever, daemon=True).start()
@@ -262,6 +264,7 @@ def tile_of(lon_deg: float, lat_deg: float, z: int) -> np.ndarray:
     return 2**z * np.array([(lon_deg + 180) / 360, 0.5 - np.log((1 + sin) / (1 - sin)) / (4 * np.pi)])
 
 
+@pytest.mark.release
 def test_two_thousand_drives_of_years_are_clusters_that_open(page, address):
     """The timeline of the server, with its first drive a thousandfold over six years."""
     count = 2_000
@@ -313,6 +316,7 @@ def test_two_thousand_drives_of_years_are_clusters_that_open(page, address):
     assert sum(int(text or 1) for text in page.locator(".axis .column").all_inner_texts()) < count
 
 
+@pytest.mark.release
 def test_a_mini_map_shows_where_the_view_is(page, address, features):
     open_view(page, f"{address}#map=default&view=plan")
     assert page.locator(".minimap").is_hidden()

@@ -16,6 +16,7 @@ from pydantic import SecretStr
 from conetl.pipeline.settings import Settings
 from conetl.web.decisions import Writer
 from tests.browser.test_view import click_cone, open_view, settle
+from tests.cases import cases
 from tests.view_map import serving
 
 
@@ -113,7 +114,7 @@ def test_no_other_host_and_no_other_page_is_framed(browser, address, intranet):
     tab.close()
 
 
-@pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
+@pytest.mark.parametrize("size", cases(((390, 844),), release=[((1280, 800),)]))
 def test_sharing_help_and_theme_are_at_hand_on_every_screen(browser, address, size):
     tab = browser.new_page(viewport={"width": size[0], "height": size[1]})
     open_view(tab, address)

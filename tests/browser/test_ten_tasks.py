@@ -19,13 +19,14 @@ from conetl.pipeline.settings import Settings
 from conetl.web.decisions import Writer
 from tests.browser.conftest import page_without_problems
 from tests.browser.test_judge_view import TOKEN, merge_days
+from tests.cases import cases
 from tests.view_map import serving
 
 MOST = 4
 SIZES = {"desk": (1280, 800), "wide": (1720, 900), "phone": (390, 844)}
 
 
-@pytest.fixture(scope="module", params=SIZES)
+@pytest.fixture(scope="module", params=cases("desk", "phone", release=["wide"]))
 def size(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 

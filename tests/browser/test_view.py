@@ -109,6 +109,7 @@ def test_the_first_view_shows_each_kind(page, address):
     assert page.locator(".label").inner_text() == "1.50 m"
 
 
+@pytest.mark.release
 def test_the_slider_changes_the_drive(page, address):
     open_view(page, address)
     second = screenshot(page)
@@ -207,6 +208,7 @@ def test_a_link_restores_the_view(page, address, features, browser):
     again.close()
 
 
+@pytest.mark.release
 def test_a_choice_is_in_the_address_before_the_next_thing_happens(page, address, features):
     """In the same turn of the page's own loop, whatever moved just before; what keeps moving is written when it rests."""
     open_view(page, address)
@@ -279,6 +281,7 @@ def test_a_new_changeset_appears_without_a_reload(page, address, conn, samples, 
     assert page.locator(".panel .why").inner_text().startswith(why)
 
 
+@pytest.mark.release
 def test_high_contrast_shows_what_is_pressed_and_the_bars(page, address):
     """The system's high contrast gives all elements of a kind one background, unless a style says otherwise."""
     page.emulate_media(forced_colors="active")

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.pipeline.settings import Settings
+from tests.cases import cases
 from tests.folders import SAMPLES
 from tests.honest.drives import outcome_of, rng_of
 from tests.honest.logs import PARAMS, SHAPES, Floats, LogShape, Times, recorded_poses
@@ -17,7 +18,11 @@ from tests.honest.outcomes import Outcome, pooled
 from tests.honest.recordings import outcome_of as with_images
 from tests.honest.recordings import sample
 
-WITH_IMAGES = ("constant", "white", "saw-tooth of 1 s", "rounded to 1e-7 degrees", "attitudes white")
+EVERY_CHANGE = ("constant", "white", "saw-tooth of 1 s", "attitudes white", "heading only", "positions at 1 Hz, slow")
+WITH_IMAGES = ("saw-tooth of 1 s", "constant", "white", "rounded to 1e-7 degrees", "attitudes white")
+NAMED = {shape.name: shape for shape in SHAPES}
+OFTEN = cases(*(NAMED[name] for name in EVERY_CHANGE), release=[one for one in SHAPES if one.name not in EVERY_CHANGE])
+SEEN = cases(NAMED[WITH_IMAGES[0]], release=[NAMED[name] for name in WITH_IMAGES[1:]])
 _DRIVES = 2
 #: For all that images show, an error that fluctuates has a mean as large as its changes: of one that has none, sigmas are large.
 _LEAST_NEES = 0.3
@@ -33,19 +38,19 @@ def some(shape: LogShape) -> list[Outcome]:
     return [outcome_of(seed, shape, shape.strengths_m[seed % len(shape.strengths_m)]) for seed in range(_DRIVES)]
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.name)
+@pytest.mark.parametrize("shape", OFTEN, ids=lambda shape: shape.name)
 def test_drives_with_errors_as_stated_are_not_held(shape: LogShape) -> None:
     assert [one.held for one in some(shape) if one.held is not None] == []
 
 
-@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.name)
+@pytest.mark.parametrize("shape", OFTEN, ids=lambda shape: shape.name)
 def test_cones_are_as_accurate_as_stated(shape: LogShape) -> None:
     """Not less, and not much more."""
     nees = pooled("absolute", some(shape))
     assert nees.value < nees.band(0.999)[1] and nees.per_dof > _LEAST_NEES, nees.per_dof
 
 
-@pytest.mark.parametrize("shape", [one for one in SHAPES if one.name in WITH_IMAGES], ids=lambda shape: shape.name)
+@pytest.mark.parametrize("shape", SEEN, ids=lambda shape: shape.name)
 def test_recordings_with_errors_as_stated_are_not_held(sample_settings: Settings, shape: LogShape) -> None:
     """A sample drive, whose images are searched once. Beside a log of large errors the images alone show how cones lie."""
     sigma_m = min(shape.strengths_m, key=lambda one: abs(one - 0.3))

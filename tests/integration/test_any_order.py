@@ -148,6 +148,7 @@ def changes_of(conn, map_name):
     return [found[one.drive_uuid] for one in drives]
 
 
+@pytest.mark.release
 def test_a_marking_removed_one_moved_and_a_sign_set_up_are_exactly_these_changes_in_every_order(conn):
     maps = []
     for order in permutations(range(3)):

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tests.cases import cases
 from tests.chromium import CHROMIUM
 from tests.command import conetl
 from tests.folders import ROOT, SAMPLE, SHARED
@@ -119,12 +120,17 @@ TINY = {
     "watch": Tiny("{sample} --rate 5 --frames 6", lambda f: 1 <= f["watch"]["frame_pairs"] <= 6),
 }
 
+#: They take most of the time of all, and what they run has tests of its own.
+LONG = (
+    "alike", "calibration", "detect", "fleet", "ingest", "mutants", "overhead", "recordings", "view", "watch",
+)  # fmt: skip
+
 
 def test_every_benchmark_is_here() -> None:
     assert {path.stem.removeprefix("bench_") for path in (ROOT / "benchmarks").glob("bench_*.py")} == set(TINY)
 
 
-@pytest.mark.parametrize("name", TINY)
+@pytest.mark.parametrize("name", cases(*(name for name in TINY if name not in LONG), release=LONG))
 def test_a_benchmark_gives_plausible_figures(name: str, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     tiny = TINY[name]
     if tiny.skipped:

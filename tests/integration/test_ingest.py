@@ -292,6 +292,7 @@ def test_a_corrected_delivery_waits_until_the_first_is_taken_back(desk: Desk, sm
     desk.ask("db", "audit")
 
 
+@pytest.mark.release
 def test_images_that_are_on_the_map_with_another_log_are_refused(desk: Desk, small_drive: Path) -> None:
     """Of another GNSS, 0.8 m off by its log, dated and recompressed: what they show is in the same pixels."""
     desk.ingest(small_drive)
@@ -374,6 +375,7 @@ def test_bad_input_is_named_and_writes_nothing(
     assert not any(desk.final_tables().values())
 
 
+@pytest.mark.release
 def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, keyless: Path, small_drive: Path, tmp_path: Path) -> None:
     bad = tmp_path / "bad"
     bad.mkdir()
@@ -388,6 +390,7 @@ def test_a_bad_drive_does_not_hold_up_the_others(desk: Desk, keyless: Path, smal
     assert report["params_sha256"] == params_sha256(IngestParams.model_validate(options))
 
 
+@pytest.mark.release
 def test_kill_9_and_again_gives_the_tables_of_one_clean_run(
     desk: Desk, module_database_url: str, database_url: str, tmp_path: Path
 ) -> None:
@@ -499,6 +502,7 @@ def every_other_pair(folder: Path, first: int, *, days: int = 0, east_m: float =
     return folder
 
 
+@pytest.mark.release
 @pytest.mark.skipif(
     not KITTI.is_dir(), reason=f"{KITTI} is not there: the real street is tested where the shared data lie"
 )

@@ -142,7 +142,7 @@ def boxes(draw):
     return name, (around(west), south, around(east_edge), north_edge), draw(st.sampled_from([None, 0, 1, 2, 3]))
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @example(("town", (8.36, 48.93, 8.84, 49.27), None), 10, 0)
 @example(("town", (8.36, 48.93, 8.84, 49.27), 2), 1000, 0)
 @example(("edge_of_zone", (11.43, 48.93, 11.97, 49.27), 0), 1000, 0)
@@ -179,7 +179,7 @@ def test_most_of_a_large_box_needs_no_degrees(maps, name):
     assert (inner[2] - inner[0]) * (inner[3] - inner[1]) > 0.55 * (near[2] - near[0]) * (near[3] - near[1])
 
 
-@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(asked=boxes())
 def test_an_inner_box_lies_in_the_box_in_degrees(maps, asked):
     name, (west, south, east, north), _ = asked

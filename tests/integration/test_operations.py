@@ -254,6 +254,7 @@ def test_a_backfill_survives_a_killed_worker_and_a_poisoned_drive(desk: Desk, tm
     assert sorted(kept) == [f"2026-04-{n:02d}{SMALL}" for n in (1, 2, 3)]
 
 
+@pytest.mark.release
 def test_a_run_that_prefect_says_crashed_is_started_again(desk: Desk, tmp_path: Path) -> None:
     """Prefect crashes a run whose lease it lost, and never starts it again."""
     shutil.copytree(
@@ -339,6 +340,7 @@ def _old_enough(desk: Desk, run_id: str) -> bool:
     return float(desk.get(f"/flow_runs/{run_id}")["estimated_run_time"]) > 31
 
 
+@pytest.mark.release
 def test_a_backfill_without_postgresql_ends_with_code_3_and_goes_on_later(desk: Desk, tmp_path: Path) -> None:
     """PostgreSQL is killed while a worker has a drive, so Prefect loses its database as well."""
     cut_drive(SAMPLES[1], tmp_path / "2026-05-01_cut", "2026-05-01")
@@ -385,6 +387,7 @@ def test_every_changeset_is_an_event(desk: Desk) -> None:
     assert {"conetl.added", "conetl.removed", "conetl.map"} <= set(events[0]["resource"])
 
 
+@pytest.mark.release
 def test_a_folder_that_is_no_drive_notifies_a_person_once(desk: Desk) -> None:
     """The drop folder's run fails, and Prefect sends what the automation says with the block of the operator."""
     told: SimpleQueue[dict[str, Any]] = SimpleQueue()

@@ -86,6 +86,7 @@ finally:
 """
 
 
+@pytest.mark.release
 def test_an_ingest_opens_each_image_once_and_few_connections(
     tmp_path: Path, conn: object, database_url: str, prefect: dict[str, str]
 ) -> None:

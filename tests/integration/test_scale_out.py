@@ -199,6 +199,7 @@ def kill_one(address: str, processes: dict[str, subprocess.Popen[bytes]], result
     raise AssertionError("no worker was seen at work")
 
 
+@pytest.mark.release
 def test_a_drive_in_object_storage_makes_the_same_map_even_if_a_worker_of_dask_dies(
     prefect_here: Path, chunks: list[Chunk], database_url: str, storage: str, tmp_path: Path
 ) -> None:

@@ -27,7 +27,7 @@ def closures(cluster_url, template_database):
             yield conn, client
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_any_tile_has_what_the_database_has(closures, data):
     conn, client = closures

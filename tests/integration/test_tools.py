@@ -127,6 +127,7 @@ def test_figures_plots_and_page(drive: Path, home: Path, tmp_path: Path) -> None
     assert not (home / "postgres").exists()
 
 
+@pytest.mark.release
 def test_cones_outside_of_a_partial_survey_are_not_false(drive: Path, home: Path, tmp_path: Path) -> None:
     surveyed = tmp_path / "truth.csv"
     surveyed.write_text("\n".join((SAMPLE / "truth.csv").read_text().splitlines()[:3]) + "\n")
@@ -139,6 +140,7 @@ def test_cones_outside_of_a_partial_survey_are_not_false(drive: Path, home: Path
     assert said in (tmp_path / "out" / "index.html").read_text()
 
 
+@pytest.mark.release
 def test_two_drives_are_judged_together(drive: Path, home: Path, tmp_path: Path) -> None:
     """Each by its own truth.csv; the second are six frame pairs of the same road."""
     second = piece(tmp_path / "second", range(22, 28))

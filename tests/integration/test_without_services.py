@@ -324,6 +324,7 @@ def test_what_was_is_pending_is_published_without_the_drive(
     assert len(events) == 4
 
 
+@pytest.mark.release
 def test_what_could_not_be_published_is_said_and_told_by_a_later_run(
     tmp_path: Path,
     prefect_here: Path,
@@ -367,6 +368,7 @@ def test_what_could_not_be_published_is_said_and_told_by_a_later_run(
     assert list((home / "exports" / "reports").rglob("*.html"))
 
 
+@pytest.mark.release
 @pytest.mark.usefixtures("prefect_here")
 def test_a_map_that_is_renamed_during_a_backfill_is_not_made_anew(
     tmp_path: Path, conn: Any, database_url: str, monkeypatch: pytest.MonkeyPatch

@@ -63,6 +63,7 @@ def _band(size: int) -> tuple[float, float]:
     return tuple(chi2.ppf((0.025, 0.975), size * RUNS) / (size * RUNS))
 
 
+@pytest.mark.release
 def test_nees_of_the_rig_lies_in_its_chi_square_band() -> None:
     own, _ = _runs(0.0)
     size = 18

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import pytest
+
 from conetl.perception.model_card import read_model_card
 from tests.synthetic.changing_road import simulate
 
 
+@pytest.mark.release
 def test_changes_of_some_days_are_told_rightly() -> None:
     evidence = read_model_card(None).evidence
     assert evidence is not None

@@ -11,6 +11,7 @@ from conetl.geometry import pose as se3
 from conetl.model.params import TrajectoryParams
 from conetl.tracking.clock import ClockOffset, estimate_clock
 from conetl.tracking.trajectory import measured_motions, read_log
+from tests.cases import cases
 from tests.synthetic.odometry import STEP_S, log_of, motions_of
 from tests.synthetic.world import ORIGIN_M, make_rig
 
@@ -44,7 +45,7 @@ def estimated(seed: int, offset_s: float, sigma_m: float, *, straight: bool = Fa
     return estimate_clock(log, read_log(log, RIG, PARAMS), measured_motions(log, motions, PARAMS))
 
 
-@pytest.mark.parametrize("sigma_m", [0.02, 0.4])
+@pytest.mark.parametrize("sigma_m", cases(0.4, release=[0.02]))
 def test_an_offset_is_found_with_an_honest_sigma(sigma_m: float) -> None:
     offsets = np.random.default_rng(7).uniform(-0.2, 0.2, 40)
     found = [estimated(seed, float(offset), sigma_m) for seed, offset in enumerate(offsets)]

@@ -12,6 +12,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.pose import to_pose
 from conetl.model.health import hold_reason
 from conetl.tracking.trajectory import RefinementOutcome
+from tests.cases import cases
 from tests.synthetic.good_drives import checked, clock_of, draw_drive, failed
 
 
@@ -32,7 +33,8 @@ def test_a_part_of_a_drive_whose_images_cannot_be_followed_is_held() -> None:
 
 
 @pytest.mark.parametrize(
-    ("roll_deg", "ahead_m", "found"), [(3.0, 0.0, "rolled by -3."), (0.0, 2.0, "mounted by -1.9"), (0.0, 0.0, None)]
+    ("roll_deg", "ahead_m", "found"),
+    cases((3.0, 0.0, "rolled by -3."), (0.0, 0.0, None), release=[(0.0, 2.0, "mounted by -1.9")]),
 )
 def test_turns_show_a_wrong_mount_of_the_cameras(roll_deg: float, ahead_m: float, found: str | None) -> None:
     """Poses of a body that is rolled, or farther ahead, are not those of the body that the calibration means."""
@@ -47,6 +49,7 @@ def test_turns_show_a_wrong_mount_of_the_cameras(roll_deg: float, ahead_m: float
     assert reason is None if found is None else found in str(reason)
 
 
+@pytest.mark.release
 def test_motions_that_only_the_stated_heading_errors_turn_are_kept() -> None:
     """A heading that is off by half a degree, as stated, turns every measured motion to the side, by far more than its noise."""
     for seed in (135, 193):
@@ -54,6 +57,7 @@ def test_motions_that_only_the_stated_heading_errors_turn_are_kept() -> None:
         assert "0 rejected" in checked(drive)[0].detail
 
 
+@pytest.mark.release
 def test_the_sigma_of_the_clock_counts_noisy_attitudes_and_gaps() -> None:
     """Noise of the log makes its slopes steep: they must not count as turns that tell the offset."""
     z2 = []

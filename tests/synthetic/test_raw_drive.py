@@ -119,6 +119,7 @@ def positions(drive: Drive) -> list[Position]:
     return locate_positions(matches, pairs, drive.rig, params.position)[0]
 
 
+@pytest.mark.release
 def test_near_cones_stand_where_the_rectified_drive_puts_them(raw_drive: Path) -> None:
     taken, original = read_drive(raw_drive)[0], read_drive(SAMPLE)[0]
     assert taken.rig.rectified_from is not None and original.rig.rectified_from is None

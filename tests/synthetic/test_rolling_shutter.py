@@ -41,7 +41,7 @@ def test_a_stated_readout_costs_no_accuracy(left_ms: float, right_ms: float, wit
 
 
 @pytest.mark.parametrize(
-    ("readout_s", "stamp_share"), cases((0.0, 0.0), (0.01, 0.5), release=[(0.01, 0.0), (0.02, 0.0)])
+    ("readout_s", "stamp_share"), cases((0.01, 0.5), release=[(0.0, 0.0), (0.01, 0.0), (0.02, 0.0)])
 )
 def test_a_readout_that_is_not_stated_is_estimated(readout_s: float, stamp_share: float) -> None:
     drives = [analysed(seed, Readout(readout_s, readout_s, stamp_share), OF_VIDEO) for seed in SEEDS]

@@ -28,13 +28,14 @@ from conetl.tracking.checks.poses import check_trajectory
 from conetl.tracking.clock_search import find_clock_offset, rates_of
 from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.trajectory import RefinementOutcome, log_errors, refine_trajectory
+from tests.cases import cases
 from tests.integration.small_drives import SAMPLES
 from tests.synthetic.good_drives import PARAMS, RIG
 from tests.synthetic.odometry import motions_of, pose_errors
 from tests.synthetic.sparse_drive import record
 
 
-@pytest.mark.parametrize(("sigma_m", "most_m"), [(0.02, 0.1), (0.4, 1.0)])
+@pytest.mark.parametrize(("sigma_m", "most_m"), cases((0.4, 1.0), release=[(0.02, 0.1)]))
 def test_refined_poses_of_1_hz_positions_are_honest(sigma_m: float, most_m: float) -> None:
     runs, positions, attitudes, rms_m = 4, [], [], []
     for seed in range(runs):
@@ -51,6 +52,7 @@ def test_refined_poses_of_1_hz_positions_are_honest(sigma_m: float, most_m: floa
     assert np.median(rms_m) < most_m
 
 
+@pytest.mark.release
 def test_the_heading_of_a_few_scattering_positions_is_honest() -> None:
     """Four seconds: an adjusted heading lies nearer to four records than the vehicle's does."""
     runs, squares = 60, 0.0
@@ -87,7 +89,7 @@ def test_odometry_that_turns_alike_in_all_intervals_is_honest(rad_per_m: float) 
     assert (error[last, 3] - error[first, 3]) ** 2 < chi2.ppf(0.95, 1) * variance
 
 
-@pytest.mark.parametrize(("number", "scatter_m"), [(1, 0.02), (3, 0.3)])
+@pytest.mark.parametrize(("number", "scatter_m"), cases((3, 0.3), release=[(1, 0.02)]))
 def test_a_sample_drive_by_positions_alone_states_true_sigmas(
     sample_settings: Settings, number: int, scatter_m: float
 ) -> None:
@@ -176,6 +178,7 @@ def test_the_offset_is_found_with_positions_of_0_4_m() -> None:
     assert np.median([abs(one.offset_s - 5.0) for one in found if one is not None]) < 0.016 and None not in found
 
 
+@pytest.mark.release
 def test_attitudes_show_the_offset_to_10_ms_before_the_analysis() -> None:
     """Positions of 0.4 m: heading and speed alone leave up to 17 ms in these drives."""
     errors_s, sigmas_s = [], []
@@ -212,7 +215,7 @@ def test_what_is_left_of_the_offset_is_found_with_the_poses() -> None:
     assert sum(nees) < chi2.ppf(0.999, 9)
 
 
-@pytest.mark.parametrize("sigma_m", [0.02, 0.4])
+@pytest.mark.parametrize("sigma_m", cases(0.02, release=[0.4]))
 def test_a_vehicle_that_reverses_is_held(sigma_m: float) -> None:
     """Its course is opposite to its heading, which positions do not show."""
     drive = record(2, sigma_m=sigma_m)

@@ -44,7 +44,7 @@ def shifted(motion: RelativeMotion, shift_m: float) -> RelativeMotion:
 
 def test_absolute_and_relative_covariance_are_honest() -> None:
     """NEES of poses and of motions over 30 frames: both sides of the band, so that doubled or halved sigmas fail."""
-    runs, absolute, relative = 40, [], []
+    runs, absolute, relative = 24, [], []
     for seed in range(runs):
         truth, log, motions = drive(seed)
         result = refine_trajectory(log, RIG, motions, PARAMS)

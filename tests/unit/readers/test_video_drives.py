@@ -130,6 +130,7 @@ def test_videos_give_the_same_drive(name: str, tmp_path: Path, sample: Drive) ->
     assert _middle_pair(drive)[0] == COUNT // 2, "a pair that inspect shows"
 
 
+@pytest.mark.release
 def test_cones_are_where_those_of_the_images_are(whole: Drive, sample_settings: Settings, tmp_path: Path) -> None:
     """Of two files; frames of one file with both images are the same ones."""
     drive = whole.model_copy(update={"frame_pairs": whole.frame_pairs[10:34]})

@@ -134,7 +134,7 @@ def essence(found):
     return {(f.rule, f.level, frozenset(f.feature_ids)) for f in found}
 
 
-@settings(max_examples=12)
+@settings(max_examples=4)
 @given(
     seed=st.integers(0, 40),
     fault=st.sampled_from(("missing", "spacing", "in lane")),
@@ -149,7 +149,7 @@ def test_findings_do_not_depend_on_where_the_road_lies_and_turns(seed, fault, an
     assert [f.value for f in after] == pytest.approx([f.value for f in before], abs=1e-5)
 
 
-@settings(max_examples=8)
+@settings(max_examples=4)
 @given(seed=st.integers(0, 40), fault=st.sampled_from(("missing", "spacing", "in lane")))
 def test_gaps_and_strays_are_the_same_seen_from_the_other_direction(seed, fault):
     made = closure(seed, fault)

@@ -230,7 +230,7 @@ drives_drawn = st.lists(
 )  # fmt: skip
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(plans_drawn, zones_drawn, drives_drawn, st.randoms())
 def test_any_order_gives_the_same_rows(plans, zones, drives, random):
     before = compare(plans, zones, drives, PARAMS, at_ns=ns(14))
@@ -239,7 +239,7 @@ def test_any_order_gives_the_same_rows(plans, zones, drives, random):
     assert compare(plans, zones, drives, PARAMS, at_ns=ns(14)) == before
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(plans_drawn, zones_drawn, drives_drawn)
 def test_every_zone_and_every_plan_has_a_row_and_nothing_is_missing_unseen(plans, zones, drives):
     found = compare(plans, zones, drives, PARAMS, at_ns=ns(14))

@@ -161,7 +161,8 @@ class StatementRows(Sequence[ImportedFeature]):
             try:
                 feature_id = UUID(str(text))
             except ValueError:
-                what = f"feature_id is {shown(text)}, which is not a UUID (--new-ids creates new ones)"
+                said = "empty" if text is None else f"{shown(text)}, which is not a UUID"
+                what = f"feature_id is {said} (--new-ids creates new ones)"
                 return self._fail(index, what)
             if first.setdefault(feature_id, index) != index:
                 return self._fail(index, f"feature_id {feature_id} is in row {first[feature_id] + 1} already")
