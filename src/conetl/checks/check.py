@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 
 from conetl.model.health import Verdict
 
+#: A unit: of values from 0 to 1.
+SHARE = "share"
+
 
 @dataclass(frozen=True)
 class Check:
@@ -37,6 +40,7 @@ class Check:
     treated: str = ""
     """What is corrected, covered or rejected below the limit, in words."""
     unit: str = ""
+    """Of values and limits; those of a share are shown in %."""
     expected: float = 0.0
     """The value of a perfect recording."""
     is_smallest: bool = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conetl.checks.check import Check
+from conetl.checks.check import SHARE, Check
 from conetl.model.health import CALIBRATION, Verdict
 
 _NOT_SHOWN = "The images do not show enough for this check."
@@ -11,7 +11,7 @@ _RECORDER = "Check the recorder for buffers that are overwritten while they are 
 CHECKS = (
     Check(
         name="images that can be decoded", measured="share of five pairs of which an image cannot be decoded",
-        observable="always", limit="any", follows=Verdict.NOTE, effect="none: such pairs are not used",
+        observable="always", limit="any", follows=Verdict.NOTE, unit=SHARE, effect="none: such pairs are not used",
         messages={"": "An image cannot be decoded in {lost} of {tried} frame pairs that were tried, frame pairs "
                       "{frames}. Such frame pairs are not used."},
         passed="The images can be decoded.", remedy="Copy the recording again.",
@@ -20,7 +20,7 @@ CHECKS = (
         name="covered parts of the lenses",
         measured="share of squares of 32 px without any detail in the lower half of five pairs",
         observable="images that are sharp elsewhere", least="images.max_blank_share",
-        effect="cones there are not found, and would be removed",
+        unit=SHARE, effect="cones there are not found, and would be removed",
         messages={"": "{size:.0%} of the lower half of the {sides} images is blank, although the rest is sharp: the "
                       "lens is covered in part or dazzled, and the drive would remove cones there."},
         passed="No part of a lens is covered.",
@@ -31,7 +31,7 @@ CHECKS = (
         measured="share of squares of 64 px in the lower half of five pairs with little structure finer than 25 px, "
                  "compared with coarser structure and with the other image",
         observable="images with structure", least="images.max_blurred_share", follows=Verdict.NOTE,
-        effect="none: objects in such squares, however few, do not count as gone",
+        unit=SHARE, effect="none: objects in such squares, however few, do not count as gone",
         messages={"": "{size:.0%} of the lower half of the {sides} images is blurred: a lens is smeared or wet. A cone "
                       "that is not found there does not count as gone."},
         passed="The images are sharp in all parts.", remedy="Clean the lens.",
@@ -68,7 +68,7 @@ CHECKS = (
                  "the rest moves; after such an image also those with a seam at that row",
         observable="motion before and after", least="images.max_torn_share",
         treated="torn pairs: rejected (`image_torn`, with file and row)",
-        effect="cones below are wrong by the way driven between two images",
+        unit=SHARE, effect="cones below are wrong by the way driven between two images",
         messages={"": "{torn} of {pairs} frame pairs are torn: below some row an image shows the previous frame, first "
                       "in {record} from about row {row} on. Other images may be torn, too."},
         passed="{torn} of {pairs} frame pairs were torn and are not used.", remedy=_RECORDER,
@@ -77,7 +77,7 @@ CHECKS = (
         name="columns of the right images",
         measured="share of features farther right in the right image than points at infinity",
         observable="at least 50 features on equal rows", least="stereo.max_beyond_share",
-        effect="all distances are wrong, in proportion to their square",
+        unit=SHARE, effect="all distances are wrong, in proportion to their square",
         messages={"": "{value:.0%} of the points lie up to {px:.0f} px farther right in the right image, which is "
                       "impossible even on the horizon: either the right images are shifted sideways, or the calibration "
                       "belongs to another rig."},
@@ -134,7 +134,7 @@ CHECKS = (
                  "row",
         observable="more than 0.3 m driven per interval",
         limit="above {exposures.max_doubled_share:.0%} of the objects, and {exposures.least_doubled_pairs} pairs",
-        effect="each object stands twice",
+        unit=SHARE, effect="each object stands twice",
         messages={"": "{doubled} of {objects} objects form pairs at the distance driven in one interval: each image "
                       "shows two instants, either because the video is interlaced, or because frames were blended "
                       "when the frame rate was converted."},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from conetl.checks.check import Check
+from conetl.checks.check import SHARE, Check
 from conetl.model.health import Verdict
 
 _ENOUGH = "images that show structure"
@@ -43,7 +43,7 @@ CHECKS = (
         measured="share of the intervals between frame pairs that visual odometry measures", observable=_ENOUGH,
         least="odometry.least_measured_share",
         limit="or a run of more than {odometry.max_lost_share:.0%} of the intervals without a measurement",
-        is_smallest=True, effect="poses of another recording: any",
+        is_smallest=True, unit=SHARE, effect="poses of another recording: any",
         messages={
             "": "The images show the motion of the vehicle in only {measured} of {intervals} intervals between frame pairs, "
                 "although they have enough structure.",
@@ -58,7 +58,7 @@ CHECKS = (
         name="visual odometry against GNSS/INS",
         measured="share of the measured motions that contradict the log beyond the errors of both",
         observable="two measured motions", least="odometry.max_contradicting_share",
-        effect="poses of another path: any",
+        unit=SHARE, effect="poses of another path: any",
         messages={
             "": "{rejected} of {motions} measured motions between frame pairs contradict GNSS/INS beyond the errors of both, by "
                 "{metres:.2f} m and {degrees:.2f} degrees in the median.",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from conetl.checks import images, log, map
-from conetl.checks.check import Check
+from conetl.checks.check import SHARE, Check
 from conetl.model.check_params import CheckParams
 from conetl.model.params import IngestParams
 
@@ -31,8 +31,11 @@ def _described(row: Check, params: CheckParams) -> str:
 
 def _beyond(row: Check, params: CheckParams) -> str:
     """Limit and what follows, in words; names of parameters in braces."""
-    unit = f" {row.unit}" if row.unit else ""
-    limit = [f"{'below' if row.is_smallest else 'above'} {params.value(row.least):g}{unit}"] if row.least else []
+    limit = []
+    if row.least:
+        least = params.value(row.least)
+        shown = f"{least:.0%}" if row.unit == SHARE else f"{least:g} {row.unit}".rstrip()
+        limit.append(f"{'below' if row.is_smallest else 'above'} {shown}")
     limit += [row.limit] if row.limit else []
     limit += [f"and {params.value(row.sigmas):g} sigmas"] if row.sigmas else []
     return "; ".join(

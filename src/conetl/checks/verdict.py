@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from conetl.checks.check import Check
+from conetl.checks.check import SHARE, Check
 from conetl.checks.log import COMMON_MESSAGES
 from conetl.checks.table import TABLE
 from conetl.model.check_params import CheckParams
@@ -30,9 +30,9 @@ def judge(finding: Finding, params: CheckParams = _DEFAULT) -> HealthCheck:
     if verdict is not Verdict.PASS:
         says = [name for name in finding.says if name != "covered" or verdict is Verdict.WIDENED]
         messages = [*(row.messages.get(name) or COMMON_MESSAGES[name] for name in says), row.remedy]
-    value, sigma, limit = (_rounded(figure) for figure in (finding.value, finding.sigma, limit))
+    value, sigma, limit = (_shown(figure, row) for figure in (finding.value, finding.sigma, limit))
     return HealthCheck(
-        name=row.name, verdict=verdict, value=value, sigma=sigma, limit=limit, unit=row.unit,
+        name=row.name, verdict=verdict, value=value, sigma=sigma, limit=limit, unit="%" if row.unit == SHARE else row.unit,
         detail=" ".join(filter(None, messages)).format_map(_facts(finding)),
     )  # fmt: skip
 
@@ -70,9 +70,9 @@ def _follows(finding: Finding, row: Check) -> Verdict:
     return next((row.follows_from[name] for name in finding.says if name in row.follows_from), row.follows)
 
 
-def _rounded(figure: float | None) -> float | None:
+def _shown(figure: float | None, row: Check) -> float | None:
     """To four digits, so that a repeated computation gives the same."""
-    return None if figure is None else float(f"{figure:.4g}")
+    return None if figure is None else float(f"{figure * (100 if row.unit == SHARE else 1):.4g}")
 
 
 def _facts(finding: Finding) -> Mapping[str, object]:
