@@ -14,6 +14,7 @@ from conetl.model.work_zone_records import DrivePath, LaneLine, Level, Rule
 from conetl.workzones import layout_check
 from conetl.workzones.layout_check import FOOT_M, MILE_KM
 from conetl.workzones.zone_layout import describe, layout_of
+from tests.cases import cases
 from tests.synthetic.tapers import LANE_M, Closure, closure, cone, zone_of
 
 RULES, PARAMS = layout_check.layout_rules(), WorkZoneParams()
@@ -35,9 +36,11 @@ def is_the_fault(finding, made: Closure) -> bool:
     return made.fault == "short taper" and finding.rule == Rule.TAPER_LENGTH
 
 
-def test_every_fault_of_100_tapers_is_found_without_a_false_alarm():
-    """Each with a missing cone, a wide gap or a cone in the lane; and 40 with a short taper or no fault. Sigma 0.1 m."""
-    made_up = [(seed, FAULTS[seed % 3]) for seed in range(100)] + [(seed, FAULTS[3 + seed % 2]) for seed in range(40)]
+@pytest.mark.parametrize("count", cases(30, release=[100]))
+def test_every_fault_of_tapers_is_found_without_a_false_alarm(count):
+    """Each with a missing cone, a wide gap or a cone in the lane; and others with a short taper or no fault. Sigma 0.1 m."""
+    made_up = [(seed, FAULTS[seed % 3]) for seed in range(count)]
+    made_up += [(seed, FAULTS[3 + seed % 2]) for seed in range(2 * count // 5)]
     for seed, fault in made_up:
         made = closure(seed, fault, sigma_m=0.1)
         layout, found = findings(made)

@@ -261,6 +261,7 @@ def test_every_zone_and_every_plan_has_a_row_and_nothing_is_missing_unseen(plans
             assert row.coverage >= PARAMS.least_coverage
 
 
+@pytest.mark.release
 def test_a_small_city_of_permits():
     result = score(len(CASES) * 2, 30, seed=1)
     assert result.rows > len(CASES) * 2 and result.not_looked_called_not_found == 0
