@@ -154,7 +154,9 @@ def test_no_secret_and_nothing_half_written(surveyed, tmp_path):
     assert float(re.search(r'([\d.]+) \* "sigma_m"', text)[1]) == pytest.approx(
         2 * np.sqrt(chi2.ppf(0.95, 2)), abs=1e-3
     )
-    [last] = execute(surveyed, "select max(last_seen_ns) as ns from conetl.feature_version where upper_inf(system_period)")
+    [last] = execute(
+        surveyed, "select max(last_seen_ns) as ns from conetl.feature_version where upper_inf(system_period)"
+    )
     assert f"<end>{_iso(utc_from_ns(last['ns']))}</end>" in text
     assert "user='anna'" in text
     assert f"dbname='{address(surveyed)['dbname']}'" in text

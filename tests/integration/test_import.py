@@ -202,8 +202,8 @@ def test_an_import_saw_no_cone(conn, surveyed):
     assert {v.feature.seen_count for v in shown} == {0}
     merge(conn, survey(2))
     assert {feature.seen_count for feature in read_current_features(conn)} == {1}
-    untold, drive = pending_changesets(conn, map_name="default", quiet=timedelta(0)), list_changesets(conn)[0]
-    assert untold == [drive.changeset_id], "events are of drives alone"
+    pending, drive = pending_changesets(conn, map_name="default", quiet=timedelta(0)), list_changesets(conn)[0]
+    assert pending == [drive.changeset_id], "events are of drives alone"
 
 
 @pytest.mark.parametrize("name", ["object_height", "height"])

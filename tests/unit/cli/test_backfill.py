@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -32,7 +33,9 @@ def test_a_retry_is_advised_only_where_it_can_help(
 ) -> None:
     begun = new_receipt(read_header(tmp_path), Settings(), "0" * 64, uuid4(), None)
     plan: Any = SimpleNamespace(map_name="default")
-    standing = Standing(plan, 1, "here", 0.0, [], [failed_receipt(begun, error) for error in errors])
+    stored = [replace(begun, state=state) for state in ("committed", "held", "known")]
+    standing = Standing(plan, 1, "here", 0.0, [], [*stored, *(failed_receipt(begun, error) for error in errors)])
+    assert (len(standing.failed), standing.done) == (len(errors), len(stored))
     _print_summary(standing)
     said = capsys.readouterr().out
     assert _exit_code(standing) == code
