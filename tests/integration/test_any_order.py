@@ -318,6 +318,11 @@ def test_of_two_deliveries_only_the_later_one_counts_whatever_releases_them(conn
     [first_revert] = [d for d in list_decisions(conn) if d.kind == "revert"]
     revert(conn, str(first_revert.decision_id), map_name="default")
     assert counting(conn) == [1, 3] and world.valid_time_map(conn) == before
+    conn.commit()
+    world.merge(conn, first._replace(drive=first.drive.model_copy(update={"content_sha256": "cd" * 32})))
+    conn.commit()
+    reverted = revert(conn, "2", map_name="default")
+    assert revert(conn, str(reverted.decision_id), map_name="default").replaced_by == 4, "by the newest one"
     assert world.failed_audits(conn) == []
 
 

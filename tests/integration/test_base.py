@@ -68,6 +68,8 @@ def test_points_come_back_as_tiles_and_again_changes_nothing(world):
     again = world.run("import", path, "--json").json[0]
     assert again["unchanged"] and again["kept"] == done["kept"]
     assert world.rows("select source_id, imported_at from conetl.base_source") == before
+    raised = world.run("import", path, "--height-offset", "1", "--json").json[0]
+    assert not raised["unchanged"] and len(world.rows("select from conetl.base_source")) == 1
     write_las(path, 500)  # the file changed: it takes the place of its earlier state
     world.run("import", path, "--json")
     assert [row["read_count"] for row in world.rows("select read_count from conetl.base_source")] == [500]

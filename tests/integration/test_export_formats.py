@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import math
 import re
 import sqlite3
 from contextlib import closing
@@ -31,6 +32,7 @@ from conetl.db.map.results import MapInstant
 from conetl.exports import FORMATS, text_files
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportContent, ExportRequest
+from conetl.exports.text_files import iso_utc
 from conetl.model.errors import InputError
 from conetl.model.params import ImportParams
 from conetl.pipeline.nightly_publication import write_publication
@@ -224,6 +226,27 @@ def test_the_scene_in_mcap(conn, files):
     assert len(colours) >= 2  # some are new, some confirmed
 
 
+def test_moves_are_arrows_to_the_new_position_in_mcap(conn, tmp_path):
+    asked = ExportRequest(what=ExportContent.CHANGES, since=NOON[0], until=NOON[1])
+    for name in ("mcap", "geoparquet"):
+        export_map(conn, tmp_path / f"changes.{name}", name, asked)
+    [(log_time, value)] = [(at, value) for topic, at, value in scene(tmp_path / "changes.mcap") if topic == "/cones"]
+    assert log_time == microseconds(NOON[1]) * 1000
+    rows = geopandas.read_parquet(tmp_path / "changes.geoparquet").set_index("feature_id")
+    moved = rows[rows["change"] == "moved"]
+    arrows = {
+        entity["id"]: (entity["arrows"], entity["cylinders"][0]) for entity in value["entities"] if entity["arrows"]
+    }
+    assert arrows.keys() == set(moved.index) != set()
+    for feature_id, ([arrow], cone) in arrows.items():
+        row, start, turn = moved.loc[feature_id], arrow["pose"]["position"], arrow["pose"]["orientation"]
+        length_m, heading = arrow["shaft_length"] + arrow["head_length"], 2 * math.atan2(turn["z"], turn["w"])
+        end = (start["x"] + length_m * math.cos(heading), start["y"] + length_m * math.sin(heading))
+        assert end == pytest.approx([cone["pose"]["position"][axis] for axis in "xy"], abs=1e-6)
+        old_m = (row["old_easting_m"], row["old_northing_m"])
+        assert length_m == pytest.approx(math.dist(old_m, (row.geometry.x, row.geometry.y)), abs=1e-6)
+
+
 def test_a_history_plays_in_mcap(conn, files):
     """At the end the scene equals the current map."""
     standing = {}
@@ -294,6 +317,7 @@ def test_an_earlier_database_state_can_be_exported(conn, tmp_path):
     conn.rollback()
     manifest = export_map(conn, tmp_path / "old.parquet", "geoparquet", ExportRequest(known_at=first["at"]))
     assert manifest["rows"] == len(list(read_features_as_of(conn, known_at=first["at"]))) != 0
+    assert (manifest["known_at"], manifest["as_of"]) == (iso_utc(first["at"]), None)
     conn.rollback()
     history = ExportRequest(what=ExportContent.HISTORY, known_at=first["at"])
     assert export_map(conn, tmp_path / "h.csv", "csv", history)["rows"] == manifest["rows"]
@@ -349,6 +373,7 @@ def test_a_publication_is_whole_or_not_at_all(conn, tmp_path, monkeypatch):
     assert json.loads((latest / "publication.json").read_text())["report"] == "report.html"
     assert_loads_nothing((latest / "report.html").read_text())
     assert [m["rows"] for m in manifests] == [manifests[0]["rows"]] * 2
+    assert [m["known_at"] for m in manifests] == [iso_utc(info.last_committed_at)] * 2, "one state of the map"
     monkeypatch.setattr(text_files, "write_features", lambda source, path: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_publication(conn, info, ["geoparquet", "geojson"], tmp_path)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import re
 import subprocess
 import zipfile
 from datetime import datetime
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from pyproj import Transformer
+from scipy.stats import chi2
 
 from conetl.db.connection import address, execute
 from conetl.db.map.map_store import read_current_features
@@ -149,6 +151,13 @@ def test_no_secret_and_nothing_half_written(surveyed, tmp_path):
     write_qgis_project(surveyed, path, map_name="default", user="anna")
     text = unescape(zipfile.ZipFile(path).read("cones.qgs").decode())
     assert "password" not in text
+    assert float(re.search(r'([\d.]+) \* "sigma_m"', text)[1]) == pytest.approx(
+        2 * np.sqrt(chi2.ppf(0.95, 2)), abs=1e-3
+    )
+    [last] = execute(
+        surveyed, "select max(last_seen_ns) as ns from conetl.feature_version where upper_inf(system_period)"
+    )
+    assert f"<end>{_iso(utc_from_ns(last['ns']))}</end>" in text
     assert "user='anna'" in text
     assert f"dbname='{address(surveyed)['dbname']}'" in text
     with pytest.raises(InputError, match=r"\.qgz or \.qgs"):

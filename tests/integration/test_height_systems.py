@@ -8,15 +8,19 @@ import re
 import struct
 import xml.etree.ElementTree as ET
 
+import geopandas
 import numpy as np
 import pyogrio
 import pyproj
 import pytest
+import shapely
 from pyproj import Transformer
 
 from conetl.db.connection import execute
 from conetl.db.map.map_store import read_current_features
 from conetl.exports import FORMATS
+from conetl.exports.export import export_map
+from conetl.exports.source import ExportRequest
 from conetl.geometry import geodesy
 from conetl.model.columns import BY_NAME, as_markdown
 from conetl.readers.surveyed_points import read_surveyed_points
@@ -77,7 +81,7 @@ def test_heights_are_those_of_proj_in_every_format(conetl, conn, mapped, tmp_pat
         path = tmp_path / f"cones{FORMATS[name].suffix}"
         manifest = json.loads(conetl("map", "export", "--out", path, "--crs", EGM96, "--json"))["manifest"]
         assert (manifest["crs"], manifest["height_system"]) == (EGM96, "EPSG:5773")
-        table = pyogrio.read_dataframe(path) if name != "geoparquet" else __import__("geopandas").read_parquet(path)
+        table = pyogrio.read_dataframe(path) if name != "geoparquet" else geopandas.read_parquet(path)
         table = table.set_index("feature_id").loc[order]
         assert pyproj.CRS(table.crs).is_compound
         found = np.array([(p.x, p.y, p.z) for p in table.geometry])
@@ -96,6 +100,14 @@ def test_heights_are_those_of_proj_in_every_format(conetl, conn, mapped, tmp_pat
     assert [float(rows[i]["ellipsoidal_height_m"]) for i in order] == pytest.approx(
         [f.xyz_m[2] for f in mapped], abs=0.001
     )
+    changes = tmp_path / "changes.csv"
+    conetl("map", "export", "--what", "changes", "--from", "2026-03-02T23:00", "--out", changes, "--crs", EGM96)
+    to_egm96 = Transformer.from_crs(pyproj.CRS(32632).to_3d(), pyproj.CRS(EGM96), always_xy=True)
+    before = [row for row in csv.DictReader(changes.open()) if row["old_version"]]
+    for row in before:
+        old_m = [float(row[f"old_{name}_m"]) for name in ("easting", "northing", "ellipsoidal_height")]
+        assert float(row["old_ground_height_m"]) == pytest.approx(to_egm96.transform(*old_m)[2], abs=0.001)
+    assert before
     conetl("map", "export", "--out", tmp_path / "cones.geojson", "--crs", EGM96)
     point = json.loads((tmp_path / "cones.geojson").read_text())["features"][0]
     assert (
@@ -118,17 +130,14 @@ def test_a_map_has_a_height_system(conetl, conn, tmp_path, grid):
     assert other["manifest"]["height_system"] == "ellipsoidal"
 
 
-def test_sigmas_turn_with_the_axes_of_another_zone(conetl, mapped, tmp_path):
-    tables = []
-    for crs in ("EPSG:32632", "EPSG:32631"):
-        conetl("map", "export", "--out", tmp_path / "a.gpkg", "--crs", crs)
-        tables.append(pyogrio.read_dataframe(tmp_path / "a.gpkg").set_index("feature_id").sort_index())
-    one, other = tables
-    total = [table["sigma_e_m"] ** 2 + table["sigma_n_m"] ** 2 for table in tables]
-    assert total[0].tolist() == pytest.approx(total[1].tolist(), rel=1e-9)
-    assert np.abs(one["cov_en_m2"] - other["cov_en_m2"]).max() > 0
-    to_lon_lat = [np.array(table.to_crs(4326).geometry.apply(lambda p: (p.x, p.y)).tolist()) for table in tables]
-    assert np.abs(to_lon_lat[0] - to_lon_lat[1]).max() < 1e-8
+def test_lane_markings_have_heights_of_the_system(conn, samples, tmp_path, grid):
+    vertices = np.add((458_001.0, 5_428_010.0, 114.5), np.linspace((0, 0, 0), (8, 6, 0.2), 5))
+    line = samples.line_feature(samples.marking(vertices), "line")
+    samples.commit(conn, samples.added(line), key="1", markings=[samples.marking_track(line.marking)])
+    export_map(conn, tmp_path / "a.parquet", "geoparquet", ExportRequest(category="lane_marking", crs=(32632, 5773)))
+    found = shapely.get_coordinates(geopandas.read_parquet(tmp_path / "a.parquet").geometry, include_z=True)
+    wanted = Transformer.from_crs(pyproj.CRS(32632).to_3d(), pyproj.CRS(EGM96), always_xy=True).transform(*vertices.T)
+    assert found == pytest.approx(np.column_stack(wanted), abs=0.001)
 
 
 def test_every_field_is_in_the_dictionary_with_one_meaning(conetl, conn, mapped, tmp_path):

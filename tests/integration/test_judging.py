@@ -17,7 +17,7 @@ from conetl.reports.drive_page import write_drive_page
 from conetl.reports.drive_passes import reasons_of
 from conetl.web.decisions import Writer
 from tests.integration.conftest import command_line
-from tests.integration.drives_of_days import failed_audits, merge, survey
+from tests.integration.drives_of_days import DAY_NS, failed_audits, merge, survey
 from tests.view_map import OWN, view_of
 
 TOKEN = "a-token-that-nobody-guesses"
@@ -62,6 +62,7 @@ def changes(client, kind):
 def test_the_empty_frame_pairs_are_those_that_removed_the_cone(client):
     [removed] = changes(client, "removed")
     last = get(client, f"features/{removed['feature_id']}")["history"][-1]
+    assert (last["kind"], last["seen_count"], last["missed_count"]) == ("removed", 1, 1)
     found = get(client, f"features/{removed['feature_id']}/passes")["passes"]
     by_drive = {one["drive_uuid"]: one for one in found}
     frames = by_drive[last["drive_uuid"]]["frames"]
@@ -195,9 +196,16 @@ def test_an_approval_holds_until_the_next_change_and_can_be_withdrawn(client, mo
     decide(client, {"kind": "withdraw", "decision_id": done["decision_id"]})
     assert one["feature_id"] in waiting()
     decide(client, {"kind": "approve"} | one)
-    merge(module_conn, survey(3))  # moves nothing of it
+    for drive, due in ((survey(3), False), (survey(1, after_ns=3 * DAY_NS), True)):  # the first moves nothing of it
+        merge(module_conn, drive)
+        module_conn.commit()
+        assert (one["feature_id"] in waiting()) == due
+    merge(module_conn, survey(1, after_ns=DAY_NS // 2))  # late: what the released drive did after it is replaced
     module_conn.commit()
-    assert one["feature_id"] not in waiting()
+    [released] = [entry for entry in get(client, "timeline")["changesets"] if entry["changeset_no"] == 3]
+    made = get(client, "changes/view?changeset_no=3")["changes"]
+    counts = {kind: count for kind, count in released["change_counts"]["points"].items() if kind != "missed"}
+    assert counts == Counter(c["kind"] for c in made) != {}
 
 
 def test_a_class_is_corrected_from_the_web(client):

@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
+from pyproj import Transformer
 
 from conetl.db.map.map_store import list_changesets
 from conetl.reports.map_picture import drive_paths
@@ -50,8 +52,24 @@ def test_differences_between_changesets_and_times(conetl, surveyed, tmp_path):
     assert all(change in table for change in changes)
     lines = [f for f in collection["features"] if f["geometry"]["type"] == "LineString"]
     assert len(lines) == changes.count("moved")
-    assert all(5 < lon < 12 and 48 < lat < 50 for f in lines for lon, lat, _ in f["geometry"]["coordinates"])
+    to_map = Transformer.from_crs(4326, 32632, always_xy=True)
+    for change in json.loads(conetl("map", "diff", "2026-03-02T23:00", "2026-03-03T23:00", "--json")):
+        [drawn] = (f["geometry"]["coordinates"] for f in collection["features"] if f["id"] == change["feature_id"])
+        shown = [to_map.transform(*at[:2]) for at in (drawn if isinstance(drawn[0], list) else [drawn])]
+        sides = [side["xyz_m"][:2] for side in (change["old"], change["new"]) if side]
+        assert shown == pytest.approx(np.array(sides[-len(shown) :]), abs=0.001), (
+            "a line from old to new, or the newest place"
+        )
     assert "has no changeset 9" in conetl("map", "diff", 9, 3, code=2)
+
+
+def test_check_points_at_cones_pass_and_others_need_attention(conetl, surveyed, tmp_path):
+    [x, y, z] = json.loads(conetl("map", "show", "--json"))["features"][0]["xyz_m"]
+    points = tmp_path / "points.csv"
+    for shift_m, code, said in ((0.01, 0, "1 of 1 point"), (1.5, 1, "1 of 1 point"), (500.0, 1, "No cone of the map")):
+        points.write_text(f"name,easting_m,northing_m,ellipsoidal_height_m\nP1,{x + shift_m},{y},{z}\n")
+        words = ("--crs", "EPSG:32632", "--heights", "ellipsoidal", "--sigma-m", 0.01, "--within-m", 2)
+        assert said in conetl("map", "check-points", points, *words, code=code)
 
 
 def test_a_miss_is_reported_as_one(conetl, surveyed, conn, samples, tmp_path):
@@ -68,12 +86,18 @@ def test_a_miss_is_reported_as_one(conetl, surveyed, conn, samples, tmp_path):
 
 
 def test_decisions_through_the_command_line(conetl, surveyed):
-    features = json.loads(conetl("map", "show", "--json"))["features"]
+    before = json.loads(conetl("map", "show", "--json"))
+    features = before["features"]
     first = features[0]["feature_id"]
+    entries = json.loads(conetl("map", "log", first, "--json"))
+    latest = max(entry["known_from"] for entry in entries)
+    known = json.loads(conetl("map", "log", first, "--known-at", latest, "--json"))
+    assert known == [entry for entry in entries if entry["known_to"] is None] != entries
     decided = json.loads(conetl("map", "suppress", first[:8], "--note", "a bollard", "--json"))
     assert decided["kind"] == "suppress"
-    standing = [f["feature_id"] for f in json.loads(conetl("map", "show", "--json"))["features"]]
-    assert first not in standing
+    shown = json.loads(conetl("map", "show", "--json"))
+    standing = [f["feature_id"] for f in shown["features"]]
+    assert first not in standing and shown["map"]["removed_count"] == before["map"]["removed_count"]
     assert len(standing) == len(features) - 1
     assert "a bollard" in conetl("map", "decisions")
     assert "suppressed" in conetl("map", "log", first)

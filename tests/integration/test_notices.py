@@ -223,6 +223,9 @@ def test_what_fails_for_days_is_given_up_listed_and_told_on_request(conn, info, 
         monkeypatch.setenv("CONETL_WEBHOOK_SECRET", SECRET)
         conetl("zones", "notify", "--again")
         assert server.taken[0]["type"] == "work_zone.began"
+        conn.rollback()
+        waited = execute(conn, "select max(now() - first_at) < interval '1 day' as anew from conetl.notice_delivery")
+        assert waited == [{"anew": True}], "the days of patience begin again"
 
 
 def test_a_new_receiver_is_told_what_still_holds(conn, info):

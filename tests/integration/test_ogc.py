@@ -347,6 +347,9 @@ def test_a_new_map_appears_without_a_restart(conn, database_url, samples):
         for name in ("first", "second"):
             [item] = get(client, f"{OGC}/collections/{name}.features/items")["features"]
             assert item["id"] == str(samples.feature(name).feature_id)
+        samples.commit(conn, key="f", start_ns=samples.START_NS - samples.DAY_NS, map_name="first")
+        [[since, _]] = get(client, f"{OGC}/collections/first.features")["extent"]["temporal"]["interval"]
+        assert datetime.fromisoformat(since) == utc_from_ns(samples.START_NS - samples.DAY_NS), "of the new drive"
 
 
 def test_the_number_of_all_items_is_right_on_every_page(client):
@@ -355,6 +358,9 @@ def test_the_number_of_all_items_is_right_on_every_page(client):
         assert (page["numberMatched"], page["numberReturned"]) == (3, returned)
         rels = [link["rel"] for link in page["links"]]
         assert ("next" in rels, "prev" in rels) == (0 < returned < 3 - start, start > 0)
+        for link in (link for link in page["links"] if link["rel"] in ("next", "prev")):
+            beginning = start + 2 if link["rel"] == "next" else max(start - 2, 0)
+            assert parse_qs(urlsplit(link["href"]).query)["offset"] == [str(beginning)]
     assert get(client, f"{FEATURES}/items", limit=1_000_000)["numberReturned"] == 3  # more than the maximum is allowed
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from uuid import UUID, uuid4
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -23,8 +25,9 @@ from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams
 from conetl.model.rejections import RejectionReason
+from conetl.reports import drive_facts
 from conetl.reports.drive_facts import read_drive_facts
-from conetl.reports.drive_page import alerts, drive_page, images_of, write_drive_page
+from conetl.reports.drive_page import _residual_rows, _trajectory_rows, alerts, drive_page, images_of, write_drive_page
 from conetl.reports.night_page import night_page, read_night, write_night_page
 from tests.chromium import chromium
 from tests.integration.drives_of_days import merge, survey
@@ -134,6 +137,24 @@ def test_alerts(shown: Any, latest: CommittedChangeset) -> None:
     assert [f.serious for f in alerts(blurred)] == [True]
     reverted = replace(calm, changeset=latest.model_copy(update={"counts": False}))
     assert "not in effect" in alerts(reverted)[0].text
+    for missed, observed, serious in ((4, 3, True), (3, 0, False), (9, 9, False), (9, 8, True)):
+        points = Counter({DeltaKind.MISSED: missed, DeltaKind.CONFIRMED: observed})
+        counts = latest.change_counts.model_copy(update={"points": points})
+        told = alerts(replace(calm, changeset=latest.model_copy(update={"change_counts": counts})))
+        assert any("another road" in f.text for f in told) == serious, (missed, observed)
+
+
+def test_residuals_are_of_their_ranges_and_sigmas_of_their_axes(shown: Any, latest: CommittedChangeset) -> None:
+    facts = read_drive_facts(shown, latest, map_name="default")
+    pose = facts.frame_pairs[0].pose.model_copy(update={"sigma_enu_m": (0.1, 0.2, 0.5)})
+    pairs = [pair.model_copy(update={"pose": pose}) for pair in facts.frame_pairs]
+    ranges_m = np.array([9.9, 10.0, 19.9, 20.0])
+    made = replace(facts, frame_pairs=pairs, range_m=ranges_m, residual_px=np.array([1.0, 2.0, 3.0, 9.0]))
+    shown_px = [(count, largest) for _, count, _, _, largest in _residual_rows(made)[:4]]
+    assert shown_px == [("4", "9.00"), ("1", "1.00"), ("2", "3.00"), ("1", "9.00")]
+    rows = dict(_trajectory_rows(made))
+    assert rows["horizontal sigma of the poses"] == "median 0.200 m, largest 0.200 m"
+    assert rows["vertical sigma of the poses"] == "median 0.500 m, largest 0.500 m"
 
 
 def test_the_page_of_a_drive_fits_a_sheet(shown: Any, latest: CommittedChangeset, tmp_path: Path) -> None:
@@ -239,6 +260,25 @@ def test_the_report_of_a_night(shown: Any, latest: CommittedChangeset, tmp_path:
     write_receipt(shown, replace(failed("7", "failed", reason="no calibration"), drive_path=str(tmp_path)), tmp_path)
     next_night = read_night(shown, map_name="default", since=until, until=until + timedelta(days=1))
     assert [row["drive_path"] for row in next_night.failed] == [str(tmp_path)], "the others' folders are gone"
+
+
+def test_of_several_analyses_of_a_drive_that_in_effect_is_found(
+    shown: Any, latest: CommittedChangeset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reverted = latest.model_copy(update={"counts": False, "changeset_no": 9})
+    for known, found in (([reverted, latest], latest), ([reverted], reverted)):
+        monkeypatch.setattr(drive_facts, "list_changesets", lambda *_, known=known, **__: known)
+        assert drive_facts.find_drive(shown, latest.drive_id, map_name="default") == found
+
+
+def test_a_night_ends_before_the_next_one_begins(shown: Any) -> None:
+    second, first = list_changesets(shown)
+    for since, until, drives in (
+        (first.committed_at, second.committed_at, [first]),
+        (second.committed_at, datetime.now(UTC), [second]),
+    ):
+        night = read_night(shown, map_name="default", since=since, until=until)
+        assert [row["drive_id"] for row in night.drives] == [drive.drive_id for drive in drives]
 
 
 def test_an_empty_and_an_invalid_night(shown: Any) -> None:

@@ -69,6 +69,8 @@ def test_drives_that_are_not_old_enough_stay(conn):
     assert prunable_drives(conn, captured) == []
     assert prunable_drives(conn, captured + timedelta(days=1)) == [], "committed later than that"
     assert utc_from_ns(survey(0).drive.frame_pairs[-1].captured_at_ns) == captured
+    merge(conn, survey(2), hold="GNSS/INS jumps by 5.0 m.")
+    assert [drive.drive_id for drive in prunable_drives(conn, LATER)] == [survey(0).drive.drive_id], "one is on hold"
 
 
 def test_the_command_says_what_would_go_and_does_it_only_when_told(conn, conetl, tmp_path):

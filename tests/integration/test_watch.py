@@ -208,11 +208,11 @@ def test_looks_at_all_files_are_rarer_the_longer_they_take() -> None:
     assert [look_s / (look_s + pause_s(look_s)) < 0.05 for look_s in (0.05, 0.5, 5.0)] == [True] * 3
 
 
-def live_row(conn: Any, samples: Any, drive_id: str, at_ns: int) -> WatchedDrive:
+def live_row(conn: Any, samples: Any, drive_id: str, at_ns: int, **changes: Any) -> WatchedDrive:
     drive = WatchedDrive(uuid4(), "default", samples.SRID, drive_id, f"drives/{drive_id}")
     write_live(
-        conn, drive, captured_ns=(at_ns, at_ns + 10**9), frame_pair_count=3, tracks={0: samples.track()}, taken_back=(),
-        least_reach_m=0.5,
+        conn, drive, captured_ns=(at_ns, at_ns + 10**9), frame_pair_count=3, tracks={0: samples.track(**changes)},
+        taken_back=(), least_reach_m=0.5,
     )  # fmt: skip
     return drive
 
@@ -249,6 +249,12 @@ def test_the_commit_of_a_drive_removes_what_was_shown_of_it(conn: Any, samples: 
     told = own_view.get("/api/maps/default/provisional").json()
     assert [f["drive_id"] for f in told["features"]] == ["drive_1", "drive_2", "drive_3"]
     assert told["features"][2]["near_feature_id"] == str(feature.feature_id) and told["features"][2]["is_watched"]
+    x, y, z = feature.xyz_m
+    sigma_m = np.linalg.eigvalsh([samples.COV_M2[:2], (samples.COV_M2[1], samples.COV_M2[3])])[-1] ** 0.5
+    for name, reach_m, found in (("near", 0.49, feature.feature_id), ("far", 0.51, None)):
+        live_row(conn, samples, name, samples.START_NS, **samples.standing_at((x + reach_m + 3 * sigma_m, y, z)))
+        near = {row["drive_id"]: row["near_feature_id"] for row in read_provisional(conn, map_name="default")}
+        assert near[name] == found
     with map_transaction(conn):
         assert drop_watched_recording(conn, samples.drive("drive_3"), map_name="other") == 0
         assert drop_watched_recording(conn, samples.drive("drive_3"), map_name="default") == 1

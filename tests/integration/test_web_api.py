@@ -96,7 +96,7 @@ def test_changes_between_two_instants_and_back(client, features, samples):
     assert np.subtract(moved["xyz_m"], moved["old_xyz_m"]) == pytest.approx([1.5, 0, 0])
 
 
-def test_history_and_sightings(client, features):
+def test_history_and_sightings(client, features, module_conn):
     wanders = features["wanders"].feature_id
     history = get(client, f"{MAP}/features/{wanders}")["history"]
     assert [(h["kind"], h["version"], h["sighting_count"]) for h in history] == [("added", 1, 3), ("moved", 2, 3)]
@@ -106,7 +106,12 @@ def test_history_and_sightings(client, features):
     first = sightings[0]
     assert first["camera_xyz_m"] == [0.5, 0.25, 15.125]
     assert (first["left"]["x_px"], first["left"]["score"], first["range_m"]) == (600.5, 0.9, 12.0)
-    assert first["corners"][0][2] == 1.0
+    camera = execute(module_conn, "select rig -> 'left' as camera from conetl.drive limit 1")[0]["camera"]
+    scale, middle = ([camera[f"{name}{axis}_px"] for axis in "xy"] for name in "fc")
+    rays = np.array(first["corners"]) * [*scale, 1.0] + [*middle, 0.0]
+    right, bottom = camera["width_px"] - 0.5, camera["height_px"] - 0.5
+    edges = [(-0.5, -0.5), (right, -0.5), (right, bottom), (-0.5, bottom)]
+    assert rays == pytest.approx(np.column_stack([edges, np.ones(4)])), "through the corners of the left image"
     left, right = sightings[1]["left"], sightings[1]["right"]  # the network found it in the left image only
     assert (left["x_px"] - right["x_px"], left["w_px"] - right["w_px"]) == (30.0, 0.0)
     assert (left["score"], right["score"]) == (0.9, None)
@@ -416,6 +421,9 @@ def test_connections_that_the_server_closed_are_replaced(module_database_url):
         with pool.reading() as conn:
             assert execute(conn, "select 1 as one") == [{"one": 1}]
             assert conn.info.backend_pid not in pids
+        with pool.exporting() as download:
+            pass
+        assert download.closed
     pool.close()
 
 

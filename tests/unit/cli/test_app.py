@@ -15,7 +15,9 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import _COMMANDS, _GROUPS, app
 from conetl.cli.map.exchange import _format_by_name
+from conetl.cli.services import _environment
 from conetl.model.errors import InputError
+from conetl.pipeline.settings import Settings
 
 COMMANDS = {(name,): found for panel in _COMMANDS.values() for name, found in panel.items()}
 COMMANDS |= {(*group.split(), name): found for group, (_, some) in _GROUPS.items() for name, found in some.items()}
@@ -115,3 +117,12 @@ def test_the_suffix_selects_the_format_of_an_export() -> None:
     assert {name: _format_by_name(Path(name)) for name in formats} == formats
     with pytest.raises(InputError, match=r"cones\.shp: .*--format \(geojson, csv"):
         _format_by_name(Path("cones.shp"))
+
+
+@pytest.mark.parametrize(("cores", "workers", "each"), [(8, 3, "2"), (2, 4, "1")])
+def test_workers_share_the_cores(
+    cores: int, workers: int, each: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("CONETL_WORKERS", raising=False)
+    found = _environment(Settings(workers=cores), tmp_path, "http://host/api", "login", "http://view", workers)
+    assert found["CONETL_WORKERS"] == each

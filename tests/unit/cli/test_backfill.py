@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,7 +11,7 @@ from uuid import uuid4
 
 import pytest
 
-from conetl.cli.backfill import _print_plan, _print_summary
+from conetl.cli.backfill import _exit_code, _print_plan, _print_summary
 from conetl.model.errors import ConetlError, MapMismatchError, ServiceError
 from conetl.pipeline.backfill_plan import Plan, PlanLine
 from conetl.pipeline.chunks import Analysis
@@ -24,16 +25,20 @@ UNAVAILABLE = ServiceError("the database cannot be reached")
 
 
 @pytest.mark.parametrize(
-    ("errors", "retry", "correct"),
-    [([UNAVAILABLE], True, False), ([REFUSED], False, True), ([REFUSED, UNAVAILABLE], True, True)],
+    ("errors", "retry", "correct", "code"),
+    [([UNAVAILABLE], True, False, 3), ([REFUSED], False, True, 2), ([REFUSED, UNAVAILABLE], True, True, 2)],
 )
 def test_a_retry_is_advised_only_where_it_can_help(
-    errors: list[ConetlError], retry: bool, correct: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    errors: list[ConetlError], retry: bool, correct: bool, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     begun = new_receipt(read_header(tmp_path), Settings(), "0" * 64, uuid4(), None)
     plan: Any = SimpleNamespace(map_name="default")
-    _print_summary(Standing(plan, 1, "here", 0.0, [], [failed_receipt(begun, error) for error in errors]))
+    stored = [replace(begun, state=state) for state in ("committed", "held", "known")]
+    standing = Standing(plan, 1, "here", 0.0, [], [*stored, *(failed_receipt(begun, error) for error in errors)])
+    assert (len(standing.failed), standing.done) == (len(errors), len(stored))
+    _print_summary(standing)
     said = capsys.readouterr().out
+    assert _exit_code(standing) == code
     assert ("to retry" in said, "fail again" in said) == (retry, correct)
 
 

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from conetl.cli import main
+from conetl.cli.inspect_drive import CPU_S_PER_MEGAPIXEL, START_CPU_S
 from conetl.model.rig import Rig
+from conetl.pipeline.settings import read_settings
 from conetl.readers.drives import read_drive
 from tests.mutants.images import changed as images_changed
 from tests.mutants.images import copy_drive, only_right, shifted, smeared
@@ -46,7 +48,9 @@ def test_inspect_shows_what_is_lost(
     assert code == 0
     assert (found["format"], found["usable_pairs"], found["expected_pairs"]) == ("bag", 9, 10)
     assert found["lost_by_reason"] == {"image_truncated": 1}
-    assert found["estimated_seconds"] > 0
+    megapixels = 9 * 2 * rig.left.width_px * rig.left.height_px / 1e6  # of both images
+    seconds = START_CPU_S + CPU_S_PER_MEGAPIXEL * megapixels / read_settings().workers
+    assert found["estimated_seconds"] == pytest.approx(seconds, abs=0.1)
     assert found["page"] == str(page) and "data:image/png" in page.read_text()
     code, _, said = run(["inspect", str(path), "--image", str(tmp_path / "drive.png")], capsys)
     assert code == 2 and "--page" in said

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from conetl.exports import qgis_project
-from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, PAINT, STANDING
+from conetl.exports.kind_marks import BRIGHT_POINT, DARK_POINT, DRIVE_PATH, KIND_MARKS, LANE, PAINT, STANDING, dashes_of
 from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import DeltaKind
 from tests.folders import ROOT
@@ -85,3 +85,13 @@ def test_every_kind_has_a_marker_and_a_qgis_symbol() -> None:
     assert set(qgis_project._KINDS) == {kind for kind in DeltaKind if not kind.ends}
     assert len({mark[:2] for mark in KIND_MARKS.values()}) == len(KIND_MARKS)
     assert len({mark.marker for mark in KIND_MARKS.values()}) == len(KIND_MARKS)
+
+
+@pytest.mark.parametrize("length_m", [2.0, 20.0, 37.5])
+def test_one_dash_is_centred_on_the_middle_of_the_line(length_m: float) -> None:
+    parts = dashes_of([[0.0, 0.0], [0.0, length_m]], 3.0, 9.0)
+    at = np.linspace(0.0, length_m, 1001)
+    painted = np.any([(part[0, 1] <= at) & (at <= part[-1, 1]) for part in parts], axis=0)
+    from_middle = np.abs((at - length_m / 2 + 6.0) % 12.0 - 6.0)
+    sure = np.abs(from_middle - 1.5) > 1e-6
+    assert (painted == (from_middle < 1.5))[sure].all()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +12,12 @@ import pytest
 from pyproj import Transformer
 
 from conetl.exports import wzdx
-from conetl.exports.wzdx import schema_faults
-from conetl.exports.zone_feed import read_feed_info
+from conetl.exports.wzdx import export_work_zone_feed, schema_faults
+from conetl.exports.zone_feed import FeedContext, direction_of, read_feed_info
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.line_files import read_lane_lines
 from tests.folders import SHARED
+from tests.unit.exports.test_datex2 import INFO, PARAMS, SEEN, SRID, zones
 
 REFERENCE = SHARED.parent / "reference" / "wzdx"
 SHIPPED = Path(wzdx.__file__).with_name("wzdx_schemas")
@@ -140,3 +143,29 @@ def test_files_without_lines_are_refused(tmp_path):
     other.write_text("nothing of the kind")
     with pytest.raises(InputError, match="GDAL can read"):
         read_lane_lines(other, srid=32632)
+
+
+AT = SEEN + timedelta(days=1)
+CONTEXT = FeedContext(INFO, "default", SRID, at=AT, made_at=AT, params=PARAMS)
+
+
+@pytest.mark.parametrize("vague", ["first", "last"])
+def test_each_end_is_verified_by_its_own_device(tmp_path, vague):
+    zone = next(one for one in zones() if one.layout.direction_known)
+    doubtful = getattr(zone, vague).model_copy(update={"cov_m2": (4.0, 0.0, 0.0, 4.0, 0.0, 0.01)})
+    export_work_zone_feed([replace(zone, **{vague: doubtful})], (), tmp_path / "feed.geojson", CONTEXT)
+    [event] = json.loads((tmp_path / "feed.geojson").read_text())["features"]
+    ends = [event["properties"][f"is_{end}_position_verified"] for end in ("start", "end")]
+    assert ends == [vague == "last", vague == "first"]
+
+
+@pytest.mark.parametrize(
+    ("bearings_deg", "direction"),
+    [((320, 40), "northbound"), ((50, 130), "eastbound"), ((140, 220), "southbound"), ((230, 310), "westbound")],
+)
+def test_the_direction_is_the_quarter_from_the_first_to_the_last_device(bearings_deg, direction):
+    zone = next(one for one in zones() if one.layout.direction_known)
+    x, y, z = zone.first.xyz_m
+    for bearing in np.radians(bearings_deg):
+        last = zone.last.model_copy(update={"xyz_m": (x + 200 * np.sin(bearing), y + 200 * np.cos(bearing), z)})
+        assert direction_of(replace(zone, last=last), CONTEXT) == direction

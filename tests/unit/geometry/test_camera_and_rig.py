@@ -89,3 +89,14 @@ def test_no_cone_on_a_level_road_reaches_above_the_first_road_row(
 
 def test_a_camera_that_looks_down_has_no_first_road_row() -> None:
     assert cam.first_road_row(CAMERA, [np.diag([1.0, -1.0, -1.0])], 0.1) == 0
+
+
+@pytest.mark.parametrize("binning", [1, 2, 4])
+def test_a_pixel_of_a_binned_part_is_the_middle_of_its_block(binning: int) -> None:
+    whole = make_rig()
+    part = rigs.cropped(whole, 10, -6, 800, 320, binning=binning)
+    block = np.array([[0.0, 0.0], [3.0, 7.0]])
+    middles = block * binning + (binning - 1) / 2 + [10, -6]  # of columns and rows 10 to 13, -6 to -3 ...
+    for side in (whole.right, whole.left):
+        rays = np.column_stack([(middles - [side.cx_px, side.cy_px]) / [side.fx_px, side.fy_px], [1.0, 1.0]])
+        np.testing.assert_allclose(cam.project(part.left if side is whole.left else part.right, rays), block, atol=1e-9)

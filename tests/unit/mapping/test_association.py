@@ -49,6 +49,17 @@ def test_a_row_is_paired_cone_by_cone_despite_the_drives_offset(seed: int) -> No
     assert {j: tracks[i].track_index for j, i in pairs.items()} == {i: i for i in observed}
 
 
+@pytest.mark.parametrize("axis", [(1.0, 1.0), (1.0, -1.0)])
+def test_a_cone_is_sought_along_the_long_axis_of_its_error_ellipse(axis: tuple[float, float]) -> None:
+    along = np.array(axis) / np.sqrt(2)
+    xx, xy, yy = (np.outer(along, along) + 1e-4 * np.eye(2))[[0, 0, 1], [0, 1, 1]].tolist()
+    there = feature(0, 0.0, 3.0).model_copy(update={"cov_m2": (xx, xy, 0.0, yy, 0.0, 0.01)})
+    for direction, pairs in ((along, {0: 0}), (along * [1, -1], {})):
+        aside = track(0, *(np.array([0.0, 3.0]) + 1.2 * PARAMS.min_gate_m * direction).tolist(), sigma_m=RTK)
+        comparison = Comparison([aside], [there], np.array([aside.xyz_m]), PARAMS)
+        assert match_unmoved(comparison, np.zeros(3), 0.0) == pairs
+
+
 def test_a_row_that_lost_its_first_cone_and_got_a_last_one_is_not_shifted() -> None:
     features = [feature(i, 0.5 * i, 3.0) for i in range(5)]
     tracks = [track(i, 0.5 * i, 3.0) for i in range(1, 6)]

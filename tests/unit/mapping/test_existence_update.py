@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from math import exp
+
 import pytest
 
-from conetl.mapping.existence_update import confirmation_evidence, ended, missed, observed
+from conetl.mapping.existence_update import confirmation_evidence, ended, miss_evidence, missed, observed
+from conetl.mapping.visibility import NotObserved
 from conetl.model.map_records import MapFeature
+from conetl.model.params import ReconcileParams
 from tests import records
 
 ABSENT = records.ABSENT
@@ -36,6 +40,13 @@ def test_a_miss_changes_the_evidence_alone_and_remembers_the_first_instant() -> 
     assert once.model_copy(update=observed(None, ABSENT)) == TWICE.model_copy(update=observed(None, ABSENT))
     assert evidence_of(missed(once, 0.4, 90)) == (4, 4, 70)
     assert evidence_of(missed(once, 0.4, 50)) == (4, 4, 50), "an overlapping drive, that came to it before"
+
+
+@pytest.mark.parametrize(("ratio", "odds"), [(-2.0, 9 * exp(-2)), (-100.0, exp(-7))], ids=["some", "no end of"])
+def test_misses_add_up_to_a_limit_from_which_later_drives_come_back(ratio: float, odds: float) -> None:
+    params = ReconcileParams(vanished_probability=0.05)
+    after = miss_evidence(TWICE, NotObserved(3, 1, ratio, 0), params).existence_probability
+    assert after == pytest.approx(odds / (1 + odds))
 
 
 def test_a_feature_that_is_gone_keeps_what_is_known_of_it() -> None:

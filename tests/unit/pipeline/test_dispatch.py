@@ -7,13 +7,15 @@ from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 from typing import Any
+from uuid import uuid4
 
 import pytest
 from prefect.client.schemas.objects import WorkerStatus
 from prefect.exceptions import ObjectNotFound
+from prefect.states import Crashed, Running
 
 from conetl.model.errors import ServiceError
-from flows import dispatch
+from flows import artifacts, dispatch, runs
 from flows.dispatch import POOL, WORKERS_GONE_S, missing_workers, resolve_where
 
 
@@ -62,3 +64,37 @@ def test_workers_that_are_gone_are_missed_after_a_while(server: SimpleNamespace)
     assert "conetl status" in (missing_workers() or "")
     server.workers, server.silent_s = ["desk"], 0.0
     assert "conetl status" in (missing_workers() or "")
+
+
+@pytest.mark.parametrize(("crashes", "again"), [(1, True), (runs.MAX_CRASHES - 1, True), (runs.MAX_CRASHES, False)])
+def test_a_dead_run_is_started_again_until_it_crashed_too_often(
+    crashes: int, again: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = Running(timestamp=datetime.now(UTC) - timedelta(hours=1))
+    dead = SimpleNamespace(id=uuid4(), state=begun, deployment_id=uuid4(), work_queue_name="default")
+    given: list[str] = []
+    answers = iter([[dead], []])
+
+    @contextmanager
+    def client() -> Iterator[Any]:
+        yield SimpleNamespace(
+            read_flow_runs=lambda **_: next(answers),
+            read_flow_run_states=lambda _: [begun] + [Crashed()] * crashes,
+            set_flow_run_state=lambda _, state, **__: given.append(state.type.value),
+        )
+
+    monkeypatch.setattr(runs, "client", client)
+    monkeypatch.setattr(runs, "held_locks", lambda *_: set())
+    assert runs.recover_runs(SimpleNamespace(connection=client)) == [dead]  # type: ignore[arg-type]
+    assert given == ["CRASHED"] + ["SCHEDULED"] * again
+
+
+def test_progress_is_shown_in_percent(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[float] = []
+    monkeypatch.setattr(artifacts.artifacts, "create_progress_artifact", lambda *_, **__: uuid4())
+    monkeypatch.setattr(artifacts.artifacts, "update_progress_artifact", lambda _, share: told.append(share))
+    monkeypatch.setattr(artifacts, "_SHOWN_EVERY_S", 0.0)
+    show = artifacts.progress_artifact("drive")
+    for done in (0, 3, 4):
+        show(done, 4)
+    assert told == [75.0, 100.0]

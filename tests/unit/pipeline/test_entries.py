@@ -7,16 +7,17 @@ import io
 import os
 import shutil
 import time
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from conetl.model.errors import InputError
-from conetl.pipeline.backfill_plan import _header
+from conetl.pipeline.backfill_plan import _header, _is_within
 from conetl.pipeline.entries import Entry, find_entries, quiet_since
 from conetl.pipeline.settings import Settings
-from conetl.readers.drives.header import read_header
+from conetl.readers.drives.header import DriveHeader, read_header
 from tests.folders import SAMPLE
 from tests.unit.readers.test_drive_header import drive, failing
 
@@ -151,3 +152,13 @@ def test_a_folder_that_is_gone_or_closed_is_not_quiet_for_an_error(
     assert abs(time.time() - gone) < 60, "still arriving, under another name"
     failing(monkeypatch, Path, "exists", drive / "COMPLETE", PermissionError(errno.EACCES, os.strerror(errno.EACCES)))
     assert quiet_since(drive) is not None
+
+
+def test_a_period_has_its_beginning_and_not_its_end() -> None:
+    header = DriveHeader(Path("d"), "d", "0", 10, 10**18, 10**18 + 1, None)
+    at, second = datetime.fromtimestamp(10**9, UTC), timedelta(seconds=1)
+    for since, until, within in (
+        (at, at + second, True), (at + second, None, False), (at - second, at, False), (None, at + second, True),
+        (None, None, True),
+    ):  # fmt: skip
+        assert _is_within(header, since, until) == within

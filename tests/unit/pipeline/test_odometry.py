@@ -15,13 +15,14 @@ from conetl.checks.verdict import judge, judge_all
 from conetl.files.parquet_store import load_result
 from conetl.geometry.motion.stereo_tracks import StereoTracks, motions_of
 from conetl.geometry.packing import vec3
+from conetl.geometry.rig import right_camera_turned
 from conetl.model.drive import FramePair
 from conetl.model.health import Verdict
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.model.rig import SIDES
 from conetl.perception.visual_odometry import follow_drive
 from conetl.pipeline import odometry as steps
-from conetl.pipeline.chunks import Chunk, chunks_of
+from conetl.pipeline.chunks import Chunk, chunks_of, geometry_key, images_key
 from conetl.pipeline.odometry import calibration_pieces, grey_reader
 from conetl.pipeline.settings import Settings
 from conetl.readers.drives import read_drive
@@ -80,6 +81,20 @@ def test_a_drive_of_which_one_pair_is_left_is_checked() -> None:
     refined = steps.refine(drive, motions, [], params)
     checks = judge_all(steps.check_poses(drive, motions, refined, params.trajectory, params.check))
     assert {check.verdict for check in checks} <= {Verdict.PASS}
+
+
+def test_results_of_images_depend_on_both_images_and_the_rig_alone(tmp_path: Path) -> None:
+    (chunk,) = chunks_of(read_drive(SAMPLES[0])[0], Settings(home=tmp_path), IngestParams())
+    first, *others = chunk.frame_pairs
+    changes = {f"{side}_{what}": "0" * 64 for side in ("left", "right") for what in ("path", "sha256")}
+    keys = {
+        images_key(chunk.model_copy(update={"frame_pairs": (first.model_copy(update={name: value}), *others)}))
+        for name, value in changes.items()
+    }
+    assert len(keys | {images_key(chunk), images_key(chunk, right_camera_turned(chunk.rig, np.full(3, 1e-4)))}) == 6
+    elsewhere = first.model_copy(update={"pose": others[0].pose})
+    moved = chunk.model_copy(update={"frame_pairs": (elsewhere, *others)})
+    assert images_key(moved) == images_key(chunk) and geometry_key(moved) != geometry_key(chunk)
 
 
 def test_images_at_the_ends_of_spans_are_decoded_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -387,5 +387,10 @@ def test_opendrive_lines_and_refused_roads(tmp_path):
     assert left[0] == pytest.approx([458_000.0, 5_428_003.0, 101.0])
     assert left[-1] == pytest.approx([458_020.0 + 17 * np.sin(1.0), 5_428_020.0 - 17 * np.cos(1.0), 101.0])
     assert 4 < len(left) < 41  # the straight needs its ends only
+    path.write_text(XODR.replace('z="100" hdg="0"', 'z="100" hdg="0.5"'))
+    turned = {item.attributes["border"]: item for item in read_opendrive(path).lines}["lane 1"].xyz
+    east, north = (left - [458_000.0, 5_428_000.0, 0.0])[:, :2].T
+    about = np.column_stack([east * np.cos(0.5) - north * np.sin(0.5), east * np.sin(0.5) + north * np.cos(0.5)])
+    assert turned[:, :2] == pytest.approx(np.add(about, [458_000.0, 5_428_000.0]))
     assert found.crs is not None and found.crs.is_projected
     assert [text[:8] for text in found.refused] == ["road '2'", "road '3'"] and "<wave>" in found.refused[1]

@@ -295,6 +295,24 @@ def test_long_cells_take_no_time(tmp_path: Path, text: str) -> None:
     refused(path, "row")
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_covariances_are_accepted_where_they_are_positive_definite(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    sigmas, pairs = rng.uniform(0.02, 1.0, 3), [(0, 1), (0, 2), (1, 2)]
+    cov = np.diag(sigmas**2)
+    for (i, j), share in zip(pairs, rng.uniform(-1, 1, 3), strict=True):
+        cov[i, j] = cov[j, i] = share * sigmas[i] * sigmas[j]
+    names = "easting,northing,z,sigma_e_m,sigma_n_m,sigma_u_m,cov_en_m2,cov_eu_m2,cov_nu_m2"
+    path = tmp_path / "points.csv"
+    values = [458300.0, 5427800.0, 160.0, *sigmas.tolist(), *(cov[pair].item() for pair in pairs)]
+    path.write_text(f"{names}\n{','.join(map(repr, values))}\n")
+    if np.linalg.eigvalsh(cov)[0] > 0:
+        found = read_map_file(path, ImportParams(), crs=UTM, map_srid=25832, stated_at=SURVEYED)
+        assert found.statements[0].feature.cov_m2 == pytest.approx(cov[np.triu_indices(3)].tolist())
+    else:
+        refused(path, "not form a covariance matrix")
+
+
 def test_of_all_errors_the_first_one_of_the_first_row_counts(tmp_path: Path) -> None:
     """Columns are checked one after the other."""
     names = "easting,northing,z,existence_probability,cov_en_m2,first_seen_at,object_height_m"

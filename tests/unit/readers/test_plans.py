@@ -84,6 +84,14 @@ def test_a_wzdx_feed_is_read_event_by_event(tmp_path: Path) -> None:
     assert found.unused[3].reason == "'properties' is missing"
 
 
+def test_closed_lanes_are_counted_from_the_left(tmp_path: Path) -> None:
+    states = {4: "open", 3: "closed", 2: "open", 1: "closed"}
+    lanes = [{"order": order, "type": "general", "status": status} for order, status in states.items()]
+    path = tmp_path / "feed.geojson"
+    path.write_text(json.dumps(feed(event(lanes=lanes))))
+    assert read_plans(path).zones[0].lanes == ("left lane", "lane 3 from the left")
+
+
 def test_permits_are_the_same_in_three_formats(tmp_path: Path) -> None:
     rows = [{"Permit_ID": "A", **TIMES, "road": "L 605", "lanes": "right lane, hard shoulder", "lane_count": 1}]
     rows += [

@@ -53,6 +53,19 @@ def test_records_of_1_hz_are_interpolated_and_marked(from_course: bool) -> None:
         assert (pose.sigma_rpy_rad[0] > 0.04) == from_course
 
 
+def test_a_turn_between_two_attitudes_is_as_wrong_as_stated() -> None:
+    """A vehicle that turns ever faster, by 0.5 rad/s^2, between records of 1 Hz."""
+    yaws = 0.25 * np.arange(0.0, 6.0) ** 2
+    turning = track(1.0, 6.0)
+    turning.map_SE3_body[:, :3, :3] = se3.rotation_from_rpy(0 * yaws, 0 * yaws, yaws)
+    for at_s in (2.25, 2.5, 3.9):
+        time_ns = START_NS + round(at_s * 1e9)
+        pose = pose_reader(turning, [time_ns])(time_ns)
+        off = 0.25 * at_s**2 - np.arctan2(pose.map_R_body[1][0], pose.map_R_body[0][0])
+        assert pose.interpolated is not None
+        assert pose.interpolated.sigma_rpy_rad[2] == pytest.approx(abs((off + np.pi) % (2 * np.pi) - np.pi), rel=1e-6)
+
+
 def test_a_lost_or_bad_record_costs_itself_and_a_long_gap_the_pairs_in_it() -> None:
     whole = track(1.0)
     kept = [k for k in range(20) if k != 5 and k not in (12, 13, 14)]

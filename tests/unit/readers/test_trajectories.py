@@ -505,7 +505,10 @@ def test_poses_on_the_map_have_lever_arm_and_convergence(tmp_path: Path) -> None
     yaw = np.arctan2(track.map_SE3_body[:, 1, 0], track.map_SE3_body[:, 0, 0])
     expected = np.radians(90.0 - t.rph[:, 2]) + grid_convergence_rad(srid, t.llh[:, 0], t.llh[:, 1])
     np.testing.assert_allclose(yaw, expected, atol=1e-6)
-    assert (track.sigma[:, :3] >= recorded.sigma[:, :3]).all()
+    tilt, turn = track.sigma[:, 3:5].max(axis=1), track.sigma[:, 5]
+    level_m = np.hypot(*antenna[:2])
+    added = np.column_stack([*[(level_m * turn) ** 2 + (antenna[2] * tilt) ** 2] * 2, (level_m * tilt) ** 2])
+    np.testing.assert_allclose(track.sigma[:, :3] ** 2, recorded.sigma[:, :3] ** 2 + added, rtol=1e-9)
 
 
 def test_unknown_sigmas_must_be_given(tmp_path: Path) -> None:

@@ -8,8 +8,17 @@ import numpy as np
 import pytest
 
 from conetl.geometry import pose as se3
+from conetl.geometry.rig import map_SE3_left
+from conetl.model.drive import FramePair, Pose
 from conetl.model.errors import InputError
-from conetl.readers.drives.velodyne import ScanFileError, left_SE3_velo, list_scans, read_scan, scan_period_s
+from conetl.readers.drives.velodyne import (
+    ScanFileError,
+    left_SE3_velo,
+    list_scans,
+    points_at_exposure,
+    read_scan,
+    scan_period_s,
+)
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, read_kitti_rig
 from conetl.simulation.trajectory import CAM0_SE3_VELO, RECT_R_CAM0, T_RECT_M
 from tests.folders import SAMPLE
@@ -83,3 +92,35 @@ def test_a_broken_calibration_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / IMU_TO_VELO).write_text("R: 1 0 0\nT: 0 0 0\n")
     with pytest.raises(InputError, match=IMU_TO_VELO):
         left_SE3_velo(rig, tmp_path)
+
+
+def test_points_are_where_they_were_at_the_exposure() -> None:
+    """A car in a bend, and each point seen when the scanner points to it."""
+    rig = read_kitti_rig(SAMPLE / CAM_TO_CAM, body_required=True)
+    left_of_velo = left_SE3_velo(rig, SAMPLE)
+
+    def pose(t_s: float) -> Pose:
+        yaw = 0.7 + 0.2 * t_s
+        at = 60.0 * np.array([np.sin(yaw), -np.cos(yaw), 0.0])  # 12 m/s
+        return se3.to_pose(se3.se3(se3.rotation_from_rpy(0.0, 0.0, yaw), at), np.full(6, 0.01))
+
+    def in_scanner(points_m: np.ndarray, t_s: float) -> np.ndarray:
+        to_velo = se3.invert(map_SE3_left(pose(t_s), rig) @ left_of_velo)
+        return np.asarray(to_velo[:3, :3] @ points_m + to_velo[:3, 3])
+
+    true = np.array([[4.0, 7.0, -1.0], [9.0, 0.0, -1.5], [5.0, -6.0, 0.5]])
+    back = map_SE3_left(pose(0.1), rig) @ left_of_velo
+    seen = true.copy()
+    for _ in range(5):
+        times_s = 0.1 + np.arctan2(seen[:, 1], seen[:, 0]) / (2 * np.pi) * 0.1
+        seen = np.array([in_scanner(back[:3, :3] @ p + back[:3, 3], t) for p, t in zip(true, times_s, strict=True)])
+    start_ns = 1_700_000_000_000_000_000
+    pairs = {
+        k: FramePair(
+            frame_index=k, left_path="", right_path="", captured_at_ns=start_ns + k * 10**8, pose=pose(k * 0.1)
+        )
+        for k in range(3)
+    }
+    found = points_at_exposure(seen, pairs[1], pairs, rig, left_of_velo, 0.1)
+    assert np.abs(seen - true).max() > 0.1
+    assert found == pytest.approx(true, abs=0.01)

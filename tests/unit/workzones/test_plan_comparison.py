@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import norm
 
 from conetl.model.base import ns_from_utc
 from conetl.model.planned_zones import DifferenceKind, PlannedZone
@@ -184,7 +185,8 @@ def test_a_row_says_between_which_drives_and_by_how_much():
     [unsure] = compare(
         [plan()], [FoundZone(**(vars(zone(x=(-25, 65))) | {"sigma_m": 4.0}))], DAILY, PARAMS, at_ns=ns(14)
     )
-    assert 0.9 < unsure.confidence < 0.99
+    beyond = norm.cdf((unsure.amount - PARAMS.tolerance_m) / 4.0)
+    assert unsure.confidence == pytest.approx(0.99 * beyond) and 0.9 < beyond < 0.999
     assert away.xy_m == pytest.approx((17.0, 3.0), abs=1) and away.radius_m == pytest.approx(45, abs=3)
 
 
