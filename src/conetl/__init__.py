@@ -17,6 +17,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # GDAL chooses the driver by the content of a file, whatever its name is. These read other files and addresses that the content
 # names, or run programs. It reads this when pyogrio is imported for the first time.
 os.environ.setdefault("OGR_SKIP", "OGR_VRT,GDALG,GPSBabel,ADBC,WFS,CSW,OAPIF,OGCAPI")
+# MB of a feature of GeoJSON, of which GDAL needs several times as much memory; its own limit is 200.
+os.environ.setdefault("OGR_GEOJSON_MAX_OBJ_SIZE", "10")
 
 # Official builds of onnxruntime report models and machines to its maker from 1.29 on. It reads this when it is loaded.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from conetl.files.documents import first_message, library_errors
+from conetl.files.documents import first_message, library_errors, read_limited
 from conetl.geometry.camera import project as image_points
 from conetl.geometry.consistency import Consistency, consistency
 from conetl.geometry.geodesy import to_map
@@ -58,7 +58,7 @@ def read_truth_markings(path: Path, map_srid: int) -> list[TruthMarking]:
     """The markings of a GeoJSON file (WGS 84, ellipsoidal heights). Raises InputError that names file and feature."""
     unreadable = f"truth {path}: cannot be read as a GeoJSON FeatureCollection"
     with library_errors(unreadable, OSError, ValueError, TypeError, KeyError):
-        features = json.loads(path.read_text(encoding="utf-8"))["features"]
+        features = json.loads(read_limited(path))["features"]
     markings = []
     for number, feature in enumerate(features, 1):
         try:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import StringIO
 from itertools import compress
 from pathlib import Path
 from typing import Generic, Literal, NamedTuple, TypeVar
@@ -15,7 +16,7 @@ import shapely
 from pydantic import Field
 from scipy.stats import chi2
 
-from conetl.files.documents import input_errors, library_errors
+from conetl.files.documents import input_errors, library_errors, read_limited
 from conetl.geometry.consistency import point_nees
 from conetl.geometry.packing import cov_matrices
 from conetl.mapping.association import assign, near_pairs
@@ -59,9 +60,8 @@ class TruthCone(Record):
 
 def read_truth(path: Path) -> list[TruthCone]:
     """All lines of a truth.csv. Raises InputError with file, line and field."""
-    unreadable = library_errors(f"truth {path}: cannot be read", OSError, UnicodeDecodeError)
-    with unreadable, path.open(newline="", encoding="utf-8") as file:
-        reader = csv.DictReader(file)
+    with library_errors(f"truth {path}: cannot be read", csv.Error):
+        reader = csv.DictReader(StringIO(read_limited(path), newline=""))
         columns, rows = list(reader.fieldnames or ()), list(reader)
     required = [name for name, field in TruthCone.model_fields.items() if field.is_required()]
     if not set(required) <= set(columns):

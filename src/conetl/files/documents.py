@@ -33,8 +33,10 @@ MAX_DEPTH = 40
 _XML_BLOCK, _LEAST_TAG_BYTES = 4_000_000, 10
 #: Largest text of a map or its lines, of which some readers hold all.
 MAX_TEXT_BYTES = 512 << 20
-#: Values of a document, those behind aliases counted wherever they are used.
-MAX_VALUES = 100_000
+#: Values of a document, and of one in YAML: those behind aliases counted wherever they are used.
+MAX_VALUES, MAX_YAML_VALUES = 100_000, 20_000
+#: Digits of a number in YAML. The parser takes the square of their count, and reads 1:59:59 as one.
+_MAX_DIGITS = 400
 #: Characters of a value in a message, and of a message of a validator, which may quote one.
 MAX_SHOWN, MAX_MESSAGE = 200, 400
 
@@ -69,6 +71,11 @@ _short.maxstring = _short.maxother = _short.maxlong = MAX_SHOWN
 
 class _Loader(yaml.CSafeLoader):
     """Dates and times stay text, which says to which digit a time is known."""
+
+    def construct_scalar(self, node: yaml.ScalarNode | yaml.MappingNode) -> Any:
+        if len(node.value) > _MAX_DIGITS and node.tag.endswith((":int", ":float")):
+            raise ValueError(f"a number has {len(node.value):,} characters")
+        return super().construct_scalar(node)
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -117,9 +124,11 @@ def first_message(error: ValueError) -> str:
 
 
 def require_size(path: Path, max_bytes: int = MAX_TEXT_BYTES) -> None:
-    """Raise InputError for a file that is larger, or that cannot be read."""
+    """Raise InputError for a file that is larger, that cannot be read, or whose reader would wait for another program."""
     with input_errors(path):
-        size = path.stat().st_size
+        size, is_file = path.stat().st_size, path.is_file()
+    if not is_file:
+        raise InputError(f"{path}: expected a file, found a folder, a pipe or a device")
     if size > max_bytes:
         raise InputError(f"{path} has {size:,} bytes, expected at most {max_bytes:,}: import it in parts")
 
@@ -234,8 +243,7 @@ def read_yaml(path: Path) -> Any:
 
 def parse_yaml(source: object, text: str) -> Any:
     """Content of a text in YAML, of a file or an option. Raises InputError where it is not YAML or exceeds a limit."""
-    # Numbers and tagged times that do not exist are ValueErrors.
-    with library_errors(f"{source}: this is not YAML", yaml.YAMLError, ValueError):
+    with library_errors(f"{source}: this is not YAML"):  # values whose tag does not fit raise anything
         _require_bounded(source, text)
         return yaml.load(text, Loader=_Loader)
 
@@ -308,7 +316,7 @@ def _require_bounded(source: object, text: str) -> None:
     values = 0
     for event in yaml.parse(text, Loader=yaml.CSafeLoader):
         if isinstance(event, yaml.AliasEvent):
-            values += sizes.get(str(event.anchor), MAX_VALUES)  # an alias to a node around it has no end
+            values += sizes.get(str(event.anchor), MAX_YAML_VALUES)  # an alias to a node around it has no end
         elif isinstance(event, yaml.CollectionStartEvent):
             open_nodes.append((event.anchor, values))
             values += 1
@@ -320,9 +328,9 @@ def _require_bounded(source: object, text: str) -> None:
             values += 1
             if event.anchor:
                 sizes[event.anchor] = 1
-        if len(open_nodes) > MAX_DEPTH or values > MAX_VALUES:
+        if len(open_nodes) > MAX_DEPTH or values > MAX_YAML_VALUES:
             line = event.start_mark.line + 1 if event.start_mark else 1
             raise InputError(
-                f"{source}: line {line} exceeds {MAX_VALUES:,} values (each alias counts as what it refers "
+                f"{source}: line {line} exceeds {MAX_YAML_VALUES:,} values (each alias counts as what it refers "
                 f"to) or {MAX_DEPTH} levels"
             )

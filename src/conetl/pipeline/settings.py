@@ -111,7 +111,7 @@ class Settings(BaseSettings):
             return
         real_roots = [root if is_remote(root) else root.resolve() for root in roots]
         for found in chain([path], links_of(path) if links else ()):  # each before the search follows it
-            real = found if is_remote(found) else found.resolve()
+            real = found if is_remote(found) else Path(os.path.realpath(found))  # also of a link to itself
             if ".." in real.parts or not any(root == real or root in real.parents for root in real_roots):
                 raise InputError(
                     f"{printable(found)} lies outside of the folders that workers may read ({', '.join(map(str, roots))}): set "

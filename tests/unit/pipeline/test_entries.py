@@ -108,6 +108,17 @@ def test_nothing_outside_of_the_roots_is_opened(drive: Path, tmp_path: Path, mon
     assert _header(Entry(drive), settings).problem is None, "a link below the roots"
 
 
+def test_links_to_themselves_stop_no_plan(drive: Path, tmp_path: Path) -> None:
+    for link in (drive / "oxts" / "data" / "loop", drive.parent / "loop"):
+        link.symlink_to(link.name)
+    (drive / "below").symlink_to(drive)
+    settings = Settings(drive_roots=str(tmp_path))
+    drives = [entry for entry in find_entries(drive.parent, quiet_s=0, settings=settings) if entry.kind == "drive"]
+    assert [_header(entry, settings).problem for entry in drives] == [None]
+    (drive / "drive.yaml").write_text("control_points: oxts/data/loop\n")
+    assert "cannot be the name of a file" in (_header(Entry(drive), settings).problem or "")
+
+
 def test_a_drive_is_quiet_since_its_last_change(drive: Path) -> None:
     """Copying tools set times back; the inode's own time stays that of the arrival."""
     for path in (*drive.rglob("*"), drive):

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import json
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from conetl.evaluation.markings import read_truth_markings
+from conetl.evaluation.truth import read_truth
 from conetl.files.documents import MAX_TABLE_LINES, read_table_bytes
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.readers.base_layers.line_files import LINE_READERS
 from conetl.readers.drives import read_drive
 from conetl.readers.drives.header import read_header
 from conetl.readers.maps.tables import read_table
+from conetl.readers.plans import read_plans
+from conetl.readers.plans.wzdx import MOST_POSITIONS, MOST_RECORDS
 from conetl.readers.rigs import read_rig
 from conetl.readers.surveyed_points import MOST_POINTS, read_surveyed_points
 from conetl.readers.trajectories import read_trajectory
@@ -140,6 +147,73 @@ def test_more_lines_than_frame_pairs_are_refused(tmp_path: Path) -> None:
     path.write_bytes(b"\n" * (MAX_TABLE_LINES + 1))
     with pytest.raises(InputError, match="at most 200,000 lines"):
         read_table_bytes(path)
+
+
+@pytest.mark.usefixtures("limited")
+def test_truth_larger_than_any_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "truth"
+    path.touch()
+    enlarge(path)
+    with pytest.raises(InputError, match="at most 5,000,000 bytes"):
+        read_truth(path)
+    with pytest.raises(InputError, match="at most 5,000,000 bytes"):
+        read_truth_markings(path, 25832)
+    path.write_bytes(b"\0" * 1_000_000)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_truth(path)
+
+
+@pytest.mark.usefixtures("limited")
+def test_more_plans_or_positions_than_any_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "permits.csv"
+    path.write_text("plan_id,starts_at,wkt\n" + "a,b,\n" * (MOST_RECORDS + 1))
+    with pytest.raises(InputError, match="more than 50,000 rows: import it in parts"):
+        read_plans(path)
+    place: dict[str, Any] = {
+        "type": "LineString",
+        "coordinates": [[8.0, 49.0 + n * 1e-6] for n in range(MOST_POSITIONS + 1)],
+    }
+    properties = {"plan_id": "a", "starts_at": "2026-03-02T00:00:00Z"}
+    document = {"type": "FeatureCollection", "features": [{"properties": properties, "geometry": place}]}
+    path = tmp_path / "permits.geojson"
+    path.write_text(json.dumps(document))
+    [unused] = read_plans(path).unused
+    assert unused.reason == "its location has 10,001 positions, expected at most 10,000: simplify it"
+    place["coordinates"] = place["coordinates"][1:]
+    path.write_text(json.dumps(document))
+    assert len(read_plans(path).zones) == 1
+
+
+def test_a_feed_without_facts_about_itself_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "feed.geojson"
+    path.write_text('{"feed_info": {}, "features": [{"type": "Feature"}]}')
+    [unused] = read_plans(path).unused
+    assert unused.reason == "'properties' is missing"
+
+
+@pytest.mark.usefixtures("limited")
+@pytest.mark.parametrize("name", ["permits.csv", "feed.json", "feed.xml", "permits.gpkg"])
+def test_a_pipe_is_no_file_of_plans(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(InputError, match="expected a file, found a folder, a pipe or a device"):
+        read_plans(tmp_path / name)
+
+
+@pytest.mark.usefixtures("limited")
+def test_more_columns_than_a_table_has_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cones.csv"
+    path.write_text(",".join(f"c{n}" for n in range(130_000)))
+    with pytest.raises(InputError, match="130,000 columns, expected at most 1,600"):
+        read_table(path)
+
+
+@pytest.mark.usefixtures("limited")
+def test_a_feature_of_many_positions_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cones.geojson"
+    feature = '{"type":"Feature","properties":{},"geometry":{"type":"MultiPoint","coordinates":['
+    path.write_text(f'{{"type":"FeatureCollection","features":[{feature}{"[1,2]," * 10_000_000}[1,2]]}}}}]}}')
+    with pytest.raises(InputError, match="too complex/large"):
+        read_table(path)
 
 
 @pytest.mark.usefixtures("limited")

@@ -15,6 +15,7 @@ from conetl.db import base_store as store
 from conetl.db.connection import Connection
 from conetl.files.documents import input_errors
 from conetl.files.parquet_store import file_sha256
+from conetl.files.storage import NOT_A_FILE
 from conetl.geometry import pose as se3
 from conetl.geometry.packing import vec3
 from conetl.geometry.rig import map_SE3_left
@@ -90,6 +91,8 @@ def import_file(job: FileImport) -> ImportedFile:
         raise InputError(f"{job.path}: there is no such file")
     if job.path.is_dir():
         return _import_drive(job)
+    if not job.path.is_file():
+        raise InputError(f"{job.path}: {NOT_A_FILE}")
     return _import_las(job) if kind_of(job.path) == "points" else _import_lines(job)
 
 

@@ -336,8 +336,8 @@ def inside(folder: Path, name: str, source: str, beside: str = ".") -> Path:
     or a link leads outside.
     """
     root = folder.resolve()
-    # Longer than a file system allows, or with a zero byte.
-    with library_errors(f"{source}: {shown(name)} cannot be the name of a file", OSError, ValueError):
+    # Longer than a file system allows, with a zero byte, or a link to itself.
+    with library_errors(f"{source}: {shown(name)} cannot be the name of a file", OSError, ValueError, RuntimeError):
         path = (root / beside / name).resolve()
         path.exists()
     if not path.is_relative_to(root):

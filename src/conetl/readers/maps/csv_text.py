@@ -21,6 +21,8 @@ MAX_VALUES = 50_000_000
 _BATCH_CELLS = 160_000
 #: Characters of a line of a text file: no row of a map is as long.
 _MAX_LINE = 1 << 20
+#: As many as a table of PostgreSQL has.
+_MOST_COLUMNS = 1_600
 _DECIMAL_COMMA = r"^[-+]?(?:\d+(?:,\d*)?|,\d+)(?:[eE][-+]?\d+)?$"
 
 
@@ -39,8 +41,11 @@ def read_csv_text(path: Path, most_rows: int) -> pa.Table:
             header = next(texts, "") if header.lower().startswith("sep=") else header  # of Excel
             delimiter = max(",;\t", key=header.count)
             rows = csv.reader(chain([header], texts), strict=True, delimiter=delimiter)
-            schema = pa.schema([(text.strip().lower(), pa.string()) for text in next(rows, [])])
-            width = len(schema)
+            names = next(rows, [])
+            width = len(names)
+            if width > _MOST_COLUMNS:
+                raise InputError(f"{path} has {width:,} columns, expected at most {_MOST_COLUMNS:,}: leave out columns")
+            schema = pa.schema([(text.strip().lower(), pa.string()) for text in names])
             most, at_once = min(most_rows, MAX_VALUES // max(1, width)), _BATCH_CELLS // max(1, width)
             lines: list[list[str]] = []
             batches: list[pa.RecordBatch] = []

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from conetl.files.documents import read_json
+from conetl.files.documents import MAX_JSON_BYTES, MAX_TEXT_BYTES, input_errors, read_json, require_size
 from conetl.model.errors import InputError
 from conetl.model.planned_zones import PlanFile
 from conetl.readers.plans.datex2 import read_datex2
@@ -27,11 +27,14 @@ def read_plans(
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InputError(f"{path}: plans are read from {', '.join(SUFFIXES)}, not from {suffix or 'such a file'}")
+    require_size(path, MAX_JSON_BYTES if suffix == ".csv" else MAX_TEXT_BYTES)
     document = read_json(path) if suffix in (".geojson", ".json") else None
     if suffix != ".xml" and not is_feed(document):
-        return read_permits(path, document, Permits(crs, time_zone, dict(columns or {})))
+        with input_errors(path):
+            return read_permits(path, document, Permits(crs, time_zone, dict(columns or {})))
     if crs or time_zone or columns:
         raise InputError(f"{path}: its format states CRS, times and fields: leave out --crs, --time-zone and --column")
-    if suffix == ".xml":
-        return read_planned_works(path) if is_planned_works(path) else read_datex2(path)
-    return read_feed(path, document)
+    with input_errors(path):
+        if suffix == ".xml":
+            return read_planned_works(path) if is_planned_works(path) else read_datex2(path)
+        return read_feed(path, document)

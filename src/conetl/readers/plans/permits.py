@@ -16,12 +16,12 @@ import pyogrio.raw
 import shapely
 from pyproj import Transformer
 
-from conetl.files.documents import MAX_JSON_BYTES, input_errors, library_errors, require_size, shown
+from conetl.files.documents import input_errors, library_errors, shown
 from conetl.files.names import printable
 from conetl.model.errors import InputError
 from conetl.model.planned_zones import PlanFile, PlannedZone
 from conetl.readers.base_layers.georeferencing import geometries_of, parse_crs
-from conetl.readers.plans.wzdx import features_of, parts_of, used_and_unused
+from conetl.readers.plans.wzdx import MOST_RECORDS, features_of, parts_of, used_and_unused
 
 #: Field of `PlannedZone` -> common names of its column, small letters.
 _COLUMNS = {
@@ -145,13 +145,16 @@ def _read_by_gdal(path: Path) -> tuple[list[tuple[dict[str, Any], bytes | None]]
     is_table = path.suffix.lower() == ".csv"
     rows: list[tuple[dict[str, Any], bytes | None]] = []
     systems = set()
-    if is_table:
-        require_size(path, MAX_JSON_BYTES)
     with library_errors(f"{path}: not a file that GDAL can read"):
         layers = [None] if is_table else [name for name, kind in pyogrio.list_layers(path) if kind is not None]
         for layer in layers:
             meta, _, geometries, fields = pyogrio.raw.read(
-                path, layer=layer, datetime_as_string=True, force_2d=True, **(_CSV if is_table else {})
+                path,
+                layer=layer,
+                max_features=MOST_RECORDS + 1,
+                datetime_as_string=True,
+                force_2d=True,
+                **(_CSV if is_table else {}),
             )
             if geometries is None:
                 raise InputError(f"{path}: no column wkt, nor lon and lat; found: {shown(meta['fields'].tolist())}")

@@ -11,6 +11,8 @@ from conetl.files.names import printable
 from conetl.model.errors import InputError
 from conetl.model.planned_zones import NotAPlanError, PlanFile, PlannedZone, UnusedRecord
 
+#: Of a file, of which a feed of a state has some thousands; and of a record.
+MOST_RECORDS, MOST_POSITIONS = 50_000, 10_000
 #: Types of lanes on which vehicles drive.
 _DRIVEN = frozenset({"general", "exit-lane", "exit-ramp", "entrance-lane", "entrance-ramp"})
 
@@ -23,7 +25,7 @@ def is_feed(document: Any) -> bool:
 
 def read_feed(path: Path, document: Any) -> PlanFile:
     """Planned zones of a feed, in its order, and why each other event is not used. Raises InputError without a list of events."""
-    info = document.get("feed_info") or document["road_event_feed_info"]
+    info = document.get("feed_info", document.get("road_event_feed_info"))
     sources = info.get("data_sources") if isinstance(info.get("data_sources"), list) else []
     names = {one.get("data_source_id"): one.get("organization_name") for one in sources if isinstance(one, dict)}
     publisher = str(info.get("publisher") or "")
@@ -63,13 +65,22 @@ def features_of(path: Path, document: Any) -> list[Any]:
 
 
 def used_and_unused(records: Iterable[Any], zone: Callable[[Any], PlannedZone], noun: str = "feature") -> PlanFile:
-    """Each record as a planned zone, or named with the reason; of several versions of a plan the newest is used."""
+    """Each record as a planned zone, or named with the reason; of several versions of a plan the newest is used.
+
+    Raises ValueError for more than MOST_RECORDS.
+    """
     zones: dict[str, PlannedZone] = {}
     unused = []
     for number, record in enumerate(records, 1):
+        if number > MOST_RECORDS:
+            raise ValueError(f"more than {MOST_RECORDS:,} {noun}s: import it in parts")
         name = f"{noun} {number}"
         try:
             made = zone(record)
+            if (positions := sum(map(len, made.parts))) > MOST_POSITIONS:
+                raise ValueError(
+                    f"its location has {positions:,} positions, expected at most {MOST_POSITIONS:,}: simplify it"
+                )
         except (ValueError, LookupError, TypeError, AttributeError, OverflowError) as error:
             lacks = f"{error} is missing" if isinstance(error, KeyError) else "it has not the form of this format"
             reason = printable(first_message(error)) if isinstance(error, ValueError) else lacks

@@ -17,9 +17,9 @@ MAX_TEXT_BYTES = 2 << 30
 """20 million records of 100 characters. A larger file is not opened."""
 MAX_LINE, LONGEST_LINE = 20_000, 1 << 20
 """Characters of a line that are read; a file with a longer one is refused."""
-MOST_UNUSED, PER_RECORD, CHARACTERS = 200_000, 1000, 100
+MOST_UNUSED, PER_RECORD, CHARACTERS = 140_000, 1000, 100
 """Lines that a file may have without a usable record, and how many more for each record; a line of more than so many characters
-counts as several. At 100 Hz a receiver may be without a fix for half an hour."""
+counts as several. At 100 Hz a receiver may be without a fix for 20 minutes. A block has fewer lines."""
 _BLOCK = 1 << 17
 _HEAD = 65_536
 
