@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import sqlite3
+from contextlib import closing
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,8 @@ from conetl.readers.base_layers.line_files import read_lane_lines, read_vector_f
 from conetl.readers.base_layers.lines import read_lanelet2
 from conetl.readers.base_layers.opendrive import read_opendrive
 from conetl.readers.maps.imported_rows import read_map_file
+from conetl.readers.maps.tables import read_table
+from conetl.readers.plans import read_plans
 from conetl.readers.surveyed_points import read_surveyed_points
 
 UTM = "EPSG:25832"
@@ -464,3 +468,37 @@ def test_feet_in_names_with_a_crs_in_feet(tmp_path: Path) -> None:
     path.write_text("easting_ft,northing_ft,elevation_ft\n6000000,2000000,500\n")
     found = read_map_file(path, ImportParams(sigma_m=1.0), crs="EPSG:2225", map_srid=26910, stated_at=SURVEYED)
     assert found.statements[0].feature.xyz_m[2] == pytest.approx(152.4, abs=1e-3)
+
+
+READERS = [lambda path: read_table(path, layer="v"), read_vector_file, read_plans]
+
+
+def with_view(path: Path, name: str, *, is_layer: bool) -> Path:
+    """A GeoPackage with a query that has no end."""
+    gpkg(path, EAST_NORTH, UTM)
+    with closing(sqlite3.connect(path)) as database:
+        endless = "with recursive n(fid) as (select 1 union all select fid + 1 from n)"
+        database.execute(
+            f"create view {name} as {endless} select n.fid, a.geom from n join {path.stem} a where n.fid < 0"
+        )
+        if is_layer:
+            contents = (
+                "insert into gpkg_contents (table_name, data_type, identifier, srs_id) values (?, 'features', ?, 0)"
+            )
+            database.execute(contents, (name, name))
+            database.execute("insert into gpkg_geometry_columns values (?, 'geom', 'POINT', 0, 1, 0)", (name,))
+        database.commit()
+    return path
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_a_layer_that_is_a_view_is_refused(read: Any, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="layer 'v' is a view"):
+        read(with_view(tmp_path / "a.gpkg", "v", is_layer=True))
+
+
+def test_other_views_of_a_geopackage_are_not_looked_at(tmp_path: Path) -> None:
+    path = with_view(tmp_path / "a.gpkg", "st_geometry_columns", is_layer=False)  # as ArcGIS writes them
+    assert len(read_table(path)) == len(EAST_NORTH)
+    with pytest.raises(InputError, match="there is no line"):
+        read_vector_file(path)

@@ -32,6 +32,7 @@ from conetl.readers.base_layers.lines import (
     read_lanelet2,
 )
 from conetl.readers.base_layers.opendrive import read_opendrive
+from conetl.readers.vector_layers import layers_of
 
 #: GEOS's numbers of the types of lines and multi-lines.
 _LINES = (1, 5)
@@ -49,7 +50,7 @@ def read_vector_file(path: Path) -> LineFile:
     refused: list[str] = []
     systems: dict[str, None] = {}
     with library_errors(f"{path}: not a file of lines that GDAL can read"):
-        for name, _ in pyogrio.list_layers(path):
+        for name, _ in layers_of(path):
             if pyogrio.read_info(path, layer=name, force_feature_count=True)["features"] > MAX_LINES:
                 raise InputError(f"{path}: more than {MAX_LINES:,} features in layer {shown(name)}: import it in parts")
             meta, fids, geometries, fields = pyogrio.raw.read(

@@ -29,6 +29,7 @@ from conetl.model.errors import InputError
 from conetl.model.feature_classes import LINE_CLASSES
 from conetl.readers.base_layers.georeferencing import geometries_of, height_unit_m, parse_crs, require_unit
 from conetl.readers.maps.csv_text import MAX_VALUES, read_csv_text, too_many
+from conetl.readers.vector_layers import layers_of
 
 #: Larger files are not cone maps and do not fit into memory.
 MAX_ROWS = 1_000_000
@@ -121,7 +122,7 @@ def _read_vector(most_rows: int, path: Path, layer: str | None) -> MapTable:
     if path.suffix.lower() == ".fgb":
         _check_flatgeobuf_header(path)
     with library_errors(f"{path} cannot be read as a map"):
-        layers = tuple(str(name) for name, geometry in pyogrio.list_layers(path) if geometry is not None)
+        layers = tuple(name for name, kind in layers_of(path) if kind is not None)
         layer = _choose_layer(path, layers, layer)
         info = pyogrio.read_info(path, layer=layer)
         _check_claim(path, info["features"], "features", len(info["fields"]), most_rows)

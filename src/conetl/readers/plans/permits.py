@@ -22,6 +22,7 @@ from conetl.model.errors import InputError
 from conetl.model.planned_zones import PlanFile, PlannedZone
 from conetl.readers.base_layers.georeferencing import geometries_of, parse_crs
 from conetl.readers.plans.wzdx import MOST_RECORDS, features_of, parts_of, used_and_unused
+from conetl.readers.vector_layers import layers_of
 
 #: Field of `PlannedZone` -> common names of its column, small letters.
 _COLUMNS = {
@@ -146,7 +147,7 @@ def _read_by_gdal(path: Path) -> tuple[list[tuple[dict[str, Any], bytes | None]]
     rows: list[tuple[dict[str, Any], bytes | None]] = []
     systems = set()
     with library_errors(f"{path}: not a file that GDAL can read"):
-        layers = [None] if is_table else [name for name, kind in pyogrio.list_layers(path) if kind is not None]
+        layers = [None] if is_table else [name for name, kind in layers_of(path) if kind is not None]
         for layer in layers:
             meta, _, geometries, fields = pyogrio.raw.read(
                 path,
