@@ -54,7 +54,10 @@ def test_differences_between_changesets_and_times(conetl, surveyed, tmp_path):
     assert len(lines) == changes.count("moved")
     to_map = Transformer.from_crs(4326, 32632, always_xy=True)
     for change in json.loads(conetl("map", "diff", "2026-03-02T23:00", "2026-03-03T23:00", "--json")):
-        [drawn] = (f["geometry"]["coordinates"] for f in collection["features"] if f["id"] == change["feature_id"])
+        [feature] = (f for f in collection["features"] if f["id"] == change["feature_id"])
+        drawn, cov_m2 = feature["geometry"]["coordinates"], (change["new"] or change["old"])["cov_m2"]
+        told = [feature["properties"][f"sigma_{axis}_m"] for axis in "enu"]
+        assert told == pytest.approx(np.sqrt([cov_m2[0], cov_m2[3], cov_m2[5]]), abs=5.1e-5)
         shown = [to_map.transform(*at[:2]) for at in (drawn if isinstance(drawn[0], list) else [drawn])]
         sides = [side["xyz_m"][:2] for side in (change["old"], change["new"]) if side]
         assert shown == pytest.approx(np.array(sides[-len(shown) :]), abs=0.001), (
