@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -117,6 +118,11 @@ def test_decisions_through_the_command_line(conetl, surveyed):
 
     reverted = conetl("map", "revert", 3, "--note", "wrong GNSS")
     assert "their changes are kept" in reverted
+    xyz_m = {f["feature_id"][:8]: f["xyz_m"] for f in json.loads(conetl("map", "show", "--json"))["features"]}
+    standing = {feature: f"{x:.2f} {y:.2f}" for feature, (x, y, _) in xyz_m.items()}
+    rows = [re.split(" {2,}", line) for line in reverted.splitlines() if re.match("[0-9a-f]{8} ", line)]
+    assert [row[4] for row in rows] == [standing.get(row[0], "removed") for row in rows]
+    assert any(row[4] != row[3] for row in rows), "by the drive of the day after"
     assert "not in effect" in conetl("map", "log")
     assert "already" in conetl("map", "revert", 3, code=2)
     conetl("db", "audit")
