@@ -8,6 +8,7 @@ from collections import Counter
 import pytest
 from pydantic import SecretStr
 
+from conetl.db.connection import execute
 from conetl.db.map.drive_store import read_view
 from conetl.db.map.map_store import list_changesets
 from conetl.db.serve_store import read_feature_history
@@ -172,6 +173,17 @@ def test_the_queue_is_paged_and_what_is_decided_leaves_it(client, module_conn, h
     assert now["feature_id"] not in {item["feature_id"] for item in get(client, "review?limit=100")["items"]}
 
 
+def test_the_least_certain_are_reviewed_first(client, module_conn, samples):
+    """Between 0.3 and 0.7; on a map of their own."""
+    chances = (0.29, 0.35, 0.49, 0.62, 0.7, 0.71)
+    cones = [samples.feature(str(one), existence_probability=one) for one in chances]
+    samples.commit(module_conn, *map(samples.added, cones), key="d", map_name="doubtful")
+    found = client.get("/api/maps/doubtful/review").json()
+    assert [(item["kind"], item["existence_probability"]) for item in found["items"]] == [
+        ("doubtful", one) for one in (0.49, 0.62, 0.35, 0.7)
+    ]
+
+
 def test_an_approval_holds_until_the_next_change_and_can_be_withdrawn(client, module_conn):
     """Last in this file: it decides, and merges another day."""
     moves = [item for item in get(client, "review?limit=100")["items"] if item["kind"] == "move"]
@@ -206,6 +218,14 @@ def test_an_approval_holds_until_the_next_change_and_can_be_withdrawn(client, mo
     made = get(client, "changes/view?changeset_no=3")["changes"]
     counts = {kind: count for kind, count in released["change_counts"]["points"].items() if kind != "missed"}
     assert counts == Counter(c["kind"] for c in made) != {}
+    replaced = (
+        "select distinct feature_id from conetl.delta where not upper_inf(system_period) and track_index is not null"
+    )
+    for row in execute(module_conn, replaced):
+        found = get(client, f"features/{row['feature_id']}/sightings")["sightings"]
+        pairs = [(one["drive_uuid"], one["frame_index"]) for one in found]
+        assert len(pairs) == len(set(pairs)) > 0
+    module_conn.rollback()
 
 
 def test_a_class_is_corrected_from_the_web(client):

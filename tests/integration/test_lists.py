@@ -12,7 +12,8 @@ from fastapi.testclient import TestClient
 
 from benchmarks.made_up_maps import make_closures
 from conetl.db.connection import execute
-from conetl.db.list_store import ORDERS
+from conetl.db.list_store import ORDERS, Listed, ListOrder
+from conetl.model.feature_classes import LANE_MARKING
 from conetl.web.app import create_app
 
 COUNT = 3_000
@@ -114,3 +115,16 @@ def test_the_changes_in_view_are_those_of_the_list(client):
         assert sum(view["kinds"].values()) == len(inside)
         total += len(inside)
     assert total == COUNT and north > 0
+
+
+@pytest.mark.parametrize("descending", [False, True])
+@pytest.mark.parametrize(("by", "category"), [("height", LANE_MARKING), ("class", "milestone")])
+def test_rows_without_a_key_come_last_in_both_directions(client, module_conn, by, category, descending):
+    """Lane markings have no height, and classes of other programs no number."""
+    change = "update conetl.feature_version set category = %(category)s where first_seen_ns % 7 = 0"
+    execute(module_conn, change.replace("% 7", "%% 7"), {"category": category})
+    listed = Listed("standing", {"map_name": "default"}, {})
+    rows = listed.page(module_conn, ListOrder(by, descending), rows=COUNT, origin_m=[0.0] * 3)
+    module_conn.rollback()
+    without = [row["category"] == category for row in rows]
+    assert 0 < sum(without) < len(rows) == COUNT and without == sorted(without)

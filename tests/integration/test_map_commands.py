@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -54,7 +55,10 @@ def test_differences_between_changesets_and_times(conetl, surveyed, tmp_path):
     assert len(lines) == changes.count("moved")
     to_map = Transformer.from_crs(4326, 32632, always_xy=True)
     for change in json.loads(conetl("map", "diff", "2026-03-02T23:00", "2026-03-03T23:00", "--json")):
-        [drawn] = (f["geometry"]["coordinates"] for f in collection["features"] if f["id"] == change["feature_id"])
+        [feature] = (f for f in collection["features"] if f["id"] == change["feature_id"])
+        drawn, cov_m2 = feature["geometry"]["coordinates"], (change["new"] or change["old"])["cov_m2"]
+        told = [feature["properties"][f"sigma_{axis}_m"] for axis in "enu"]
+        assert told == pytest.approx(np.sqrt([cov_m2[0], cov_m2[3], cov_m2[5]]), abs=5.1e-5)
         shown = [to_map.transform(*at[:2]) for at in (drawn if isinstance(drawn[0], list) else [drawn])]
         sides = [side["xyz_m"][:2] for side in (change["old"], change["new"]) if side]
         assert shown == pytest.approx(np.array(sides[-len(shown) :]), abs=0.001), (
@@ -114,6 +118,11 @@ def test_decisions_through_the_command_line(conetl, surveyed):
 
     reverted = conetl("map", "revert", 3, "--note", "wrong GNSS")
     assert "their changes are kept" in reverted
+    xyz_m = {f["feature_id"][:8]: f["xyz_m"] for f in json.loads(conetl("map", "show", "--json"))["features"]}
+    standing = {feature: f"{x:.2f} {y:.2f}" for feature, (x, y, _) in xyz_m.items()}
+    rows = [re.split(" {2,}", line) for line in reverted.splitlines() if re.match("[0-9a-f]{8} ", line)]
+    assert [row[4] for row in rows] == [standing.get(row[0], "removed") for row in rows]
+    assert any(row[4] != row[3] for row in rows), "by the drive of the day after"
     assert "not in effect" in conetl("map", "log")
     assert "already" in conetl("map", "revert", 3, code=2)
     conetl("db", "audit")

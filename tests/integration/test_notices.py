@@ -164,6 +164,14 @@ def test_nothing_is_lost_or_out_of_order_while_a_receiver_is_in_trouble(conn, in
         assert not store.undelivered(conn)
 
 
+def test_one_failure_among_several_receivers_needs_attention(conn, info, conetl, monkeypatch):
+    monkeypatch.setattr(notices, "_FIRST_WAIT_S", 3600.0)
+    with inbox() as whole, inbox(500) as broken:
+        monkeypatch.setenv("CONETL_WEBHOOKS", f"{whole.url},{broken.url}")
+        monkeypatch.setenv("CONETL_WEBHOOK_SECRET", SECRET)
+        assert "1 new notice of map default; 1 delivered, 1 failed" in conetl("zones", "notify", code=1)
+
+
 def test_a_receiver_that_restarts_gets_what_it_missed(conn, info):
     with inbox() as server:
         [receiver], port = receivers_at(server.url), server.server_port

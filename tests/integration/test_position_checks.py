@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 
 import pytest
 from pydantic import SecretStr
 
 from conetl.checks.verdict import judge_all
 from conetl.db.connection import Connection, connect
+from conetl.db.map.decision_store import held_drives
 from conetl.model.drive import Drive, DriveRecords
 from conetl.model.health import HealthCheck, Verdict
 from conetl.model.params import IngestParams
@@ -93,3 +95,16 @@ def test_one_rig_in_two_places_is_a_warning(
         assert f"{same} and was {where}" in found[0].detail
     other = drive.model_copy(update={"rig": drive.rig.model_copy(update={"rig_id": "another van"})})
     assert checks_of(first_day, second.records, other) == []
+
+
+def test_the_commit_of_a_drive_that_contradicts_the_map_is_on_hold(
+    first_day: Connection, second: AnalysedDrive, module_database_url: str, sample_settings: Settings
+) -> None:
+    """Last in this file: it stays on the map."""
+    settings = sample_settings.model_copy(update={"database_url": SecretStr(module_database_url)})
+    drive = farther_east(6.0)(second.drive)
+    made = commit(replace(second, records=second.records._replace(drive=drive, tracks=[])), settings)
+    first_day.rollback()
+    assert (made.report.status, made.report.counts_on_map) == ("held", False)
+    assert made.report.on_hold is not None and "one UTM zone" in made.report.on_hold
+    assert [one.drive_id for one in held_drives(first_day, map_name="default")] == [drive.drive_id]

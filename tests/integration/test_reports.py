@@ -113,6 +113,7 @@ def test_the_report_of_a_drive(shown: Any, latest: CommittedChangeset, samples: 
         DeltaKind.REMOVED: [2, 0], DeltaKind.MOVED: [2, 2], DeltaKind.ADDED: [2],
     }  # fmt: skip
     assert images[1][1].missing  # its place was in no image of the second drive
+    assert [pairs[0].title.split(",")[0] for number, pairs in images.items() if number < 3] == ["before: drive_1"] * 2
 
 
 def test_a_missing_image_is_left_out(shown: Any, latest: CommittedChangeset) -> None:
@@ -271,6 +272,19 @@ def test_of_several_analyses_of_a_drive_that_in_effect_is_found(
         assert drive_facts.find_drive(shown, latest.drive_id, map_name="default") == found
 
 
+def test_lane_markings_are_in_the_plan_and_not_in_the_size_of_a_map(shown: Any, samples: Any) -> None:
+    vertices_m = [(458_000.0 + k, 5_428_000.0, 114.5) for k in range(3)]
+    line = samples.line_feature(samples.marking(vertices_m, pattern="dashed", dash_m=1.0, gap_m=2.0, colour="yellow"))
+    samples.commit(shown, samples.added(samples.feature()), samples.added(line), key="abce", map_name="painted")
+    night = read_night(
+        shown, map_name="painted", since=datetime(2000, 1, 1, tzinfo=UTC), until=datetime.now(UTC) + timedelta(hours=1)
+    )
+    assert [count for _, count in night.sizes] == [1]
+    [paint] = read_drive_facts(shown, list_changesets(shown, map_name="painted")[0], map_name="painted").markings
+    assert np.allclose(paint.line_m, vertices_m)
+    assert paint[1:] == ("yellow", 1.0, 2.0, DeltaKind.ADDED, None)
+
+
 def test_a_night_ends_before_the_next_one_begins(shown: Any) -> None:
     second, first = list_changesets(shown)
     for since, until, drives in (
@@ -369,6 +383,9 @@ def test_drives_on_hold_are_named_first_and_their_pages_follow_decisions(
     logged = list_changesets(conn)[0]
     assert night.drives[1]["counts"] and logged.change_counts.points[DeltaKind.CONFIRMED]
     assert night.drives[1]["change_counts"] == logged.change_counts
+    events = [read_drive_facts(conn, one, map_name="default").hold_events for one in list_changesets(conn)]
+    conn.rollback()
+    assert ([event.what for event in events[0]], events[1]) == (["on hold", "accepted"], ())
     log = [line.split()[-1] for line in conetl("map", "log").splitlines()[1:]]
     assert log[0] == "seen" and len(log) == 4
     [decision] = json.loads(conetl("map", "decisions", "--json"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import closing
 
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -70,6 +71,23 @@ def test_the_tiles_of_every_zoom_add_up_to_the_summary(closures):
             for y in range(int(south // side), int(north // side) + 1)
         ]
         assert sum(tile["count"] for tile in tiles) == EVERYTHING
+
+
+@pytest.mark.parametrize(("valid_at", "beyond_m"), [(None, 256.0), (INSTANTS[2], 0.001)])
+def test_the_box_of_the_summary_contains_every_feature_and_little_more(closures, valid_at, beyond_m):
+    """To 256 m where the cells are stored."""
+    conn, client = closures
+    found = client.get("/api/maps/default/summary", params={"valid_at": valid_at} if valid_at else {}).json()
+    [row] = execute(
+        conn,
+        """
+        select array[min(easting_m), min(northing_m), max(easting_m), max(northing_m)] as box_m
+        from conetl.feature_states('default', coalesce(%(at)s::timestamptz, 'infinity'))
+        """,
+        {"at": valid_at},
+    )
+    outward_m = (np.add(found["box_m"], found["origin_m"][:2] * 2) - row["box_m"]) * [-1, -1, 1, 1]
+    assert (outward_m > -0.001).all() and (outward_m < beyond_m).all()
 
 
 def test_the_overview_follows_every_change_of_the_map(closures):

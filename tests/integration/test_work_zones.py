@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 import threading
 from concurrent.futures import ThreadPoolExecutor, wait
 from datetime import timedelta
 
 import geopandas
 import numpy as np
+import pytest
 import shapely
 import shapely.ops
 
 from conetl.db import reader_pool
 from conetl.db.connection import execute
+from conetl.db.map.map_store import read_current_features
 from conetl.exports.wzdx import SOURCES, schema_faults
 from conetl.model.base import utc_from_ns
 from conetl.pipeline.maps.work_zones import export_zones, read_zones
@@ -167,7 +170,13 @@ def test_the_layout_check_writes_table_layer_and_image(conn, conetl, tmp_path):
     table = conetl("map", "check-layout", "--speed-kmh", 50, "--out", layer, "--picture", image)
     assert "at most 9.5 m between cones in tapers, 18.9 m in tangents" in table
     found = json.loads(conetl("map", "check-layout", "--json"))
-    assert found["work_zones"]
+    # From the first cone: the road goes east.
+    east_m = {str(feature.feature_id): feature.xyz_m[0] for feature in read_current_features(conn)}
+    conn.rollback()
+    first_m = east_m[found["work_zones"][0]["first"]]
+    middles_m = [np.mean([east_m[one] for one in f["feature_ids"]]) - first_m for f in found["findings"]]
+    rows = re.findall(r"^\d+ .*? (-?\d+\.\d\d)(?: +\d+\.\d\d){3}  ", table, re.MULTILINE)
+    assert [*map(float, rows)] == pytest.approx(middles_m, abs=0.1) and rows
     features = json.loads(layer.read_text())["features"]
     assert [f["properties"]["rule"] for f in features] == [f["rule"] for f in found["findings"]]
     assert image.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"

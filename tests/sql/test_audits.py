@@ -6,6 +6,7 @@ import pytest
 
 from conetl.db.connection import connect, execute, load_sql, statements
 from conetl.db.schema import run_audits
+from tests.integration.conftest import command_line
 
 AUDITS = statements("audits").keys()
 #: audit -> statements that plant one fault, past the constraints that would refuse it.
@@ -268,9 +269,13 @@ def test_an_audit_finds_its_planted_fault(good_map, audit, number):
     assert rows and all(row["problem"] for row in rows)
 
 
-def test_a_fault_that_stays_is_reported_with_its_rows(conn, samples):
+def test_a_fault_that_stays_is_reported_with_its_rows(conn, database_url, samples, tmp_path):
+    conetl = command_line(tmp_path, database_url)
     samples.commit(conn, samples.added(samples.feature()), key="1")
+    assert "changeset_counts" in conetl("db", "audit", code=0)
     execute(conn, "update changeset set rejection_count = 5")
     conn.commit()
     [failed] = [result for result in run_audits(conn) if not result.passed]
     assert (failed.name, failed.row_count, len(failed.rows)) == ("changeset_counts", 1, 1)
+    conn.rollback()
+    assert f"changeset_counts: {failed.rows[0]}" in conetl("db", "audit", code=1).replace("\n", "")

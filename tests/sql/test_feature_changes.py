@@ -6,6 +6,7 @@ import json
 from datetime import datetime, timedelta
 from functools import partial
 
+import numpy as np
 import pytest
 
 from conetl.db.connection import execute
@@ -113,6 +114,12 @@ def test_nothing_differs_where_nothing_happened(module_conn, numbers):
     everything = changes(module_conn, numbers)
     assert kinds(everything) == dict.fromkeys((CONES | LINES | {"comes": None}).keys() - {"leaves"}, "added")
     assert {row["changed_at"] for name, row in everything.items() if name != "comes"} == {day(0)}
+
+
+def test_the_horizontal_sigma_is_that_of_the_longest_axis(module_conn, numbers):
+    for row in states(module_conn, numbers).values():
+        cov_m2 = np.array([[row["sigma_e_m"] ** 2, row["cov_en_m2"]], [row["cov_en_m2"], row["sigma_n_m"] ** 2]])
+        assert cov_m2[0, 1] and row["sigma_m"] == pytest.approx(np.linalg.eigvalsh(cov_m2)[-1] ** 0.5, rel=1e-9)
 
 
 def test_from_later_to_earlier_is_the_inverse(module_conn, numbers):

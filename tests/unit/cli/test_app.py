@@ -7,17 +7,24 @@ import re
 import shlex
 import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from typer.main import get_command
 from typer.testing import CliRunner
 
 from conetl.cli.app import _COMMANDS, _GROUPS, app
+from conetl.cli.ingest import ingest_drives
 from conetl.cli.map.exchange import _format_by_name
 from conetl.cli.services import _environment
 from conetl.model.errors import InputError
+from conetl.model.ingest_report import NeedsAttentionError
+from conetl.model.params import IngestParams
 from conetl.pipeline.settings import Settings
+from tests.integration.small_drives import SAMPLES
 
 COMMANDS = {(name,): found for panel in _COMMANDS.values() for name, found in panel.items()}
 COMMANDS |= {(*group.split(), name): found for group, (_, some) in _GROUPS.items() for name, found in some.items()}
@@ -126,3 +133,29 @@ def test_workers_share_the_cores(
     monkeypatch.delenv("CONETL_WORKERS", raising=False)
     found = _environment(Settings(workers=cores), tmp_path, "http://host/api", "login", "http://view", workers)
     assert found["CONETL_WORKERS"] == each
+
+
+REPORT: Any = SimpleNamespace(remarks=[])
+OUTCOMES = {"fine": None, "held": NeedsAttentionError(REPORT, "on hold"), "bad": InputError("bad")}
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "code"), [("fine", 0), ("held fine", 1), ("bad fine", 2), ("held bad", 2), ("bad held", 2)]
+)
+def test_the_exit_code_of_several_drives_is_the_worst_in_any_order(
+    outcomes: str, code: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Of drives whose ingest is made up."""
+    ends = iter(outcomes.split())
+
+    def ingested(*_: object, **__: object) -> Any:
+        if error := OUTCOMES[next(ends)]:
+            raise error
+        return REPORT
+
+    monkeypatch.setattr("flows.ingest_drive.ingest_here", ingested)
+    monkeypatch.setattr("flows.server.prefect_server", nullcontext)
+    monkeypatch.setattr("conetl.cli.ingest.prefect_environment", lambda _: {})
+    drives = SAMPLES[: len(outcomes.split())]
+    found = ingest_drives(drives, Settings(home=tmp_path), IngestParams(), map_srid=None, show=lambda _: None)
+    assert (len(found[0]), found[1]) == (len(drives) - outcomes.count("bad"), code)

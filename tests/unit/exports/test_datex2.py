@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from functools import cache
+from functools import cache, partial
 from uuid import UUID
 
 import numpy as np
@@ -19,6 +19,7 @@ from conetl.geometry.geodesy import to_map
 from conetl.model.base import ns_from_utc
 from conetl.model.errors import InputError
 from conetl.model.work_zone_params import WorkZoneParams
+from conetl.model.work_zone_records import VehicleImpact
 from conetl.readers.plans.datex2 import read_datex2
 from conetl.workzones.zone_layout import describe, layout_of
 from tests.folders import SHARED
@@ -100,6 +101,13 @@ def test_a_zone_that_was_last_seen_long_ago_has_an_end_and_no_status(tmp_path):
     assert set(texts(document, "validityStatus")) == {"definedByValidityTimeSpec"}
     assert not texts(document, "operatorActionStatus") + texts(document, "laneUsage") + texts(document, "impact")
     assert all("not known" in text for text in texts(document, "value") if "cones" in text)
+
+
+def test_no_lane_is_restricted_where_all_are_open(tmp_path):
+    """Also where the row of cones would close one."""
+    open_lanes = partial(replace, impact=VehicleImpact.ALL_LANES_OPEN, closed_lane_count=1)
+    made, document = written(tmp_path / "open.xml", change=open_lanes)
+    assert texts(document, "numberOfLanesRestricted") == ["0"] * len(made)
 
 
 def test_an_ended_zone_names_the_one_that_it_became_part_of(tmp_path):

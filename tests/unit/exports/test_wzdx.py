@@ -12,8 +12,9 @@ import pytest
 from pyproj import Transformer
 
 from conetl.exports import wzdx
-from conetl.exports.wzdx import export_work_zone_feed, schema_faults
-from conetl.exports.zone_feed import FeedContext, direction_of, read_feed_info
+from conetl.exports.wzdx import export_device_feed, export_work_zone_feed, schema_faults
+from conetl.exports.zone_feed import FeedContext, direction_of, read_feed_info, state_of, zones_to_publish
+from conetl.model.base import ns_from_utc
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.line_files import read_lane_lines
 from tests.folders import SHARED
@@ -169,3 +170,26 @@ def test_the_direction_is_the_quarter_from_the_first_to_the_last_device(bearings
     for bearing in np.radians(bearings_deg):
         last = zone.last.model_copy(update={"xyz_m": (x + 200 * np.sin(bearing), y + 200 * np.cos(bearing), z)})
         assert direction_of(replace(zone, last=last), CONTEXT) == direction
+
+
+def test_devices_and_their_zone_were_surveyed_when_they_were_last_seen(tmp_path):
+    """By different drives: each device has its own time, the zone the latest of them."""
+    zone, hour_ns = zones()[0], 3_600_000_000_000
+    cones = [
+        cone.model_copy(update={"last_seen_ns": (number + 1) * hour_ns})
+        for number, cone in enumerate(zone.layout.cones)
+    ]
+    export_device_feed([], cones, tmp_path / "feed.geojson", CONTEXT)
+    devices = json.loads((tmp_path / "feed.geojson").read_text())["features"]
+    told = {one["id"]: one["properties"]["core_details"]["update_date"] for one in devices}
+    seen = {str(cone.feature_id): SEEN + timedelta(hours=number + 1) for number, cone in enumerate(cones)}
+    assert told == {name: at.strftime("%Y-%m-%dT%H:%M:%SZ") for name, at in seen.items()}
+    again = replace(zone, layout=replace(zone.layout, cones=tuple(cones[::-1])))
+    assert state_of(again, CONTEXT).surveyed == SEEN + timedelta(hours=len(cones))
+
+
+@pytest.mark.parametrize(("days", "shown"), [(7.5, True), (13.99, True), (14.01, False)])
+def test_an_ended_zone_is_published_for_14_days(days, shown):
+    zone = zones()[0]
+    gone = replace(zone, history=replace(zone.history, end_ns=ns_from_utc(AT - timedelta(days=days))))
+    assert zones_to_publish([gone], CONTEXT)[0] == ([gone] if shown else [])

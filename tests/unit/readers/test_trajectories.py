@@ -513,6 +513,8 @@ def test_poses_on_the_map_have_lever_arm_and_convergence(tmp_path: Path) -> None
 
 def test_unknown_sigmas_must_be_given(tmp_path: Path) -> None:
     recorded = read_trajectory(files.write_oxts(tmp_path))
+    # pos_accuracy is that of north and east.
+    np.testing.assert_allclose(recorded.sigma, np.tile([0.011, 0.011, 0.0165, *[np.nan] * 3], (files.COUNT, 1)))
     blind = recorded._replace(sigma=np.full((files.COUNT, 6), np.nan))
     with pytest.raises(InputError, match="horizontal_m"):
         placed(blind, drive_in(tmp_path), np.eye(3))

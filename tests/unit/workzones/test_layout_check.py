@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from conetl.model.work_zone_params import LayoutParams, WorkZoneParams
 from conetl.model.work_zone_records import DrivePath, LaneLine, Level, Rule
 from conetl.workzones import layout_check
+from conetl.workzones.cone_rows import find_rows
 from conetl.workzones.layout_check import FOOT_M, MILE_KM
 from conetl.workzones.zone_layout import describe, layout_of
 from tests.cases import cases
@@ -187,3 +188,16 @@ def test_a_shoulder_taper_is_not_asked_to_be_a_merging_one():
         zone, layout_of(zone, path, [LaneLine(line.xy_m + np.array([0.0, 8.0])) for line in lanes], PARAMS), PARAMS
     )
     assert (beside.impact, beside.layout.axis_source) == ("unknown", "drives"), "the vehicle was not on this road"
+
+
+def test_the_sigma_of_a_taper_is_that_of_its_line_with_the_scatter_of_the_row():
+    """The prior counts as four cones; a line takes two of them."""
+    stations_m, scatter_m = np.arange(6) * 10.0, np.array([0.2, -0.3, 0.1, 0.3, -0.1, -0.2])
+    offsets_m, exact = 0.1 * stations_m + scatter_m, np.full(6, 1e-6)
+    [row] = find_rows(stations_m, offsets_m, exact, exact, PARAMS, traffic_sign=1.0, axis_sigma_m=0.1)
+    [taper] = row.tapers
+    (slope, level_m), prior_m = np.polyfit(stations_m, offsets_m, 1), PARAMS.placement_sigma_m
+    chi2 = (((offsets_m - slope * stations_m - level_m) / prior_m) ** 2).sum()
+    variance_m2 = prior_m**2 * (4 + chi2) / (4 + len(stations_m) - 2)
+    sigma = np.sqrt(variance_m2 / ((stations_m - stations_m.mean()) ** 2).sum())
+    assert (taper.shift_m, taper.shift_sigma_m) == pytest.approx((slope * 50.0, sigma * 50.0), rel=1e-6)
