@@ -523,7 +523,7 @@ BAD = {
     "a blank category": (OTHER, SEEN | {"category": " "}, r"row 2: category is ' '"),
     "a long category": (OTHER, SEEN | {"category": "c" * 65}, r"row 2: category is 'c+', expected at most 64"),
     "a line class": (OTHER, SEEN | {"category": "Lane Marking"}, r"row 2: category is 'Lane Marking', .*lines cannot"),
-    "no uuid": (OTHER, SEEN | {"feature_id": "cone 7"}, "row 1: feature_id is None|row 2: feature_id is 'cone 7'"),
+    "no uuid": (OTHER, SEEN | {"feature_id": "cone 7"}, "row 1: feature_id is empty|row 2: feature_id is 'cone 7'"),
 }
 
 
