@@ -18,7 +18,7 @@ from conetl.db.reader_pool import ReaderPool
 from conetl.exports import FORMATS, ZONE_FORMATS
 from conetl.model.errors import InputError
 from conetl.web.models import Problem
-from conetl.web.parameters import Instant, MapName
+from conetl.web.parameters import Instant, MapName, invalid
 
 router = APIRouter(tags=["downloads"])
 _MEDIA_TYPES = {
@@ -59,7 +59,7 @@ def download(
 
     for instant in (valid_at, known_at, from_valid_at):
         if instant is not None and not 1 < instant.year < 9999:
-            raise HTTPException(422, f"{instant.isoformat()}: expected a time between the years 2 and 9998.")
+            raise invalid("valid_at", f"{instant.isoformat()}: expected a time between the years 2 and 9998")
     pool: ReaderPool = request.app.state.pool
     name = _file_name(map_name, file_format, valid_at, from_valid_at)
     try:
@@ -93,7 +93,7 @@ def _corners(box: str | None) -> tuple[float, float, float, float] | None:
         return None
     west, south, east, north = map(float, box.split(","))
     if west > east or south > north:
-        raise HTTPException(422, f"box={box}: expected west, south, east, north, each in the map's CRS.")
+        raise invalid("box", "expected west, south, east, north, each in the map's CRS")
     return west, south, east, north
 
 

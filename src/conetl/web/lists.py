@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 from uuid import UUID
 
 import shapely
-from fastapi import APIRouter, Depends, HTTPException, Query, Response
+from fastapi import APIRouter, Depends, Query, Response
 from pydantic import FiniteFloat
 
 from conetl.db.connection import or_infinity
@@ -24,7 +24,7 @@ from conetl.db.serve_store import read_rows
 from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.listing import listing
-from conetl.web.parameters import Instant, MapName, Origin, Reader
+from conetl.web.parameters import Instant, MapName, Origin, Reader, invalid
 
 router = APIRouter(tags=["lists"], prefix="/maps/{map_name}")
 #: Changes that a view shows one by one, as of a tile.
@@ -64,7 +64,7 @@ def read_filters(
     box = None
     if area:
         if len(area) < 6 or len(area) % 2:
-            raise HTTPException(422, "area: expected easting and northing of at least three points.")
+            raise invalid("area", "expected easting and northing of at least three points")
         hull = shapely.MultiPoint(list(zip(area[::2], area[1::2], strict=True))).convex_hull
         box = f"SRID={require_map(conn, map_name).srid};{hull.wkt}"
     found = {
@@ -148,7 +148,7 @@ def read_slice(
         _KEYS.get(order.by, float)(key)
         return Slice(order, limit, offset, (key, int(row_id)))
     except ValueError as error:
-        raise HTTPException(422, f"after={after} is not the next of a page in this order.") from error
+        raise invalid("after", "it is not the next of a page in this order") from error
 
 
 Features = Annotated[Listed, Depends(features_of)]
