@@ -78,13 +78,19 @@ async function send(path: string, init: RequestInit): Promise<Response> {
   }
 }
 
+/** What an answer says is wrong: in words, or of each parameter. */
+export function detailOf(body: unknown): string | null {
+  const detail = (body as { detail?: string | { loc: string[]; msg: string }[] } | null)?.detail;
+  return Array.isArray(detail) ? detail.map(({ loc, msg }) => `${loc.at(-1)}: ${msg}`).join("; ") : (detail ?? null);
+}
+
 async function accepted(response: Response): Promise<Response> {
   if (response.ok) return response;
   let detail = `The server answered ${response.status}.`;
   let body: unknown = null;
   try {
     body = await response.json();
-    if (typeof body === "object" && body !== null && "detail" in body && typeof body.detail === "string") detail = body.detail;
+    detail = detailOf(body) ?? detail;
   } catch {
     // not JSON: the status is the message
   }

@@ -1,5 +1,5 @@
 // The menu “Download”: files of the state that is shown, an image of the view, the report of the drive.
-import { api, ApiError, type Instant, type TimelineItem } from "./api";
+import { api, ApiError, detailOf, type Instant, type TimelineItem } from "./api";
 import { countOf } from "./classes";
 import { el, fill, messageOf, popup, utc } from "./dom";
 
@@ -81,7 +81,7 @@ export function createDownloads(host: HTMLElement, actions: DownloadActions) {
   async function save(path: string): Promise<void> {
     try {
       const response = await fetch(path);
-      if (!response.ok) throw new ApiError(((await response.json()) as { detail: string }).detail, response.status);
+      if (!response.ok) throw new ApiError(detailOf(await response.json()) ?? "", response.status);
       const name = /filename="([^"]+)"/.exec(response.headers.get("content-disposition") ?? "")?.[1] ?? "wzdx.geojson";
       saveBlob(await response.blob(), name);
     } catch (error) {

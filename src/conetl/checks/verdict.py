@@ -71,7 +71,7 @@ def _follows(finding: Finding, row: Check) -> Verdict:
 
 
 def _shown(figure: float | None, row: Check) -> float | None:
-    """To four digits, so that a repeated computation gives the same."""
+    """Shares in %; to four digits, so that a repeated computation gives the same."""
     return None if figure is None else float(f"{figure * (100 if row.unit == SHARE else 1):.4g}")
 
 

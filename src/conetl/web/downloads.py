@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, HTTPException, Query, Request
 from fastapi.responses import FileResponse
+from pydantic import AfterValidator
 from starlette.background import BackgroundTask
 
 from conetl.db.map.map_store import find_map
@@ -18,7 +19,7 @@ from conetl.db.reader_pool import ReaderPool
 from conetl.exports import FORMATS, ZONE_FORMATS
 from conetl.model.errors import InputError
 from conetl.web.models import Problem
-from conetl.web.parameters import Instant, MapName, invalid
+from conetl.web.parameters import Instant, MapName
 
 router = APIRouter(tags=["downloads"])
 _MEDIA_TYPES = {
@@ -26,10 +27,32 @@ _MEDIA_TYPES = {
     **{name: form.media_type for name, form in ZONE_FORMATS.items()},
 }  # fmt: skip
 _NUMBERS = ",".join([r"-?\d{1,9}(?:\.\d{1,6})?"] * 4)
+
+
+def _corners(box: str) -> tuple[float, float, float, float]:
+    west, south, east, north = map(float, box.split(","))
+    return west, south, east, north
+
+
+def _ordered(box: str | None) -> str | None:
+    if box is not None:
+        west, south, east, north = _corners(box)
+        if west > east or south > north:
+            raise ValueError("expected west, south, east, north, each in the map's CRS")
+    return box
+
+
+def _in_a_file(instant: datetime | None) -> datetime | None:
+    if instant is not None and not 1 < instant.year < 9999:
+        raise ValueError("expected a time between the years 2 and 9998")
+    return instant
+
+
 Box = Annotated[
-    str | None,
+    str | None, AfterValidator(_ordered),
     Query(pattern=f"^{_NUMBERS}$", description="West, south, east, north in the map's CRS; default: the whole map."),
-]
+]  # fmt: skip
+Time = Annotated[Instant, AfterValidator(_in_a_file)]
 Text = Annotated[str | None, Query(max_length=200)]
 
 
@@ -42,9 +65,9 @@ def download(
     map_name: MapName,
     file_format: Literal["geojson", "csv", "gpkg", "wzdx"],
     request: Request,
-    valid_at: Instant = None,
-    known_at: Instant = None,
-    from_valid_at: Instant = None,
+    valid_at: Time = None,
+    known_at: Time = None,
+    from_valid_at: Time = None,
     box: Box = None,
     publisher: Text = None,
     road_name: Text = None,
@@ -57,9 +80,6 @@ def download(
     from conetl.exports.source import ExportContent, ExportRequest
     from conetl.pipeline.maps.work_zones import export_zones
 
-    for instant in (valid_at, known_at, from_valid_at):
-        if instant is not None and not 1 < instant.year < 9999:
-            raise invalid("valid_at", f"{instant.isoformat()}: expected a time between the years 2 and 9998")
     pool: ReaderPool = request.app.state.pool
     name = _file_name(map_name, file_format, valid_at, from_valid_at)
     try:
@@ -76,7 +96,9 @@ def download(
                     road_names=[road_name], lanes=None,
                 )  # fmt: skip
             else:
-                asked = ExportRequest(map_name, known_at=known_at, as_of=valid_at, box_m=_corners(box))
+                asked = ExportRequest(
+                    map_name, known_at=known_at, as_of=valid_at, box_m=None if box is None else _corners(box)
+                )
                 if from_valid_at is not None:
                     asked = replace(asked, what=ExportContent.CHANGES, as_of=None, since=from_valid_at, until=valid_at)
                 export_map(conn, path, file_format, asked)
@@ -86,15 +108,6 @@ def download(
     # Not compressed: the browser can show the progress of the download.
     headers = {"Content-Encoding": "identity", "Cache-Control": "no-store"}
     return FileResponse(path, filename=name, headers=headers, media_type=_MEDIA_TYPES[file_format], background=sent)
-
-
-def _corners(box: str | None) -> tuple[float, float, float, float] | None:
-    if box is None:
-        return None
-    west, south, east, north = map(float, box.split(","))
-    if west > east or south > north:
-        raise invalid("box", "expected west, south, east, north, each in the map's CRS")
-    return west, south, east, north
 
 
 def _file_name(map_name: str, file_format: str, until: datetime | None, since: datetime | None) -> str:

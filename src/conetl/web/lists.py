@@ -15,7 +15,8 @@ from uuid import UUID
 
 import shapely
 from fastapi import APIRouter, Depends, Query, Response
-from pydantic import FiniteFloat
+from fastapi.exceptions import RequestValidationError
+from pydantic import AfterValidator, FiniteFloat
 
 from conetl.db.connection import or_infinity
 from conetl.db.list_store import KINDS, ORDERS, Listed, ListOrder
@@ -24,7 +25,7 @@ from conetl.db.serve_store import read_rows
 from conetl.web import models as m
 from conetl.web import rows as to
 from conetl.web.listing import listing
-from conetl.web.parameters import Instant, MapName, Origin, Reader, invalid
+from conetl.web.parameters import Instant, MapName, Origin, Reader
 
 router = APIRouter(tags=["lists"], prefix="/maps/{map_name}")
 #: Changes that a view shows one by one, as of a tile.
@@ -38,6 +39,12 @@ Words = Annotated[list[str] | None, Query(max_length=64)]
 Share = Annotated[float | None, Query(ge=0, le=1)]
 Metres = Annotated[float | None, Query(ge=0, le=1_000, allow_inf_nan=False)]
 Number = Annotated[int | None, Query(ge=1, le=2**62)]
+
+
+def _corners(area: list[float] | None) -> list[float] | None:
+    if area and (len(area) < 6 or len(area) % 2):
+        raise ValueError("expected easting and northing of at least three points")
+    return area
 
 
 def read_filters(
@@ -54,7 +61,7 @@ def read_filters(
     seen_from: Instant = None,
     seen_before: Instant = None,
     area: Annotated[
-        list[FiniteFloat] | None,
+        list[FiniteFloat] | None, AfterValidator(_corners),
         Query(
             max_length=2 * _MAX_CORNERS, description="Easting, northing of at least three points: the area between them."
         ),
@@ -63,8 +70,6 @@ def read_filters(
     """Conditions of the rows; without any, all are listed."""
     box = None
     if area:
-        if len(area) < 6 or len(area) % 2:
-            raise invalid("area", "expected easting and northing of at least three points")
         hull = shapely.MultiPoint(list(zip(area[::2], area[1::2], strict=True))).convex_hull
         box = f"SRID={require_map(conn, map_name).srid};{hull.wkt}"
     found = {
@@ -148,7 +153,12 @@ def read_slice(
         _KEYS.get(order.by, float)(key)
         return Slice(order, limit, offset, (key, int(row_id)))
     except ValueError as error:
-        raise invalid("after", "it is not the next of a page in this order") from error
+        problem = {
+            "type": "value_error",
+            "loc": ("query", "after"),
+            "msg": "it is not the next of a page in this order",
+        }
+        raise RequestValidationError([problem]) from error
 
 
 Features = Annotated[Listed, Depends(features_of)]

@@ -10,7 +10,6 @@ from typing import Annotated, TypeVar
 from uuid import UUID
 
 from fastapi import Depends, HTTPException, Path, Query, Request
-from fastapi.exceptions import RequestValidationError
 from pydantic import AfterValidator, BeforeValidator, Field, FiniteFloat, TypeAdapter, ValidationError
 from pydantic_core import PydanticCustomError
 
@@ -24,11 +23,6 @@ T = TypeVar("T")
 #: Both ends of a temporal filter; None: open.
 Interval = tuple[datetime | None, datetime | None]
 _OPEN = ("", "..")
-
-
-def invalid(name: str, message: str) -> RequestValidationError:
-    """For a parameter that FastAPI cannot judge alone: 422 in the shape that the definition states."""
-    return RequestValidationError([{"type": "value_error", "loc": ("query", name), "msg": message}])
 
 
 def cut(rows: list[T], most: int) -> tuple[list[T], bool]:

@@ -29,12 +29,13 @@ def read_plans(
         raise InputError(f"{path}: plans are read from {', '.join(SUFFIXES)}, not from {suffix or 'such a file'}")
     require_size(path, MAX_JSON_BYTES if suffix == ".csv" else MAX_TEXT_BYTES)
     document = read_json(path) if suffix in (".geojson", ".json") else None
-    if suffix != ".xml" and not is_feed(document):
-        with input_errors(path):
-            return read_permits(path, document, Permits(crs, time_zone, dict(columns or {})))
-    if crs or time_zone or columns:
-        raise InputError(f"{path}: its format states CRS, times and fields: leave out --crs, --time-zone and --column")
     with input_errors(path):
+        if suffix != ".xml" and not is_feed(document):
+            return read_permits(path, document, Permits(crs, time_zone, dict(columns or {})))
+        if crs or time_zone or columns:
+            raise InputError(
+                f"{path}: its format states CRS, times and fields: leave out --crs, --time-zone and --column"
+            )
         if suffix == ".xml":
             return read_planned_works(path) if is_planned_works(path) else read_datex2(path)
         return read_feed(path, document)
