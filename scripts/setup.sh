@@ -20,11 +20,18 @@ python=${PYTHON:-python3}
 command -v "$python" >/dev/null || fail "no $python on this machine: install Python 3.11 or newer, or name it: make PYTHON=/path/to/python3.12 ..."
 "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' ||
   fail "$("$python" --version) is too old: conetl needs Python 3.11 or newer; name one: make PYTHON=/path/to/python3.12 ..."
-if ! "$python" -c 'import ensurepip, venv' 2>/dev/null; then
-  can_install || fail "Python's venv module is missing: install the package python3-venv, then run this again"
-  install_packages python3-venv
+
+# --- packages of the system, all asked for at once
+have_postgis() { compgen -G '/usr/share/postgresql/*/extension/postgis.control' >/dev/null || { command -v pg_config >/dev/null && [ -f "$(pg_config --sharedir)/extension/postgis.control" ]; }; }
+missing=()
+"$python" -c 'import ensurepip, venv' 2>/dev/null || missing+=(python3-venv)
+[ -n "${CONETL_DATABASE_URL:-}" ] || have_postgis || missing+=(postgresql postgresql-postgis)
+if [ ${#missing[@]} -gt 0 ]; then
+  can_install || fail "this user may not install packages: have 'apt install ${missing[*]}' run, then run this again. Instead of PostGIS here, CONETL_DATABASE_URL may name a database that has it."
+  install_packages "${missing[@]}"
 fi
 
+# --- the environment
 # With the version of Python: after an upgrade of the operating system .venv has a Python without any packages.
 lock() { { sha256sum requirements.txt pyproject.toml; .venv/bin/python --version; } 2>/dev/null | sha256sum | cut -d' ' -f1; }
 if [ "$(cat .venv/.conetl-lock 2>/dev/null)" != "$(lock)" ]; then
@@ -38,10 +45,3 @@ if [ "$(cat .venv/.conetl-lock 2>/dev/null)" != "$(lock)" ]; then
   env -u PYTHONDONTWRITEBYTECODE .venv/bin/python scripts/import_all.py
   lock > .venv/.conetl-lock
 fi
-
-# --- PostGIS
-[ -n "${CONETL_DATABASE_URL:-}" ] && exit 0
-have_postgis() { compgen -G '/usr/share/postgresql/*/extension/postgis.control' >/dev/null || { command -v pg_config >/dev/null && [ -f "$(pg_config --sharedir)/extension/postgis.control" ]; }; }
-have_postgis && exit 0
-can_install && install_packages postgresql postgresql-postgis && have_postgis && exit 0
-fail "PostGIS is not installed and this user may not install it: have the packages 'postgresql postgresql-postgis' installed, or set CONETL_DATABASE_URL to a PostGIS database."
