@@ -71,6 +71,18 @@ def test_sigmas_of_three_drives_together(sightings: dict[Path, AnalysedDrive], f
     assert together.common.holds() is holds
 
 
+def test_sigmas_of_object_heights_hold(sightings: dict[Path, AnalysedDrive]) -> None:
+    """Their errors have a part in common, so that the mean square is no chi-square of 29."""
+    in_sigmas = []
+    for drive, results in sightings.items():
+        path_m = np.array([map_SE3_left(pair.pose, results.drive.rig)[:3, 3] for pair in results.drive.frame_pairs])
+        lines, _ = compare_with_truth(read_truth_cones(drive / "truth.csv")[0], results.tracks, path_m)
+        pairs = [(line.truth.cone_height_m, line.feature) for line in lines if line.feature is not None]
+        in_sigmas += [(found.object_height_m - true_m) / found.object_height_sigma_m for true_m, found in pairs]
+    assert len(in_sigmas) > 25
+    assert 0.5 < np.mean(np.square(in_sigmas)) < 1.6
+
+
 DRIVE = SAMPLES[0]
 EVERYWHERE = PARAMS.model_copy(update={"detection": DetectionParams(search_right="everywhere")})
 

@@ -15,6 +15,7 @@ from conetl.mapping.fusion import birge_ratios, excess_of, fuse, larger_excess, 
 from conetl.model.arrays import Floats
 from conetl.model.base import Cov3, SharedErrorJacobian
 from conetl.model.drive import Track
+from conetl.model.feature_classes import FEATURE_CLASSES
 from conetl.model.map_records import Delta, DeltaKind, ExistenceEvidence, MapFeature
 from conetl.model.params import ReconcileParams
 
@@ -163,14 +164,11 @@ def confirm_features(
     centres, new_centres = (stack_rows([one.centre_xyz_m for one in side], 3) for side in (old, new))
     centres = centres + _matvec(gain, new_centres - centres)
     shifts_m = np.linalg.norm((fused - old_xyz)[:, :2], axis=1).tolist()
-    heights = np.array([[one.object_height_m for one in side] for side in (old, new)]).T
-    weights = np.array([[one.object_height_sigma_m for one in side] for side in (old, new)]).T ** -2.0
-    height = (heights * weights).sum(axis=1) / weights.sum(axis=1)
+    heights, height_sigmas = _fused_heights(old, new)
     unsound = ~(np.diagonal(cov, axis1=1, axis2=2) > 0).all(axis=1)
     if unsound.any():
         first = old[int(np.flatnonzero(unsound)[0])]
         raise ValueError(f"feature {first.feature_id} and its track have covariances that cannot be fused")
-    sigmas_m = weights.sum(axis=1) ** -0.5
     deltas = []
     for k, (j, feature, track) in enumerate(zip(pairs, old, new, strict=True)):
         after = {
@@ -178,8 +176,8 @@ def confirm_features(
             "xyz_m": vec3(fused[k]),
             "cov_m2": cov3(cov[k]),
             "centre_xyz_m": vec3(centres[k]),
-            "object_height_m": float(height[k]),
-            "object_height_sigma_m": float(sigmas_m[k]),
+            "object_height_m": float(heights[k]),
+            "object_height_sigma_m": float(height_sigmas[k]),
             "shared_jacobian": jacobians[k],
             **observed(feature, evidence[j]),
             "observation_count": feature.observation_count + track.observation_count,
@@ -218,6 +216,20 @@ def _with_excess(
         if excess_m2 is not None:
             covs[k], jacobians[k] = with_excess(covs[k], jacobians[k], excess_m2)
     return covs, jacobians
+
+
+def _fused_heights(old: Sequence[MapFeature], new: Sequence[Track]) -> tuple[Floats, Floats]:
+    """Weighted means of two heights each, and their sigmas (N,) m.
+
+    What heights of a class have in common stays in the sigma; heights stated with a smaller one, such as surveyed ones, lack it.
+    """
+    heights = np.array([[one.object_height_m for one in side] for side in (old, new)])
+    variances = np.array([[one.object_height_sigma_m for one in side] for side in (old, new)]) ** 2
+    shares = np.array([FEATURE_CLASSES[one.category].height_common for one in old])
+    both = (variances > (shares * heights) ** 2).all(axis=0)
+    weights = 1 / (variances - both * (shares * heights) ** 2)
+    fused = (heights * weights).sum(axis=0) / weights.sum(axis=0)
+    return fused, np.sqrt(1 / weights.sum(axis=0) + both * (shares * fused) ** 2)
 
 
 def _matvec(matrices: Floats, vectors: Floats) -> Floats:

@@ -19,7 +19,7 @@ from conetl.pipeline.settings import Settings
 
 #: Part of every key: increment it when a step computes something else from the same inputs, so that drives can be analysed again.
 #: `tests/integration/test_reanalysis.py` fails then, and prints the new records of a sample drive.
-ANALYSIS_VERSION = "37"
+ANALYSIS_VERSION = "38"
 #: Never changes: keys of analyses and changesets of this version, which are in databases, do not contain it.
 _FIRST_VERSION = "33"
 

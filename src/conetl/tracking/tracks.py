@@ -167,7 +167,7 @@ def fuse_group(
         relative_cov_m2=cov3(own_cov + _changed_by_motion(group, foot, data)),
         centre_xyz_m=vec3(centre.xyz_m),
         object_height_m=height_m,
-        object_height_sigma_m=_height_sigma_m(group, matches, rig),
+        object_height_sigma_m=_height_sigma_m(group, matches, rig, FEATURE_CLASSES[category].height_common * height_m),
         existence_probability=existence,
         observation_count=len(group),
         first_seen_ns=first,
@@ -207,10 +207,13 @@ def _fit_points(
         )
 
 
-def _height_sigma_m(group: Sequence[Position], matches: Sequence[StereoMatch], rig: Rig) -> float:
-    """Sigma of an object's height: pose errors shift foot and tip equally, so only the scatter of the box edges counts."""
+def _height_sigma_m(group: Sequence[Position], matches: Sequence[StereoMatch], rig: Rig, common_m: float) -> float:
+    """Sigma of an object's height: pose errors shift foot and tip equally, so only the errors of the box edges count.
+
+    common_m: sigma of what the heights of the class have in common.
+    """
     weight = sum((rig.left.fy_px / p.range_m / m.sigma_v_px) ** 2 for p, m in zip(group, matches, strict=True))
-    return float(np.sqrt(2 / weight + 2 * min(p.sigma_outline_m for p in group) ** 2))
+    return float(np.sqrt(2 / weight + 2 * min(p.sigma_outline_m for p in group) ** 2 + common_m**2))
 
 
 def _changed_by_motion(group: tuple[Position, ...], foot: JointFit, data: DriveData) -> Floats:

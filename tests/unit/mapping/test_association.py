@@ -13,9 +13,12 @@ from scipy.optimize import linear_sum_assignment
 
 from conetl.mapping.association import Comparison, assign, common_offset, match_unmoved, near_pairs
 from conetl.mapping.changes import reconcile
-from conetl.mapping.deltas import ReconcileContext
+from conetl.mapping.deltas import ReconcileContext, confirm_features
+from conetl.mapping.existence_update import sighting_evidence
 from conetl.model.drive import Track
+from conetl.model.feature_classes import CONE, FEATURE_CLASSES
 from conetl.model.map_records import Delta, DeltaKind, MapFeature
+from tests import records
 from tests.unit.mapping.test_changes import NO_FIX, PARAMS, RTK, NotObserved, changes, feature, track
 
 
@@ -89,6 +92,31 @@ def test_a_cone_of_another_height_at_the_same_position_replaces_the_height() -> 
     assert delta.new is not None
     assert (delta.new.feature_id, delta.new.object_height_m) == (UUID(int=0), 0.5)
     assert kinds(changes([track(0, 0.0, 3.0, height_m=0.6)], [feature(0, 0.0, 3.0)])) == {DeltaKind.CONFIRMED: 1}
+
+
+@settings(max_examples=40, deadline=None)
+@given(order=st.permutations([(0.69, 0.009), (0.70, 0.02), (0.72, 0.012), (0.705, 0.05)]), count=st.integers(1, 20))
+def test_drives_do_not_average_what_heights_of_a_class_have_in_common(
+    order: list[tuple[float, float]], count: int
+) -> None:
+    """The order of drives is all the same, and the sigma stays above that of the common part however many there are."""
+    share = FEATURE_CLASSES[CONE].height_common
+
+    def seen(heights: list[tuple[float, float]]) -> MapFeature:
+        there = records.feature(0, object_height_m=0.7, object_height_sigma_m=0.03)
+        for height_m, sigma_m in heights:
+            of_drive = records.track(object_height_m=height_m, object_height_sigma_m=sigma_m)
+            (delta,) = confirm_features({0: 0}, [there], [of_drive], {0: sighting_evidence(there, of_drive)})
+            assert delta.new is not None
+            there = delta.new
+        return there
+
+    there = seen(order)
+    assert there.object_height_m == pytest.approx(seen(sorted(order)).object_height_m, abs=1e-5)
+    common_m = share * there.object_height_m
+    own_m2 = sum(1 / (sigma_m**2 - (share * height_m) ** 2) for height_m, sigma_m in [*order, (0.7, 0.03)]) ** -1
+    assert there.object_height_sigma_m == pytest.approx(np.hypot(common_m, own_m2**0.5), rel=1e-4)
+    assert common_m < seen(order * count).object_height_sigma_m <= there.object_height_sigma_m
 
 
 def together(tracks: Sequence[Track]) -> list[Track]:
