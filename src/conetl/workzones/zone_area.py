@@ -18,10 +18,9 @@ _MARGIN_M = 0.4
 
 def zone_area(zone: WorkZone) -> Floats:
     """Ring (N, 2) in the map's CRS; the first point is not repeated."""
-    xy_m = zone.line_m[:, :2]
-    line = shapely.LineString(xy_m) if len(xy_m) > 1 else shapely.Point(xy_m[0])  # the last device of a zone that is removed
+    line = shapely.LineString(zone.line_m[:, :2])
     parts = [line.buffer(_MARGIN_M if zone.closed_side else _UNKNOWN_M)]
-    if zone.closed_side is not None and len(xy_m) > 1:
+    if zone.closed_side is not None and line.length:
         side = 1.0 if zone.closed_side == "left" else -1.0
         parts.append(line.buffer(side * _width_m(zone), single_sided=True, join_style="mitre"))
     area = shapely.union_all(parts)
