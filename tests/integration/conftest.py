@@ -30,7 +30,10 @@ QUIET = {"PREFECT_SERVER_ANALYTICS_ENABLED": "false", "DO_NOT_TRACK": "1"}
 
 
 def outcome(arguments: Iterable[object], environment: dict[str, str]) -> tuple[int, str, str]:
-    """Exit code of a command in this process, what it prints, and the words of the error that it ends with, if any."""
+    """Exit code of a command in this process, what it prints, and the words of the error that it ends with, if any.
+
+    Raises what is an internal error.
+    """
     ours = dict(os.environ)
     try:
         done = CliRunner().invoke(app, list(map(str, arguments)), env=environment)
@@ -39,6 +42,8 @@ def outcome(arguments: Iterable[object], environment: dict[str, str]) -> tuple[i
         os.environ.update(ours)
     if isinstance(done.exception, ConetlError):
         return done.exception.exit_code, done.stdout, str(done.exception)
+    if isinstance(done.exception, Exception):
+        raise done.exception
     return done.exit_code, done.stdout if done.exit_code == 0 else done.output, ""
 
 

@@ -95,10 +95,10 @@ map decisions
 map decisions --json
 map licence
 map licence --json
-map check-points {folder}/points.csv
-map check-points {folder}/points.csv --json
-map check-points {folder}/points.csv --as-of {seen} --within-m 0.2 --sigma-m 0.02
-map check-points {folder}/far_points.csv
+map check-points {folder}/points.csv --crs EPSG:32632 --sigma-m 0.03
+map check-points {folder}/points.csv --crs EPSG:32632 --sigma-m 0.03 --json
+map check-points {folder}/points.csv --crs EPSG:32632 --as-of {seen} --within-m 0.2 --sigma-m 0.02
+map check-points {folder}/far_points.csv --crs EPSG:32632 --sigma-m 0.03
 map check-layout
 map check-layout --json
 map check-layout --speed-kmh 80 --as-of {seen}
@@ -123,7 +123,7 @@ drive held --json
 base list
 base list --json
 db status --json
-db audit
+db audit --json
 map create west --crs EPSG:25832
 map suppress {suppress} --note again
 map pin ffffffff
@@ -178,18 +178,18 @@ EXPORTS = [
     "map check-layout --out {folder}/layout.geojson",
     "map diff 2 5 --out {folder}/changes.geojson",
 ]  # fmt: skip
+CHECKED = "--as-of 2026-03-05T20:00 --checkpoints {folder}/points.csv --crs EPSG:32632 --sigma-m 0.03"
 #: As above, of pages and images, whose figures are read too.
 REPORTS = [
-    *(f"report drive {number} --out {{folder}}/drive_{number}.html" for number in (3, 5, 6, 8, 9)),
+    *(f"report drive {number} --out {{folder}}/drive_{number}.html" for number in (2, 3, 5, 6, 8, 9)),
     "report drive 1 --out {folder}/drive_1.html", "report drive nowhere --out {folder}/drive_0.html",
     f"report night {NIGHT} --out {{folder}}/night.html", "report night 2026-03-19 --out {folder}/night_19.html",
     "report night --since {w1} --until {w4} --out {folder}/since.html",
     "report night --since {before_w1} --until {before_w4} --out {folder}/before.html",
     f"report night {NIGHT} --json --out {{folder}}/night_json.html",
     "report quality --as-of {seen} --out {folder}/quality.html",
-    "report quality --as-of 2026-03-05T20:00 --checkpoints {folder}/points.csv --out {folder}/checked.html",
-    "report quality --as-of 2026-03-05T20:00 --checkpoints {folder}/points.csv --out {folder}/checked.xml",
-    "report quality --json --as-of 2026-03-05T20:00 --checkpoints {folder}/points.csv --within-m 0.1 --out {folder}/near.html",
+    *(f"report quality {CHECKED} --out {{folder}}/checked.{suffix}" for suffix in ("html", "xml")),
+    f"report quality --json {CHECKED} --within-m 0.1 --out {{folder}}/near.html",
     "zones compare --as-of 2026-03-06 --out {folder}/plans.html",
     "map picture {folder}/map.svg --title Everything", "map picture {folder}/then.svg --as-of {seen} --known-at {w3}",
     "map picture {folder}/changes.svg --changes 2 5", "map picture {folder}/box.svg --bbox {box}",
