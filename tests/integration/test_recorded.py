@@ -87,6 +87,10 @@ map diff 5 7
 map diff 5 5
 map diff 5 2
 map diff 3 99
+map diff 3 4
+map diff 4 3
+map show --category dromedary
+map check-points {folder}/points.csv --crs EPSG:32632 --sigma-m 0.001 --known-at {w5}
 map diff {before_seen} {seen}
 map diff 2026-03-02 2026-03-03
 map diff 2026-03-03 2026-03-05 --known-at {w3}
@@ -176,7 +180,8 @@ EXPORTS = [
     "zones compare --as-of 2026-03-06 --out {folder}/plans.csv",
     "zones compare --as-of 2026-03-06 --out {folder}/plans.geojson",
     "map check-layout --out {folder}/layout.geojson",
-    "map diff 2 5 --out {folder}/changes.geojson",
+    "map diff 2 5 --out {folder}/changes.geojson", "map export --category dromedary --out {folder}/none.geojson",
+    "map export --category lane_marking --out {folder}/lines.geojson", "map export --category barricade --out {folder}/one.csv",
 ]  # fmt: skip
 CHECKED = "--as-of 2026-03-05T20:00 --checkpoints {folder}/points.csv --crs EPSG:32632 --sigma-m 0.03"
 #: As above, of pages and images, whose figures are read too.
@@ -193,7 +198,8 @@ REPORTS = [
     "zones compare --as-of 2026-03-06 --out {folder}/plans.html",
     "map picture {folder}/map.svg --title Everything", "map picture {folder}/then.svg --as-of {seen} --known-at {w3}",
     "map picture {folder}/changes.svg --changes 2 5", "map picture {folder}/box.svg --bbox {box}",
-    "map check-layout --image {folder}/layout.svg",
+    "map picture {folder}/west.svg --map west", "map diff 3 4 --image {folder}/diff.svg",
+    "map picture {folder}/no.svg --changes 5 2", "map check-layout --image {folder}/layout.svg",
 ]  # fmt: skip
 API = "/api/maps/default"
 #: GET routes, with parameters.
