@@ -143,7 +143,7 @@ map import {folder}/all_classes.csv --map west
 report drive 99
 report night 2026-03-20 --since 2026-03-20
 """.strip().splitlines()
-CHANGES = " --what changes --from 2026-03-03T12:00 --to {seen_last}"
+CHANGES = " --what changes --from 2026-03-03T12:00 --to 2026-03-05T13:30"
 ONE_CLASS = " --category traffic_cone"
 #: Commands that write files: the name of the file is the last word.
 EXPORTS = [
@@ -154,7 +154,7 @@ EXPORTS = [
             ("mcap", "mcap"), ("lanelet2", "osm"),
         )
         for number, what in enumerate(("", CHANGES + (ONE_CLASS if suffix not in ("csv", "geojson") else "")))
-        if not (number and suffix in ("parquet", "osm"))
+        if not (number and suffix in ("parquet", "osm", "fgb"))
     ),
     "map export --format csv --what history --category traffic_sign --out {folder}/history.csv",
     "map export --format mcap --what history --category traffic_sign --out {folder}/history.mcap",
@@ -186,7 +186,7 @@ EXPORTS = [
 CHECKED = "--as-of 2026-03-05T20:00 --checkpoints {folder}/points.csv --crs EPSG:32632 --sigma-m 0.03"
 #: As above, of pages and images, whose figures are read too.
 REPORTS = [
-    *(f"report drive {number} --out {{folder}}/drive_{number}.html" for number in (2, 3, 5, 6, 8, 9)),
+    *(f"report drive {number} --out {{folder}}/drive_{number}.html" for number in (2, 3, 5, 8)),
     "report drive 1 --out {folder}/drive_1.html", "report drive nowhere --out {folder}/drive_0.html",
     f"report night {NIGHT} --out {{folder}}/night.html", "report night 2026-03-19 --out {folder}/night_19.html",
     "report night --since {w1} --until {w4} --out {folder}/since.html",
