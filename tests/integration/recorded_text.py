@@ -59,9 +59,12 @@ def scalar(value: Any, path: str = "") -> str:
         return value.astimezone(UTC).isoformat().replace("+00:00", "Z")
     if isinstance(value, (bytes, memoryview)):
         return f"{len(bytes(value))} bytes"
-    if _FRACTION.fullmatch(words := str(value)) and len(words.partition(".")[2]) > 9:
-        return number(float(words), path)
-    return words or '""'
+    return _rounded(str(value), path) or '""'
+
+
+def _rounded(text: str, path: str = "") -> str:
+    """Numbers with more digits than a person writes as `number` has them."""
+    return _FRACTION.sub(lambda m: number(float(m[0]), path) if len(m[0].partition(".")[2]) > 9 else m[0], text)
 
 
 def lines_of(value: Any, path: str = "") -> Iterator[str]:
@@ -129,7 +132,7 @@ def _inline(value: Any, path: str) -> str:
 def text_lines(text: str) -> Iterator[str]:
     """Lines without the spaces that depend on widths."""
     for line in text.splitlines():
-        if short := re.sub(r"\s{2,}", "  ", line).strip():
+        if short := _rounded(re.sub(r"\s{2,}", "  ", line).strip()):
             yield short
 
 
@@ -224,10 +227,6 @@ def osm_lines(text: str) -> Iterator[str]:
             for one in root.findall(kind)
         ]
         yield from lines_of(found, kind)
-
-
-def _rounded(text: str) -> str:
-    return _FRACTION.sub(lambda found: f"{float(found[0]):.9f}" if len(found[0]) > 14 else found[0], text)
 
 
 def figure_lines(figure: Figure) -> Iterator[str]:

@@ -206,8 +206,8 @@ API = "/api/maps/default"
 ROUTES = """
 /api/maps
 {api}/features
-{api}/features?limit=3&sort=-sigma_m
-{api}/features?limit=2&offset=3&sort=existence_probability
+{api}/features?limit=3&sort=sigma-
+{api}/features?limit=2&offset=3&sort=existence
 {api}/features?valid_at={seen}
 {api}/features?valid_at={before_seen}&limit=2
 {api}/features?valid_at={seen}&known_at={w3}&limit=2
@@ -218,13 +218,14 @@ ROUTES = """
 {api}/features?of_changeset=5
 {api}/features?seen_from={seen_last}&seen_before={seen_last}
 {api}/features?seen_from={seen_last}
-{api}/features?area={area}
+{api}/features?{area}
+{api}/changes/summary?changeset_no=1&{area}
 {api}/features/count
 {api}/features/count?kinds=added&feature={pin}
-{api}/features/count?valid_at={before_seen}&sort=-sigma_m&feature={pin}
+{api}/features/count?valid_at={before_seen}&sort=sigma-&feature={pin}
 {api}/changes?changeset_no=3
 {api}/changes?from_valid_at={before_seen}&to_valid_at={seen}
-{api}/changes?from_valid_at={seen}&to_valid_at=2026-03-05T00:00:00Z&limit=3&sort=-shift_m
+{api}/changes?from_valid_at={seen}&to_valid_at=2026-03-05T00:00:00Z&limit=3&sort=shift-
 {api}/changes?from_known_at={before_w3}&to_known_at={w3}
 {api}/changes?changeset_no=3&kinds=moved,removed
 {api}/changes/count?changeset_no=3
@@ -291,13 +292,13 @@ ROUTES = """
 /ogc/collections/default.features/items?limit=2&f=geojsonseq&properties=category
 /ogc/collections/default.lane_markings/items?limit=1&f=json
 /ogc/collections/default.features/items/{pin}?f=csv
-/ogc/collections/default.features/items?filter=sigma_e_m < 0.05&limit=3&properties=sigma_e_m
+/ogc/collections/default.features/items?drive_id=short&limit=3&properties=sigma_e_m
 /ogc/collections/default.features/items?category=lamp
 /ogc/collections/default.features/queryables
 /ogc/collections?limit=2&offset=3
 /ogc/collections?datetime=../{seen}&limit=1
 /ogc/conformance
-{api}/features?sort=category&limit=2&after=zz
+{api}/features?sort=class&limit=2&after=zz
 {api}/differences?valid_at=2026-02-01T00:00:00Z
 {api}/changes
 {api}/timeline?limit=0
@@ -390,9 +391,15 @@ def words_of(conn: Connection, made: rich_map.Written, folder: Path) -> dict[str
     gone = sorted(key for key in tables.versions if key not in now and key != made.features["suppress"])
     words["gone"] = gone[0]
     words["west"] = max(MapByTables(conn, "west").versions)
-    x, y, _ = cone.xyz_m
-    words["box"] = f"{x!r},{y!r},{x + 26:.3f},{y + 2.5:.3f}"  # it touches its corner
-    words["area"] = words["box"]
+    west, south, east, north = (
+        456_105.25,
+        5_428_002.125,
+        456_114.25,
+        5_428_003.25,
+    )  # imported objects are at two of its corners
+    words["box"] = f"{west},{south},{east},{north}"
+    corners = ((west, south), (east, south), (east, north), (west, north))
+    words["area"] = "&".join(f"area={value}" for corner in corners for value in corner)
     lat, lon, _ = to_geodetic(32632, cone.xyz_m)
     words["bbox"] = f"{lon - 1e-9:.9f},{lat - 1e-6:.7f},{lon + 4e-4:.7f},{lat + 4e-5:.7f}"
     [row] = execute(conn, "select drive_uuid::text as id from conetl.drive where drive_id = 'day_2_0'")
