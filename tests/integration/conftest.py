@@ -6,7 +6,7 @@ import fcntl
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,22 +29,32 @@ from tests.view_map import two_drives, view_of
 QUIET = {"PREFECT_SERVER_ANALYTICS_ENABLED": "false", "DO_NOT_TRACK": "1"}
 
 
+def outcome(arguments: Iterable[object], environment: dict[str, str]) -> tuple[int, str, str]:
+    """Exit code of a command in this process, what it prints, and the words of the error that it ends with, if any.
+
+    Raises what is an internal error.
+    """
+    ours = dict(os.environ)
+    try:
+        done = CliRunner().invoke(app, list(map(str, arguments)), env=environment)
+    finally:  # commands set variables for Prefect
+        os.environ.clear()
+        os.environ.update(ours)
+    if isinstance(done.exception, ConetlError):
+        return done.exception.exit_code, done.stdout, str(done.exception)
+    if isinstance(done.exception, Exception):
+        raise done.exception
+    return done.exit_code, done.stdout if done.exit_code == 0 else done.output, ""
+
+
 def command_line(home: Path, database_url: str, map_name: str = "default") -> Callable[..., str]:
     """`conetl(*arguments, code=0)`: what the command prints, or the words of the error that it ends with."""
     environment = {"CONETL_HOME": str(home), "CONETL_DATABASE_URL": database_url, "CONETL_MAP_NAME": map_name}
 
     def run(*arguments: object, code: int = 0) -> str:
-        ours = dict(os.environ)
-        try:
-            done = CliRunner().invoke(app, list(map(str, arguments)), env=environment)
-        finally:  # commands set variables for Prefect
-            os.environ.clear()
-            os.environ.update(ours)
-        if isinstance(done.exception, ConetlError):
-            assert done.exception.exit_code == code, done.exception
-            return str(done.exception)
-        assert done.exit_code == code, done.output
-        return done.stdout
+        found, output, message = outcome(arguments, environment)
+        assert found == code, message or output
+        return message or output
 
     return run
 

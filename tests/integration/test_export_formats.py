@@ -27,8 +27,7 @@ from pyproj import Transformer
 
 from conetl.db.connection import execute
 from conetl.db.map.import_store import set_licence
-from conetl.db.map.map_store import read_changes, read_features_as_of, require_map
-from conetl.db.map.results import MapInstant
+from conetl.db.map.map_store import read_features_as_of, require_map
 from conetl.exports import FORMATS, text_files
 from conetl.exports.export import export_map
 from conetl.exports.source import ExportContent, ExportRequest
@@ -261,55 +260,6 @@ def test_a_history_plays_in_mcap(conn, files):
     now = execute(conn, "select feature_id::text as id from conetl.current_feature")
     conn.rollback()
     assert set(standing) == {row["id"] for row in now}
-
-
-def test_changes_lead_from_one_map_to_the_other(conn, files):
-    frame = geopandas.read_parquet(files[0] / "changes.parquet").set_index("feature_id")
-    before, after = (
-        {str(v.feature.feature_id): v.feature for v in read_features_as_of(conn, instant)}
-        for instant in (NOON[0], NOON[2])
-    )
-    conn.rollback()
-    assert set(frame.index[frame["change"] == "added"]) == after.keys() - before.keys() != set()
-    assert set(frame.index[frame["change"] == "removed"]) == before.keys() - after.keys() != set()
-    assert not frame.index.duplicated().any()
-    shown = {str(one.feature_id): one.kind for one in read_changes(conn, MapInstant(NOON[0]), MapInstant(NOON[2]))}
-    conn.rollback()
-    assert dict(frame["change"]) == shown, "as `conetl map diff`"
-    for feature_id, row in frame[frame["change"].isin(["moved", "confirmed"])].iterrows():
-        old, new = before[feature_id], after[feature_id]
-        assert (row["old_easting_m"], row["old_northing_m"], row["old_ellipsoidal_height_m"]) == old.xyz_m
-        assert (row.geometry.x, row.geometry.y, row.geometry.z) == new.xyz_m
-        assert (row["old_version"], row["version"]) == (old.version, new.version)
-        assert row["shift_m"] == pytest.approx(np.hypot(*np.subtract(old.xyz_m, new.xyz_m)[:2]))
-        assert (row["change"] == "moved") == (row["shift_m"] > 0.5)
-
-
-def test_evidence_of_drives_is_exported(another_database, tmp_path):
-    """Counts and probability as in `conetl map show`, of cones that two short drives missed."""
-    with another_database() as conn:
-        for one in (survey(0), survey(1, frames=20), survey(1, frames=21, after_ns=3_600_000_000_000)):
-            merge(conn, one)
-        shown = {str(v.feature.feature_id): v for v in read_features_as_of(conn)}
-        conn.rollback()
-        assert any(v.feature.missed_count == 2 for v in shown.values())
-        for what in ExportContent:
-            since = NOON[0] - timedelta(days=1) if what is ExportContent.CHANGES else None
-            path = tmp_path / f"{what}.parquet"
-            export_map(conn, path, "geoparquet", ExportRequest(what=what, since=since))
-            frame = geopandas.read_parquet(path)
-            if what is ExportContent.HISTORY:
-                frame = frame[frame["present"] & frame["valid_to"].isna() & frame["system_to"].isna()]
-            told = frame.set_index("feature_id")[["seen_count", "missed_count", "existence_probability"]]
-            assert {key: tuple(row) for key, row in told.iterrows()} == {
-                key: (v.feature.seen_count, v.feature.missed_count, v.feature.existence_probability)
-                for key, v in shown.items()
-            }
-        since = ExportRequest(what=ExportContent.CHANGES, since=NOON[0])
-        export_map(conn, tmp_path / "since.parquet", "geoparquet", since)
-        frame = geopandas.read_parquet(tmp_path / "since.parquet").set_index("feature_id")
-        missed = {key for key, v in shown.items() if v.feature.seen_count == 1 and v.feature.missed_count}
-        assert set(frame.index[frame["change"] == "missed"]) == missed
 
 
 def test_an_earlier_database_state_can_be_exported(conn, tmp_path):

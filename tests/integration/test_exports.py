@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from pyproj import Transformer
 from scipy.stats import chi2
 
 from conetl.db.connection import address, execute
@@ -25,53 +24,12 @@ from conetl.exports.export import export_map
 from conetl.exports.kind_marks import KIND_MARKS, PAINT
 from conetl.exports.qgis_project import _iso, write_qgis_project
 from conetl.exports.source import ExportContent, ExportRequest
-from conetl.exports.text_files import export_geojson, iso_utc
+from conetl.exports.text_files import iso_utc
 from conetl.model.base import utc_from_ns
 from conetl.model.errors import InputError
 from conetl.model.map_records import DeltaKind
 from conetl.pipeline.maps.decisions import SUPPRESS, decide_location
 from tests.integration.drives_of_days import merge, survey
-
-CONTRACT = [
-    "feature_id", "version", "category", "existence_probability", "object_height_m", "object_height_sigma_m", "ground_height_m",
-    "height_system", "sigma_e_m", "sigma_n_m", "sigma_u_m", "cov_en_m2", "cov_eu_m2", "cov_nu_m2", "first_seen_at",
-    "last_seen_at", "observation_count", "seen_count", "missed_count", "first_missed_at", "valid_from", "valid_to",
-    "changeset_id", "changeset_no", "drive_id",
-]  # fmt: skip
-
-
-@pytest.fixture
-def moved_cone(conn, samples):
-    feature = samples.feature(cov_m2=(0.0009, 0.0, 0.0, 0.0016, 0.0, 0.0025))
-    samples.commit(conn, samples.added(feature), key="1")
-    moved = samples.changed(
-        "moved", feature, samples.START_NS + samples.DAY_NS, xyz_m=(458_003.1234, 5_428_010.4321, 114.5)
-    )
-    samples.commit(conn, moved, key="2")
-    return moved
-
-
-def read(path):
-    return json.loads(path.read_text())["features"]
-
-
-def test_geojson_keeps_the_contract(conn, samples, moved_cone, tmp_path):
-    path = tmp_path / "new folder" / "map.geojson"
-    assert export_geojson(conn, path) == 1
-    [feature] = read(path)
-    assert list(feature["properties"]) == CONTRACT
-    properties = feature["properties"]
-    assert properties["feature_id"] == feature["id"] == str(moved_cone.feature_id)
-    assert (properties["version"], properties["category"], properties["object_height_m"]) == (2, "traffic_cone", 0.7)
-    assert [properties[f"sigma_{axis}_m"] for axis in "enu"] == [0.03, 0.04, 0.05]
-    assert properties["first_seen_at"] == "2026-03-01T08:00:00.000000Z"
-    assert properties["valid_from"] == "2026-03-02T08:00:00.000000Z"
-    assert properties["valid_to"] is None
-    lon, lat, height = feature["geometry"]["coordinates"]
-    to_map = Transformer.from_crs("EPSG:4326", f"EPSG:{samples.SRID}", always_xy=True)
-    assert to_map.transform(lon, lat) == pytest.approx(moved_cone.new.xyz_m[:2], abs=0.001)
-    assert height == 114.5
-    assert [p.name for p in path.parent.iterdir()] == ["map.geojson"]
 
 
 def test_the_same_map_gives_the_same_bytes(conn, samples, tmp_path):

@@ -7,6 +7,7 @@ import json
 import re
 import struct
 import xml.etree.ElementTree as ET
+from contextlib import contextmanager
 
 import geopandas
 import numpy as np
@@ -48,19 +49,25 @@ def mapped(conn):
     return found
 
 
-@pytest.fixture
-def grid(tmp_path, monkeypatch):
+@contextmanager
+def own_geoid(folder):
     """A geoid of its own in the place of PROJ's grid for EGM96: it slopes."""
     slope = np.fromfunction(lambda row, column: 40 + 0.1 * (column - 189) + 0.05 * (row - 139), (181, 361)).astype(
         ">f4"
     )
-    (tmp_path / "egm96_15.gtx").write_bytes(struct.pack(">4d2i", -90, -180, 1, 1, 181, 361) + slope.tobytes())
+    (folder / "egm96_15.gtx").write_bytes(struct.pack(">4d2i", -90, -180, 1, 1, 181, 361) + slope.tobytes())
     before = pyproj.datadir.get_data_dir()
     geodesy._height_transformer.cache_clear()
-    pyproj.datadir.append_data_dir(str(tmp_path))
+    pyproj.datadir.append_data_dir(str(folder))
     yield
     pyproj.datadir.set_data_dir(before)
     geodesy._height_transformer.cache_clear()
+
+
+@pytest.fixture
+def grid(tmp_path):
+    with own_geoid(tmp_path):
+        yield
 
 
 def test_a_missing_grid_is_named(conetl, mapped, tmp_path):

@@ -6,10 +6,7 @@ import json
 import re
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
-from pyproj import Transformer
 
 from conetl.db.map.map_store import list_changesets
 from conetl.reports.map_picture import drive_paths
@@ -23,48 +20,6 @@ def surveyed(conn):
     for day in (0, 2, 1):
         merge(conn, survey(day))
     conn.rollback()
-
-
-def test_differences_between_changesets_and_times(conetl, surveyed, tmp_path):
-    # Changeset 3 is the late drive of day 1, between those of changesets 1 and 2 on the road.
-    changes = json.loads(conetl("map", "diff", 3, 2, "--json"))
-    assert changes == json.loads(conetl("map", "diff", "2026-03-03T23:00", "2026-03-04T23:00", "--json")) != []
-    then = json.loads(conetl("map", "diff", 1, 2, "--known-at", "then", "--json"))
-    now = json.loads(conetl("map", "diff", 1, 2, "--json"))
-    seen = [{c["feature_id"]: c["new"]["seen_count"] for c in some if c["new"]} for some in (then, now)]
-    assert seen[0].keys() == seen[1].keys()
-    assert {seen[1][key] - count for key, count in seen[0].items()} == {0, 1}, "without the drive that came later"
-    assert conetl("map", "diff", 3, 3).strip() == "From changeset 3 to changeset 3, as known now: no differences."
-    of_days = conetl("map", "diff", "2026-03-02", "2026-03-04").splitlines()[0]
-    assert of_days.startswith("From the beginning of 2026-03-02 to the end of 2026-03-04, as known now: "), (
-        "as --help says"
-    )
-    for states in ((2, 3), ("2026-03-04", "2026-03-03")):
-        assert "exchange them" in conetl("map", "diff", *states, code=2)
-        assert "exchange them" in conetl("map", "picture", tmp_path / "no.png", "--changes", *states, code=2)
-    drawn = tmp_path / "diff.png"
-    assert str(drawn) in conetl("map", "diff", 3, 2, "--picture", drawn).replace("\n", "")
-    assert cv2.imread(str(drawn)).std() > 5
-    written = tmp_path / "diff.geojson"
-    table = conetl("map", "diff", "2026-03-02T23:00", "2026-03-03T23:00", "--out", written)
-    collection = json.loads(written.read_text())
-    changes = [feature["properties"]["change"] for feature in collection["features"]]
-    assert {"moved", "removed"} <= set(changes)
-    assert all(change in table for change in changes)
-    lines = [f for f in collection["features"] if f["geometry"]["type"] == "LineString"]
-    assert len(lines) == changes.count("moved")
-    to_map = Transformer.from_crs(4326, 32632, always_xy=True)
-    for change in json.loads(conetl("map", "diff", "2026-03-02T23:00", "2026-03-03T23:00", "--json")):
-        [feature] = (f for f in collection["features"] if f["id"] == change["feature_id"])
-        drawn, cov_m2 = feature["geometry"]["coordinates"], (change["new"] or change["old"])["cov_m2"]
-        told = [feature["properties"][f"sigma_{axis}_m"] for axis in "enu"]
-        assert told == pytest.approx(np.sqrt([cov_m2[0], cov_m2[3], cov_m2[5]]), abs=5.1e-5)
-        shown = [to_map.transform(*at[:2]) for at in (drawn if isinstance(drawn[0], list) else [drawn])]
-        sides = [side["xyz_m"][:2] for side in (change["old"], change["new"]) if side]
-        assert shown == pytest.approx(np.array(sides[-len(shown) :]), abs=0.001), (
-            "a line from old to new, or the newest place"
-        )
-    assert "has no changeset 9" in conetl("map", "diff", 9, 3, code=2)
 
 
 def test_check_points_at_cones_pass_and_others_need_attention(conetl, surveyed, tmp_path):
@@ -200,40 +155,3 @@ def test_lane_markings_are_told_apart_from_cones_and_are_on_pictures(conn, conet
     assert "no other class" in conetl("map", "classify", str(line.feature_id), "drum", code=2)
     page = next(w for w in conetl("report", "drive", str(line_only.drive_id)).split() if w.endswith(".html"))
     assert "this drive did not change any cone" in Path(page).read_text()
-
-
-def test_exports_and_pictures_name_what_stands_on_the_map(conn, conetl, samples, tmp_path):
-    def written(*words):
-        return conetl("map", "export", "--out", tmp_path / "map.geojson", *words).replace("\n", " ")
-
-    def drawn():
-        out = tmp_path / "map.svg"
-        return conetl("map", "picture", out).replace("\n", " "), out.read_text()
-
-    samples.commit(conn, samples.added(samples.feature("a")), samples.added(samples.feature("b")), key="1")
-    conn.commit()
-    assert written().startswith("2 cones ->")
-    said, image = drawn()
-    assert said.startswith("2 cones, 0 lane boundaries") and "Traffic cones, map default" in image
-
-    day = samples.START_NS + samples.DAY_NS
-    drum = samples.feature("c", seen_ns=day, category="drum")
-    line = samples.line_feature(samples.marking([(458_000.0 + k, 5_428_010.0, 114.5) for k in range(5)]), seen_ns=day)
-    samples.commit(conn, samples.added(drum), samples.added(line), key="2", start_ns=day)
-    conn.commit()
-    assert written().startswith("1 drum, 2 cones ->") and "1 stretch of lane markings ->" in written()
-    assert all(text in drawn()[1] for text in ("drum, standing (1)", "cone, standing (2)"))
-    assert written("--category", "drum").startswith("1 drum ->")
-    assert written("--category", "all").startswith("1 drum, 2 cones ->")
-    assert written("--category", "barricade").startswith("0 barricades ->")
-    assert written("--category", "lane_marking").startswith("1 stretch of lane markings ->")
-    nowhere = tmp_path / "nowhere.geojson"
-    said = conetl("map", "export", "--out", nowhere, "--category", "dromedary", code=2)
-    assert "there is no class dromedary; give traffic_cone" in said and not nowhere.exists()
-    assert written("--what", "history").startswith("3 versions ->")
-    assert "1 drum" in conetl("map", "show", "--category", "all")
-    assert "there is no class dromedary; give traffic_cone" in conetl("map", "show", "--category", "dromedary", code=2)
-    assert conetl("map", "export", "--out", tmp_path / "map.csv").startswith("1 drum, 2 cones ->")
-    said, image = drawn()
-    assert said.startswith("1 drum, 2 cones, 1 stretch of lane markings, 0 lane boundaries") and "Map default" in image
-    assert "Traffic cones" not in image

@@ -192,13 +192,6 @@ def test_long_answers_are_what_their_models_say(conn, own_view, samples):
     )
 
 
-def test_trajectory(client):
-    drive = get(client, f"{MAP}/timeline")["changesets"][0]["drive_uuid"]
-    way = get(client, f"{MAP}/drives/{drive}/trajectory")
-    assert way["frame_index"] == [0, 1, 2]
-    assert way["xyz_m"] == [[0.5, 0.25, 15.125]] * 3
-
-
 def image_path(client, features, side="left", number=0):
     s = get(client, f"{MAP}/features/{features['comes'].feature_id}/sightings")["sightings"][number]
     return f"{MAP}/drives/{s['drive_uuid']}/pictures/{s['frame_index']}/{s['match_index']}/{side}.jpg"

@@ -139,7 +139,7 @@ def direction_of(zone: WorkZone, context: FeedContext) -> str:
     """The direction given by the publisher; else the compass quarter of the true bearing from the first to the last device."""
     if context.info.direction is not None:
         return context.info.direction
-    if not zone.layout.direction_known:
+    if not zone.layout.direction_known or zone.first.feature_id == zone.last.feature_id:
         return "unknown"
     start, end = coordinates([zone.first.xyz_m, zone.last.xyz_m], context.srid)
     bearing_deg = _GEOD.inv(start[0], start[1], end[0], end[1])[0]

@@ -142,7 +142,8 @@ class WorkZone:
     history: ZoneHistory
     layout: ZoneLayout
     line_m: Floats
-    """(N, 3) from the first to the last channelling device, along the row, in the direction of travel."""
+    """(N, 3) from the first to the last channelling device, along the row, in the direction of travel; of one device it is
+    twice its position."""
     first: MapFeature
     last: MapFeature
     impact: VehicleImpact

@@ -23,7 +23,7 @@ from conetl.model.map_records import MAP_NAME
 
 #: Variables that are not settings: of compose.yaml, of conetl's services, of tests, and those that Kubernetes sets for a service.
 _NO_SETTING = re.compile(
-    "CONETL_(VERSION|HOST|DRIVES|THREADS|SERVICE_TOKEN|SHARED_DATA|SCREENSHOTS|STREAMS|RENEW_(MESSAGES|PROMISE)|(.*_)?(SERVICE_HOST|PORT)(_.*)?)"
+    "CONETL_(VERSION|HOST|DRIVES|THREADS|SERVICE_TOKEN|SHARED_DATA|SCREENSHOTS|STREAMS|RENEW_(MESSAGES|PROMISE|RECORDED)|(.*_)?(SERVICE_HOST|PORT)(_.*)?)"
 )
 
 

@@ -173,7 +173,7 @@ def night_page(facts: NightFacts) -> str:
         made_at=datetime.now(UTC),
         facts=facts,
         what_to_do=partial(hold_remedy, map_name=facts.map_name),
-        totals=sum((row["change_counts"].points for row in facts.drives), Counter[DeltaKind]()),
+        totals=sum((row["change_counts"].points for row in facts.drives if row["counts"]), Counter[DeltaKind]()),
         size_before=facts.size_at(facts.since),
         size_after=facts.size_at(facts.until),
         size_figure=figure,

@@ -20,7 +20,7 @@ def zone_area(zone: WorkZone) -> Floats:
     """Ring (N, 2) in the map's CRS; the first point is not repeated."""
     line = shapely.LineString(zone.line_m[:, :2])
     parts = [line.buffer(_MARGIN_M if zone.closed_side else _UNKNOWN_M)]
-    if zone.closed_side is not None:
+    if zone.closed_side is not None and line.length:
         side = 1.0 if zone.closed_side == "left" else -1.0
         parts.append(line.buffer(side * _width_m(zone), single_sided=True, join_style="mitre"))
     area = shapely.union_all(parts)

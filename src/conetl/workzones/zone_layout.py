@@ -60,6 +60,8 @@ def describe(history: ZoneHistory, layout: ZoneLayout, params: WorkZoneParams) -
     first, last = layout.cones[0], layout.cones[-1]
     row = list(layout.rows[0].members) if layout.rows else list(range(len(layout.cones)))
     through = sorted({0, *row, len(layout.cones) - 1})
+    if len(through) == 1:  # what is left of a zone that is removed: a line of one position is none in any format
+        through *= 2
     closed_side: Side | None = None
     if layout.traffic_side is not None:
         closed_side = "right" if layout.traffic_side == "left" else "left"
