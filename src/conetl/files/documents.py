@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import reprlib
 from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE, IncrementalDecoder, getincrementaldecoder
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
 from functools import partial
@@ -34,13 +34,15 @@ MAX_LINES_WITHOUT_IMAGE = 10_000
 _TABLE_LINE_BYTES, _MAX_TABLE_LINE = 300, 10_000
 MAX_DEPTH = 40
 #: Bytes of a block of XML, and for each tag of a document with content.
-_XML_BLOCK, _LEAST_TAG_BYTES = 4_000_000, 10
+_XML_BLOCK, _LEAST_TAG_BYTES = 1_000_000, 10
 #: Largest text of a map or its lines, of which some readers hold all.
 MAX_TEXT_BYTES = 512 << 20
 #: Values of a document, and of one in YAML: those behind aliases counted wherever they are used.
 MAX_VALUES, MAX_YAML_VALUES = 100_000, 20_000
 #: Digits of a number in YAML. The parser takes the square of their count, and reads 1:59:59 as one.
 _MAX_DIGITS = 400
+#: Records of a map that are left out, each with a message.
+_MOST_REFUSED = 20_000
 #: Characters of a value in a message, and of a message of a validator, which may quote one.
 MAX_SHOWN, MAX_MESSAGE = 200, 400
 
@@ -144,6 +146,12 @@ def require_few_features(path: Path, most: int) -> None:
         count = sum(block.count(b'"Feature"') for block in iter(partial(file.read, 1 << 20), b""))
     if count > most:
         raise InputError(f"{path} has more than {most:,} features: import it in parts")
+
+
+def require_few_refused(path: Path, refused: Sequence[str]) -> None:
+    """Raise InputError for more records of a file that cannot be used than anyone would read about."""
+    if len(refused) > _MOST_REFUSED:
+        raise InputError(f"{path}: more than {_MOST_REFUSED:,} of its records cannot be used; the first: {refused[0]}")
 
 
 class XmlFile(FileIO):

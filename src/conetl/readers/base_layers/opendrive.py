@@ -18,7 +18,7 @@ import shapely
 from numpy.polynomial.polynomial import polyder, polyval
 from pyproj import CRS
 
-from conetl.files.documents import XmlFile, input_errors, library_errors, shown
+from conetl.files.documents import XmlFile, input_errors, library_errors, require_few_refused, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -63,11 +63,14 @@ def cubic_at(pieces: Floats, s_m: Floats) -> Floats:
     s = np.asarray(s_m, np.float64)
     if not len(pieces):
         return np.zeros(len(s))
-    ordered = pieces[np.argsort(pieces[:, 0], kind="stable")]
-    owner = np.searchsorted(ordered[:, 0], s, side="right") - 1
-    start, a, b, c, d = ordered[np.maximum(owner, 0)].T
+    if len(pieces) > 1:
+        pieces = pieces[np.argsort(pieces[:, 0], kind="stable")]
+        owner = np.searchsorted(pieces[:, 0], s, side="right") - 1
+        start, a, b, c, d = pieces[np.maximum(owner, 0)].T
+    else:
+        start, a, b, c, d = pieces.T
     ds = s - start
-    return np.where(owner >= 0, a + ds * (b + ds * (c + ds * d)), 0.0)
+    return np.where(s >= pieces[0, 0], a + ds * (b + ds * (c + ds * d)), 0.0)
 
 
 def samples_m(pieces: Sequence[Piece], from_m: float, to_m: float) -> Floats:
@@ -200,6 +203,7 @@ def read_opendrive(path: Path) -> LineFile:
                     add_lines([(f"{what}, {line.attributes.get('border')}", line) for line in some], lines, refused)
                 except (ValueError, KeyError, shapely.errors.ShapelyError) as error:
                     refused.append(f"{what}: {error}")
+                    require_few_refused(path, refused)
         turn, shift = _offset_of(header)
     if not lines:
         raise InputError(f"{path}: none of its roads can be used{'; ' + refused[0] if refused else ''}")
@@ -264,7 +268,8 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
     starts = [_number(section, "s") for section in sections]
     if starts and not 0 <= starts[0] <= starts[-1] <= length:
         raise ValueError(f"its lane sections begin from {starts[0]:g} to {starts[-1]:g} m; expected 0 to {length:g} m")
-    spans = [(None, 0.0, length), *zip(sections, starts, [*starts[1:], length], strict=True)]
+    ends = [*starts[1:], length][: len(starts)]
+    spans = [(None, 0.0, length), *zip(sections, starts, ends, strict=True)]
     spans = [span for span in spans if span[1] < span[2]]
     lanes_of = [
         {} if one is None else {int(_number(lane, "id")): lane for lane in one.iter("lane")} for one, _, _ in spans
@@ -273,8 +278,8 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
         spend(_points(pieces, start, end) * (len(elements) + 1))
     samples = [samples_m(pieces, start, end) for _, start, end in spans]
     whole = frame_of(pieces, elevation, roll, np.concatenate(samples))
-    ends = np.cumsum([len(s) for s in samples])
-    for elements, (section, start, _), s, stop in zip(lanes_of, spans, samples, ends.tolist(), strict=True):
+    stops = np.cumsum([len(s) for s in samples]).tolist()
+    for elements, (section, start, _), s, stop in zip(lanes_of, spans, samples, stops, strict=True):
         frame = RoadFrame(whole.base_m[stop - len(s) : stop], whole.left[stop - len(s) : stop])
         if section is None:
             yield Line("reference_line", frame.base_m, {**about, "border": "reference line"})
