@@ -239,9 +239,12 @@ def read_table_bytes(path: Path, images: int | None = None) -> bytes:
 
     images: their number, where each line more is a rejection.
     """
-    most = MAX_TABLE_LINES if images is None else images + MAX_LINES_WITHOUT_IMAGE
-    content = read_bytes(path, MAX_TABLE_BYTES)
-    if max(map(content.count, (b"\n", b"\r"))) > most or len(content) > most * _TABLE_LINE_BYTES:
+    most, most_bytes = MAX_TABLE_LINES, MAX_TABLE_BYTES
+    if images is not None:
+        most = images + MAX_LINES_WITHOUT_IMAGE
+        most_bytes = most * _TABLE_LINE_BYTES
+    content = read_bytes(path, max(most_bytes, MAX_TABLE_BYTES))
+    if max(map(content.count, (b"\n", b"\r"))) > most or len(content) > most_bytes:
         hint = "" if images is None else ": copy the other images, or remove their lines"
         raise InputError(f"{path}: expected at most {most:,} lines, one for each frame pair{hint}")
     return content

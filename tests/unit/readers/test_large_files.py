@@ -17,11 +17,11 @@ from conetl.evaluation.truth import read_truth
 from conetl.files.documents import MAX_LINES_WITHOUT_IMAGE, MAX_TABLE_LINES, read_table_bytes, table_lines
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.readers.base_layers.line_files import LINE_READERS
-from conetl.readers.drives import read_drive
+from conetl.readers.drives import pose_rows, read_drive
 from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.drives.header import read_header
 from conetl.readers.drives.image_times import times_of
-from conetl.readers.drives.pairs import ContentHash, Source
+from conetl.readers.drives.pairs import ContentHash, Image, Source
 from conetl.readers.maps.tables import read_table
 from conetl.readers.plans import read_plans
 from conetl.readers.plans.wzdx import MOST_POSITIONS, MOST_RECORDS
@@ -208,8 +208,11 @@ def test_more_rows_than_images_that_are_lost_are_refused(tmp_path: Path, write: 
 def test_more_time_stamps_than_images_are_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "times.txt").write_text(text)
     source = Source(tmp_path, tmp_path, DriveYaml(), ContentHash())
+    paths = [Path(f"{k}.jpg") for k in range(3)]
     with pytest.raises(InputError, match=r"at most 10,003 lines, .*: copy the other images"):
-        times_of("left", [Path(f"{k}.jpg") for k in range(3)], "times.txt", source)
+        times_of("left", paths, "times.txt", source)
+    with pytest.raises(InputError, match=r"at most 10,003 lines, .*: copy the other images"):
+        pose_rows.read(tmp_path / "times.txt", [Image(0, path) for path in paths], formats.sample_rig())
 
 
 @pytest.mark.usefixtures("limited")
