@@ -103,6 +103,15 @@ def opendrive_lines(count: int) -> Iterator[str]:
     yield "</OpenDRIVE>"
 
 
+def short_roads(count: int) -> Iterator[str]:
+    """Roads of one straight piece without lanes, as connections within junctions are."""
+    yield "<OpenDRIVE><header><geoReference>+proj=utm +zone=32 +datum=WGS84</geoReference></header>"
+    for k in range(count):
+        piece = f'<geometry s="0" x="{500_000 + k}" y="5400000" hdg="1" length="10"/>'
+        yield f'<road id="{k}" length="10"><planView>{piece}</planView></road>'
+    yield "</OpenDRIVE>"
+
+
 def features(count: int, geometry: Callable[[int], str], properties: Callable[[int], str]) -> Iterator[str]:
     yield '{"type": "FeatureCollection", "features": ['
     for k in range(count):
@@ -218,6 +227,7 @@ CASES: dict[str, Case] = {
     "plans: permits": Case(50_000, written("permits.csv", permit_rows), read_plans),
     "base: osm nodes": Case(1_000_000, written("lanes.osm", osm_lines), read_lanelet2),
     "base: opendrive roads": Case(4_000, written("lanes.xodr", opendrive_lines), read_opendrive),
+    "base: opendrive short roads": Case(20_000, written("lanes.xodr", short_roads), read_opendrive),
     "base: geojson lines": Case(200_000, written("lanes.geojson", line_features), read_vector_file),
 }  # fmt: skip
 

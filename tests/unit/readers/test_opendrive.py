@@ -124,3 +124,12 @@ def test_a_map_of_which_nearly_nothing_can_be_used_is_refused(tmp_path):
         InputError, match="more than 20,000 of its records cannot be used; the first: road '7': it has no"
     ):
         read_opendrive(path)
+
+
+def test_a_road_that_is_too_far_away_costs_itself_only(tmp_path):
+    path = tmp_path / "lanes.xodr"
+    roads = [road(f'<geometry s="0" x="{x}" y="2" hdg="0" length="10"/>') for x in ("1", "1e12", "20")]
+    path.write_text(f"<OpenDRIVE>{''.join(roads)}</OpenDRIVE>")
+    found = read_opendrive(path)
+    assert [line.xyz[0, 0] for line in found.lines] == [1, 20]
+    assert found.refused[0] == "road '7': it has coordinates beyond 1e+09 m"

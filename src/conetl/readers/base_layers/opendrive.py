@@ -14,7 +14,6 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-import shapely
 from numpy.polynomial.polynomial import polyder, polyval
 from pyproj import CRS
 
@@ -22,7 +21,7 @@ from conetl.files.documents import XmlFile, input_errors, library_errors, requir
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
-from conetl.readers.base_layers.lines import Line, LineFile, add_lines, simplified
+from conetl.readers.base_layers.lines import BATCH, Line, LineFile, add_lines, require_near, simplified
 
 Element = ElementTree.Element
 
@@ -150,6 +149,10 @@ def clothoid(length_m: float, k0: float, k1: float, ds: Floats) -> tuple[Floats,
 
     (Fresnel integrals are the closed form, but lose all digits where the curvature hardly changes.)
     """
+    if k0 == k1:  # an arc: its chord, in the direction of its middle
+        turn = k0 * ds
+        chord = ds * np.sinc(turn / (2 * np.pi))
+        return np.column_stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2)]), turn
     grid = np.unique(np.concatenate([np.linspace(0.0, length_m, int(length_m / STEP_M) + 2), ds]))
     rate = (k1 - k0) / length_m if length_m > 0 else 0.0
     half = np.diff(grid) / 2
@@ -179,6 +182,8 @@ def read_opendrive(path: Path) -> LineFile:
     """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
     lines: list[Line] = []
     refused: list[str] = []
+    batch: list[tuple[str, Line]] = []
+    count = 0
     header = ElementTree.Element("header")
     left = float(MAX_POINTS)
 
@@ -191,6 +196,14 @@ def read_opendrive(path: Path) -> LineFile:
                 "import the file in parts"
             )
 
+    def add_batch() -> None:
+        """The lines of several roads at once: for each road, arrays would be of a few vertices."""
+        nonlocal count
+        some = simplified([line for _, line in batch])
+        add_lines([(name, line) for (name, _), line in zip(batch, some, strict=True)], lines, refused)
+        batch.clear()
+        count = 0
+
     not_xml = library_errors(f"{path}: is not XML", ElementTree.ParseError, hint="; expected an OpenDRIVE file")
     with not_xml, input_errors(path), XmlFile(path) as file:
         for part in _parts(file, path):
@@ -199,11 +212,18 @@ def read_opendrive(path: Path) -> LineFile:
             elif part.tag == "road":
                 what = f"road {shown(part.get('id', ''))}"
                 try:
-                    some = simplified(_road_lines(part, spend))
-                    add_lines([(f"{what}, {line.attributes.get('border')}", line) for line in some], lines, refused)
-                except (ValueError, KeyError, shapely.errors.ShapelyError) as error:
+                    own = [*_road_lines(part, spend)]
+                    for line in own:
+                        require_near(line.xyz)
+                except (ValueError, KeyError) as error:
                     refused.append(f"{what}: {error}")
                     require_few_refused(path, refused)
+                    continue
+                batch += [(f"{what}, {line.attributes.get('border')}", line) for line in own]
+                count += sum(len(line.xyz) for line in own)
+                if count > BATCH:
+                    add_batch()
+        add_batch()
         turn, shift = _offset_of(header)
     if not lines:
         raise InputError(f"{path}: none of its roads can be used{'; ' + refused[0] if refused else ''}")
