@@ -135,7 +135,7 @@ def _stamp(text: str, where: str) -> int | str:
     word = text.strip()
     if word.isascii() and word.isdigit() and len(word) < 20 and 0 < int(word) < 2**63:
         return int(word)
-    return f"{where}: '{word[:40]}' is not a time stamp; expected nanoseconds since 1970"
+    return f"{where}: {shown(word[:40])} is not a time stamp; expected nanoseconds since 1970"
 
 
 def _read_rig(source: pairs.Source) -> tuple[Rig, Floats]:
