@@ -279,7 +279,7 @@ class _Tags(NamedTuple):
 
 
 def _map_of(path: Path, blocks: Iterator[bytes]) -> OsmMap:
-    all_ids, all_places = [np.empty(0, np.int64)], [np.empty((0, 3))]
+    nodes: list[tuple[Ints, Floats]] = [(np.empty(0, np.int64), np.empty((0, 3)))]
     ways: dict[int, tuple[Ints, dict[str, str]]] = {}
     lanelet_ways: set[int] = set()
     refused: list[str] = []
@@ -292,15 +292,13 @@ def _map_of(path: Path, blocks: Iterator[bytes]) -> OsmMap:
             for key, value in (("action", b"delete"), ("visible", b"false")):
                 owner, _, texts = block.of(kind, key)
                 kept[owner[np.asarray(pc.equal(texts, value))]] = False
-        ids, places = _nodes(block, tags, kept, refused)
-        all_ids.append(ids)
-        all_places.append(places)
+        nodes.append(_nodes(block, tags, kept, refused))
         has_local |= "local_x" in tags.names
         ways |= _ways(block, tags, kept, refused)
         lanelet_ways |= _lanelet_ways(block, tags, kept)
         require_few_refused(path, refused)
-    ids, places = np.concatenate(all_ids), np.concatenate(all_places)
-    all_places.clear()  # as large as `places`
+    ids, places = (np.concatenate(parts) for parts in zip(*nodes, strict=True))
+    nodes.clear()  # as large as both
     if not (np.diff(ids) > 0).all():
         order = np.argsort(ids, kind="stable")
         order = order[np.append(np.diff(ids[order]) > 0, True)]
