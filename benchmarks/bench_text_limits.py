@@ -20,12 +20,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.harness import arguments_of, print_rows, write_json
-from conetl.files.documents import MAX_JSON_BYTES, MAX_TABLE_LINES, MAX_YAML_BYTES, read_table_bytes
+from conetl.files import documents
+from conetl.files.documents import MAX_JSON_BYTES, MAX_TABLE_LINES, MAX_YAML_BYTES, read_table_bytes, table_lines
 from conetl.model.params import ImportParams
 from conetl.readers.base_layers.line_files import read_vector_file
 from conetl.readers.base_layers.lines import read_lanelet2
 from conetl.readers.base_layers.opendrive import read_opendrive
 from conetl.readers.drives.drive_yaml import read_drive_yaml
+from conetl.readers.drives.plain import Row, Rows
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.plans import read_plans
 from conetl.readers.rigs import read_rig
@@ -101,6 +103,15 @@ def opendrive_lines(count: int) -> Iterator[str]:
     yield "</OpenDRIVE>"
 
 
+def short_roads(count: int) -> Iterator[str]:
+    """Roads of one straight piece without lanes, as connections within junctions are."""
+    yield "<OpenDRIVE><header><geoReference>+proj=utm +zone=32 +datum=WGS84</geoReference></header>"
+    for k in range(count):
+        piece = f'<geometry s="0" x="{500_000 + k}" y="5400000" hdg="1" length="10"/>'
+        yield f'<road id="{k}" length="10"><planView>{piece}</planView></road>'
+    yield "</OpenDRIVE>"
+
+
 def features(count: int, geometry: Callable[[int], str], properties: Callable[[int], str]) -> Iterator[str]:
     yield '{"type": "FeatureCollection", "features": ['
     for k in range(count):
@@ -136,6 +147,12 @@ def cone_rows(count: int) -> Iterator[str]:
 
 def times_file(count: int) -> Iterator[str]:
     return (f"2026-03-02 10:{k // 60_000 % 60:02d}:{k // 1000 % 60:02d}.{k % 1000:03d}000000" for k in range(count))
+
+
+def plain_rows(count: int) -> Iterator[str]:
+    yield ",".join(Row.model_fields)
+    for k in range(count):
+        yield f"{k},2026-03-02 10:00:00.{k:06d},{8 + 1e-6 * k:.8f},49,116,0.1,0.2,{k % 180},0.02,0.02,0.03,0.1,0.1,0.1"
 
 
 def wzdx_lines(count: int) -> Iterator[str]:
@@ -191,7 +208,11 @@ CASES: dict[str, Case] = {
         )
     },
     "times file": Case(
-        MAX_TABLE_LINES, written("timestamps.txt", times_file), lambda path: parse_timestamps(read_table_bytes(path).decode())
+        MAX_TABLE_LINES, written("timestamps.txt", times_file), lambda path: parse_timestamps(table_lines(read_table_bytes(path)))
+    ),
+    "plain: trajectory.csv": Case(
+        documents.MAX_LINES_WITHOUT_IMAGE - 1, written("trajectory.csv", plain_rows),
+        lambda path: Rows(path).add(table_lines(read_table_bytes(path, 0))),
     ),
     "drive.yaml": Case(MAX_YAML_BYTES // 14, written("drive.yaml", keys), lambda path: read_drive_yaml(path.parent)),
     "rig: yaml": Case(MAX_YAML_BYTES // 14, written("rig.yaml", keys), read_rig),
@@ -206,6 +227,7 @@ CASES: dict[str, Case] = {
     "plans: permits": Case(50_000, written("permits.csv", permit_rows), read_plans),
     "base: osm nodes": Case(1_000_000, written("lanes.osm", osm_lines), read_lanelet2),
     "base: opendrive roads": Case(4_000, written("lanes.xodr", opendrive_lines), read_opendrive),
+    "base: opendrive short roads": Case(20_000, written("lanes.xodr", short_roads), read_opendrive),
     "base: geojson lines": Case(200_000, written("lanes.geojson", line_features), read_vector_file),
 }  # fmt: skip
 

@@ -86,7 +86,7 @@ def ingest_drive(
     of_command = _of_command()
     settings, bar = of_command or (read_settings(map_name), None)
     if of_command is None:  # a form or another flow has chosen the folder
-        settings.require_readable(as_path(drive))
+        settings.require_readable(as_path(drive), links=True)
     header = read_header(as_path(drive).absolute())  # links are kept: the calibration may be beside the link
     with alive(settings, drive_lock(settings.map_name, header.header_sha256)) as database:
         analysis = analysis_of(params, settings).sha256

@@ -26,7 +26,7 @@ import yaml
 
 from conetl.cli.map.work_zones import Rules
 from conetl.exports.zone_feed import read_feed_info
-from conetl.files.documents import read_yaml_model
+from conetl.files.documents import read_table_bytes, read_yaml_model, table_lines
 from conetl.model.errors import ConetlError, InputError
 from conetl.model.params import ImportParams, IngestParams
 from conetl.model.rejections import Rejection
@@ -329,7 +329,7 @@ def read_scans(path: Path, _: Path) -> object:
 
 
 def read_stamps(path: Path, _: Path) -> object:
-    stamps = parse_timestamps(path.read_bytes().decode(errors="replace"), "Europe/Berlin")
+    stamps = parse_timestamps(table_lines(read_table_bytes(path)), "Europe/Berlin")
     return misplaced({number: time for number, time in stamps.items() if isinstance(time, int)})
 
 

@@ -170,6 +170,13 @@ def test_requests_of_other_web_pages_are_refused(server):
     assert ask(server, "/", **link)[0] == 200
 
 
+@pytest.mark.parametrize("target", ["/", f"/?token={TOKEN.get_secret_value().replace(' ', '%20')}", f"{MAP}/features"])
+def test_another_host_name_is_refused_before_the_login(closed_server, target):
+    status, headers, _ = ask(closed_server, target, Host="evil.example", **LOGIN)
+    assert status == 400 and "location" not in headers and "set-cookie" not in headers
+    assert POLICY in headers["content-security-policy"]
+
+
 def test_one_page_may_be_framed_by_the_host_that_the_operator_names(module_database_url, server):
     frame = {"Sec_Fetch_Site": "cross-site", "Sec_Fetch_Mode": "navigate", "Sec_Fetch_Dest": "iframe"}
     host = "https://intranet.example"

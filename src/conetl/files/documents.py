@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import json
 import reprlib
-from codecs import BOM_UTF16_BE, BOM_UTF16_LE, IncrementalDecoder, getincrementaldecoder
-from collections.abc import Iterable, Iterator, Mapping
+from codecs import BOM_UTF8, BOM_UTF16_BE, BOM_UTF16_LE, IncrementalDecoder, getincrementaldecoder
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from difflib import get_close_matches
 from functools import partial
-from io import FileIO
+from io import BytesIO, FileIO
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -26,17 +26,23 @@ Model = TypeVar("Model", bound=BaseModel)
 #: The largest rig or parameter file is a hundredth of it.
 MAX_YAML_BYTES = 256_000
 MAX_JSON_BYTES = 5_000_000
-#: Of a file with one line for each frame pair of a drive; more lines than these take seconds to read.
-MAX_TABLE_BYTES, MAX_TABLE_LINES = 32_000_000, 200_000
+#: Of a file with one line for each frame pair of a drive: those of eight hours at 10 Hz, and a row of a table for each.
+MAX_TABLE_BYTES, MAX_TABLE_LINES = 32_000_000, 300_000
+#: Of frame pairs that lost their images; more are of another drive, or their images were not copied.
+MAX_LINES_WITHOUT_IMAGE = 10_000
+#: Bytes of a line: on average, and those that are read.
+_TABLE_LINE_BYTES, _MAX_TABLE_LINE = 300, 10_000
 MAX_DEPTH = 40
 #: Bytes of a block of XML, and for each tag of a document with content.
-_XML_BLOCK, _LEAST_TAG_BYTES = 4_000_000, 10
+_XML_BLOCK, _LEAST_TAG_BYTES = 1_000_000, 10
 #: Largest text of a map or its lines, of which some readers hold all.
 MAX_TEXT_BYTES = 512 << 20
 #: Values of a document, and of one in YAML: those behind aliases counted wherever they are used.
 MAX_VALUES, MAX_YAML_VALUES = 100_000, 20_000
 #: Digits of a number in YAML. The parser takes the square of their count, and reads 1:59:59 as one.
 _MAX_DIGITS = 400
+#: Records of a map that are left out, each with a message.
+_MOST_REFUSED = 20_000
 #: Characters of a value in a message, and of a message of a validator, which may quote one.
 MAX_SHOWN, MAX_MESSAGE = 200, 400
 
@@ -142,6 +148,12 @@ def require_few_features(path: Path, most: int) -> None:
         raise InputError(f"{path} has more than {most:,} features: import it in parts")
 
 
+def require_few_refused(path: Path, refused: Sequence[str]) -> None:
+    """Raise InputError for more records of a file that cannot be used than anyone would read about."""
+    if len(refused) > _MOST_REFUSED:
+        raise InputError(f"{path}: more than {_MOST_REFUSED:,} of its records cannot be used; the first: {refused[0]}")
+
+
 class XmlFile(FileIO):
     """A large XML file, read in large blocks: expat parses an unfinished tag again with every block."""
 
@@ -222,12 +234,26 @@ def encoding_of(blocks: Iterable[bytes]) -> str:
     return found
 
 
-def read_table_bytes(path: Path) -> bytes:
-    """Bytes of a file with one line for each frame pair. Raises InputError if it is too large, or cannot be read."""
-    content = read_bytes(path, MAX_TABLE_BYTES)
-    if content.count(b"\n") > MAX_TABLE_LINES:
-        raise InputError(f"{path}: expected at most {MAX_TABLE_LINES:,} lines, one for each frame pair")
+def read_table_bytes(path: Path, images: int | None = None) -> bytes:
+    """Bytes of a file with one line for each frame pair. Raises InputError if it is too large, or cannot be read.
+
+    images: their number, where each line more is a rejection.
+    """
+    most, most_bytes = MAX_TABLE_LINES, MAX_TABLE_BYTES
+    if images is not None:
+        most = images + MAX_LINES_WITHOUT_IMAGE
+        most_bytes = most * _TABLE_LINE_BYTES
+    content = read_bytes(path, max(most_bytes, MAX_TABLE_BYTES))
+    if max(map(content.count, (b"\n", b"\r"))) > most or len(content) > most_bytes:
+        hint = "" if images is None else ": copy the other images, or remove their lines"
+        raise InputError(f"{path}: expected at most {most:,} lines, one for each frame pair{hint}")
     return content
+
+
+def table_lines(content: bytes) -> Iterator[str]:
+    """The lines of such a file, one in memory at a time: text in UTF-8, with their ends."""
+    content = (content if b"\n" in content else content.replace(b"\r", b"\n")).removeprefix(BOM_UTF8)
+    return (line[:_MAX_TABLE_LINE].decode(errors="replace") for line in BytesIO(content))
 
 
 def read_limited(path: Path, max_bytes: int = MAX_JSON_BYTES) -> str:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-from conetl.files.documents import MAX_TABLE_BYTES
+from conetl.files.documents import MAX_TABLE_BYTES, table_lines
 from conetl.files.storage import is_present
 from conetl.model.drive import FramePair, Pose
 from conetl.model.errors import InputError
@@ -148,7 +148,7 @@ class ArrivingPlain(_Arriving):
         """Raises InputError where trajectory.csv has wrong columns."""
         if lines := self.file.lines(self._line_count):
             self._line_count += len(lines)
-            self.rows.add(b"".join(line + b"\n" for line in lines).decode("utf-8-sig", errors="replace"))
+            self.rows.add(table_lines(b"".join(line + b"\n" for line in lines)))
         return self.couples.new(changed)
 
     def order(self, pair: ArrivingPair) -> tuple[int, str]:

@@ -12,7 +12,6 @@ from fastapi.responses import FileResponse, JSONResponse, RedirectResponse
 from fastapi.staticfiles import StaticFiles
 from pydantic import SecretStr
 from starlette.middleware.gzip import GZipMiddleware
-from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from conetl.db.reader_pool import AsyncReaderPool, ReaderPool
 from conetl.files.people import Person
@@ -24,8 +23,6 @@ from conetl.web.ogc.app import create_ogc_app
 from conetl.web.security import EMBED_PATH, Guard
 
 STATIC = Path(__file__).parent / "static"
-#: Names by which a browser on this machine may call; any other belongs to a page elsewhere that rebound its name to this machine.
-LOOPBACK_NAMES = ["127.0.0.1", "localhost", "[::1]"]
 _STATUS = {DatabaseError: 503, StorageError: 503, InputError: 404, ImageFileError: 404}
 
 
@@ -85,7 +82,6 @@ def create_app(
     app.mount("/", StaticFiles(directory=STATIC, html=True), name="front end")
     # Level 5 would save another 6 kB of 350 kB, and take twice as long.
     app.add_middleware(GZipMiddleware, minimum_size=1024, compresslevel=2)
-    app.add_middleware(TrustedHostMiddleware, allowed_hosts=LOOPBACK_NAMES, www_redirect=False)
     tokens = [reader_token, *([writer.token] if writer else [])] if reader_token else []
     image_host = base_map.host if base_map else None
     app.add_middleware(Guard, tokens=tokens, find_person=find_person, image_host=image_host, embed_host=embed_host)

@@ -11,6 +11,7 @@ from fastapi import HTTPException, Request, Response
 from fastapi.routing import APIRoute
 from pydantic import SecretStr
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.middleware.trustedhost import TrustedHostMiddleware
 from starlette.responses import JSONResponse, RedirectResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -28,6 +29,8 @@ _LOG_IN = (
 _WRONG_TOKEN = "The writer token is missing or wrong: `conetl view` prints the path of its file when it starts."
 _REALM = "conetl view, token as password"
 _LOGIN_S = 30 * 86_400
+#: Names by which a browser on this machine may call; any other belongs to a page elsewhere that rebound its name to this machine.
+_LOOPBACK_NAMES = ["127.0.0.1", "localhost", "[::1]"]
 #: The page that another server's pages may show in a frame, if the operator names that server.
 EMBED_PATH = "/embed.html"
 #: Only this server's own files run or load, and no other page may embed or read them.
@@ -47,7 +50,7 @@ _HEADERS = {
 
 
 class Guard:
-    """ASGI middleware: a login, refusal of requests of other pages and of overlong ones, headers of every answer.
+    """ASGI middleware: refusal of requests of other pages, for other hosts and of overlong ones; login; headers of every answer.
 
     Other pages could not read the answers, but they could keep the server and its streams busy. Streams are not buffered.
     tokens: one of them is required of every request, as a cookie, as the password of Basic authentication, as a Bearer token, or
@@ -66,6 +69,8 @@ class Guard:
         embed_host: str | None = None,
     ) -> None:
         self._app = app
+        # Before the login, which answers with an address of this host.
+        self._of_own_host = TrustedHostMiddleware(self._logged_in, allowed_hosts=_LOOPBACK_NAMES, www_redirect=False)
         images = f" {image_host}" if image_host else ""
         self._headers = _HEADERS | {"Content-Security-Policy": _POLICY.format(images=images, frames="'none'")}
         self._may_be_framed = {EMBED_PATH} if embed_host else set()
@@ -90,11 +95,12 @@ class Guard:
         if scope["type"] == "http":
             if scope["method"] == "HEAD" and scope["path"].startswith("/ogc/"):
                 scope = {**scope, "method": "GET"}  # the server leaves out the body
-            await (_refusal(scope, may_be_framed=is_embed) or self._login(scope) or self._app)(
-                scope, receive, send_with_headers
-            )
+            await (_refusal(scope, may_be_framed=is_embed) or self._of_own_host)(scope, receive, send_with_headers)
         else:
             await self._app(scope, receive, send)
+
+    async def _logged_in(self, scope: Scope, receive: Receive, send: Send) -> None:
+        await (self._login(scope) or self._app)(scope, receive, send)
 
     def _login(self, scope: Scope) -> Response | None:
         """What to answer instead of the request; None for one that is logged in."""

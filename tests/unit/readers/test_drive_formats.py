@@ -586,3 +586,11 @@ def test_rows_of_a_euroc_folder_that_name_no_file_cost_their_pair(row: str, tmp_
     drive, rejections = read(path)
     assert (len(drive.frame_pairs), len(rejections)) == (len(FRAMES), 1)
     assert len(rejections[0].detail) < 500
+
+
+def test_control_characters_of_a_stamp_are_printed_as_codes(tmp_path: Path) -> None:
+    root = write_euroc(tmp_path, sample_frames(), sample_rig())
+    path = root / "mav0/cam0/data.csv"
+    name, first, *others = path.read_text().splitlines()
+    path.write_text("\n".join([name, f"\x1b[31m{first}", *others]))
+    assert any(r"'\x1b[31m" in rejection.detail for rejection in read_drive(root, headers_only=True)[1])

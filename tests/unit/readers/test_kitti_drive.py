@@ -217,7 +217,7 @@ LOSSES: dict[str, tuple[Callable[[Path], object], int, RejectionReason, str]] = 
     "time stamp twice": (change_line(5, stamp(1.4)), 5, R.TIMESTAMP_INVALID, "100.000 ms apart"),
     "time stamps end early": (
         lambda d: (d / "image_02/timestamps.txt").write_text("".join(f"{stamp(1 + 0.1 * i)}\n" for i in range(5))),
-        5, R.TIMESTAMP_MISSING, "5 lines, line 6 is needed",
+        5, R.TIMESTAMP_MISSING, "has no line 6 for this frame",
     ),
     "pose of another time": (
         lambda d: (d / "oxts/timestamps.txt").write_text(

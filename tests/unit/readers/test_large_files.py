@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +14,24 @@ import pytest
 
 from conetl.evaluation.markings import read_truth_markings
 from conetl.evaluation.truth import read_truth
-from conetl.files.documents import MAX_TABLE_LINES, read_table_bytes
+from conetl.files.documents import MAX_LINES_WITHOUT_IMAGE, MAX_TABLE_LINES, read_table_bytes, table_lines
 from conetl.model.errors import DriveFolderError, InputError
 from conetl.readers.base_layers.line_files import LINE_READERS
-from conetl.readers.drives import read_drive
+from conetl.readers.drives import pose_rows, read_drive
+from conetl.readers.drives.drive_yaml import DriveYaml
 from conetl.readers.drives.header import read_header
+from conetl.readers.drives.image_times import times_of
+from conetl.readers.drives.pairs import ContentHash, Image, Source
 from conetl.readers.maps.tables import read_table
 from conetl.readers.plans import read_plans
 from conetl.readers.plans.wzdx import MOST_POSITIONS, MOST_RECORDS
 from conetl.readers.rigs import read_rig
+from conetl.readers.rigs.content import read_content
 from conetl.readers.surveyed_points import MOST_POINTS, read_surveyed_points
 from conetl.readers.trajectories import read_trajectory
 from conetl.readers.trajectories.text import MAX_TEXT_BYTES, line_blocks
 from tests.folders import SAMPLE
+from tests.unit.readers import drive_formats as formats
 from tests.unit.readers import trajectory_files as files
 
 GIGABYTE = 1 << 30
@@ -120,7 +126,7 @@ def test_elements_behind_the_points_of_a_track_are_not_read_on(tmp_path: Path) -
         ("cones.csv", b"\n" * 2_000_000, "more than 1,000,000 rows"),
         ("lanes.osm", b"<a>" * 2_000_000, "not closed"),
         ("lanes.osm", b"<nd ref='1'/>" * 200_000, "100,001 elements are no nodes or ways"),
-        ("lanes.xodr", b"<a></a>" * 2_000_000, "tags in 4,000,000 bytes"),
+        ("lanes.xodr", b"<a></a>" * 2_000_000, "tags in 1,000,000 bytes"),
         ("lanes.geojson", b'{"type":"Feature"}\n' * 600_000, "more than 500,000 features"),
     ],
 )
@@ -133,20 +139,80 @@ def test_text_that_is_no_map_is_not_read_to_its_end(name: str, text: bytes, prob
 
 
 @pytest.mark.usefixtures("limited")
-def test_a_calibration_of_many_elements_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "text",
+    ["<a>" * 1_000_000, json.dumps({f"{n}": {} for n in range(200_000)}), f'{{"a":[{"[]," * 200_000}1]}}',
+     "[LEFT_CAM_2K]\nk=1\n" + "\n".join(f"k{n}" for n in range(200_000)), "a: 1 2\n" + "1 2\n" * 200_000],
+    ids=["elements", "keys", "lists", "names", "numbers"],
+)  # fmt: skip
+def test_a_calibration_of_many_values_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "calib.txt"
-    path.write_bytes(b"<a>" * 1_000_000)
-    with pytest.raises(InputError, match="at most 100,000 elements"):
+    path.write_text(text)
+    with pytest.raises(InputError, match="at most 100,000 keys, elements, lists or lines"):
         read_rig(path)
+
+
+def test_rows_of_numbers_below_a_name_take_their_time_once(tmp_path: Path) -> None:
+    path = tmp_path / "calib.txt"
+    path.write_text("a: 1 2\n" + f"{'1 ' * 20}\n" * 99_000)
+    start = time.process_time()
+    assert len(read_content(path)["a"].split()) == 2 + 20 * 99_000
+    assert time.process_time() - start < 5
 
 
 def test_more_lines_than_frame_pairs_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "timestamps.txt"
     path.write_bytes(b"\n" * MAX_TABLE_LINES)
     assert len(read_table_bytes(path)) == MAX_TABLE_LINES
-    path.write_bytes(b"\n" * (MAX_TABLE_LINES + 1))
-    with pytest.raises(InputError, match="at most 200,000 lines"):
-        read_table_bytes(path)
+    for end in (b"\n", b"\r", b"\r\n"):
+        path.write_bytes(end * (MAX_TABLE_LINES + 1))
+        with pytest.raises(InputError, match="at most 300,000 lines"):
+            read_table_bytes(path)
+
+
+def test_lines_end_as_any_system_writes_them() -> None:
+    for end in (b"\n", b"\r", b"\r\n"):
+        content = b"\xef\xbb\xbfa,b" + end + b"\xff" + end
+        assert [line.strip() for line in table_lines(content)] == ["a,b", "\ufffd"]
+
+
+@pytest.mark.usefixtures("limited")
+@pytest.mark.parametrize("line", [b"9" * 100, "\U0010ffff".encode() * 25, b"2026-03-02 09:41:00.25"])
+def test_time_stamps_behind_those_of_the_images_cost_nothing(drive: Path, line: bytes) -> None:
+    whole, rejections = read_drive(drive, headers_only=True)
+    for name in FILES[:3]:
+        with (drive / name).open("ab") as file:
+            file.write((line + b"\n") * 288_000)
+    found, others = read_drive(drive, headers_only=True)
+    assert found.frame_pairs == whole.frame_pairs and others == rejections
+    assert read_header(drive).problem is None
+
+
+@pytest.mark.usefixtures("limited")
+@pytest.mark.parametrize("write", [formats.write_plain, formats.write_euroc])
+def test_more_rows_than_images_that_are_lost_are_refused(tmp_path: Path, write: Callable[..., Path]) -> None:
+    root = write(tmp_path, formats.sample_frames(), formats.sample_rig())
+    path = next(path for path in (root / "trajectory.csv", root / "mav0/cam0/data.csv") if path.exists())
+    with path.open("a") as file:
+        file.writelines(f"{k:019d},{k}.jpg\n" for k in range(MAX_LINES_WITHOUT_IMAGE - 10))
+    assert read_drive(root, headers_only=True)[0].frame_pairs
+    with path.open("a") as file:
+        file.writelines(f"{k},{k}.jpg\n" for k in range(200_000))
+    with pytest.raises(InputError, match=r"at most 10,0\d\d lines, .*: copy the other images, or remove their lines"):
+        read_drive(root, headers_only=True)
+    assert "copy the other images" in (read_header(root).problem or "")
+
+
+@pytest.mark.usefixtures("limited")
+@pytest.mark.parametrize("text", ["1 2\n" * 8_000_000, "\n" * 30_000_000])
+def test_more_time_stamps_than_images_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "times.txt").write_text(text)
+    source = Source(tmp_path, tmp_path, DriveYaml(), ContentHash())
+    paths = [Path(f"{k}.jpg") for k in range(3)]
+    with pytest.raises(InputError, match=r"at most 10,003 lines, .*: copy the other images"):
+        times_of("left", paths, "times.txt", source)
+    with pytest.raises(InputError, match=r"at most 10,003 lines, .*: copy the other images"):
+        pose_rows.read(tmp_path / "times.txt", [Image(0, path) for path in paths], formats.sample_rig())
 
 
 @pytest.mark.usefixtures("limited")

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import fresnel
 
+from conetl.model.errors import InputError
 from conetl.readers.base_layers.opendrive import (
     Piece,
     clothoid,
@@ -19,6 +20,7 @@ from conetl.readers.base_layers.opendrive import (
     lane_borders,
     param_poly3,
     poly3,
+    read_opendrive,
     reference_line,
     samples_m,
 )
@@ -100,3 +102,34 @@ def test_cubics_hold_from_their_start_and_samples_meet_the_joints():
     s = samples_m(pieces, 0.0, 9.9)
     assert {0.0, 3.3, 6.6, 9.9} <= set(s.tolist())
     assert (np.diff(s) > 0).all() and np.diff(s).max() <= 1.0 + 1e-9
+
+
+def road(inner: str) -> str:
+    return f'<road id="7" length="10"><planView>{inner}</planView></road>'
+
+
+def test_a_road_without_lanes_is_its_reference_line(tmp_path):
+    path = tmp_path / "lanes.xodr"
+    straight_on = '<geometry s="0" x="1" y="2" hdg="0" length="10"/>'
+    path.write_text(f"<OpenDRIVE>{road(straight_on)}</OpenDRIVE>")
+    [line] = read_opendrive(path).lines
+    assert line.kind == "reference_line"
+    np.testing.assert_allclose(line.xyz, [[1, 2, 0], [11, 2, 0]], atol=1e-9)
+
+
+def test_a_map_of_which_nearly_nothing_can_be_used_is_refused(tmp_path):
+    path = tmp_path / "lanes.xodr"
+    path.write_text(f"<OpenDRIVE>{road('') * 20_001}</OpenDRIVE>")
+    with pytest.raises(
+        InputError, match="more than 20,000 of its records cannot be used; the first: road '7': it has no"
+    ):
+        read_opendrive(path)
+
+
+def test_a_road_that_is_too_far_away_costs_itself_only(tmp_path):
+    path = tmp_path / "lanes.xodr"
+    roads = [road(f'<geometry s="0" x="{x}" y="2" hdg="0" length="10"/>') for x in ("1", "1e12", "20")]
+    path.write_text(f"<OpenDRIVE>{''.join(roads)}</OpenDRIVE>")
+    found = read_opendrive(path)
+    assert [line.xyz[0, 0] for line in found.lines] == [1, 20]
+    assert found.refused[0] == "road '7': it has coordinates beyond 1e+09 m"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -132,3 +133,22 @@ def test_objects_without_values_and_an_empty_map(tmp_path: Path) -> None:
     for text in ("<osm/>", "<osm></osm>", "<osm> \n</osm>", "<osm><node/></osm>", "<gpx><node/></gpx>"):
         path.write_text(text)
         assert not len(read_osm(path).node_ids)
+
+
+def test_a_million_nodes_need_their_arrays_and_one_block(tmp_path: Path) -> None:
+    path = tmp_path / "lanes.osm"
+    nodes = "".join(f"<node id='{k}' lat='49.{k:06d}' lon='8.1'/>\n" for k in range(200_000))
+    path.write_text(f"<osm>{nodes}</osm>")
+    tracemalloc.start()
+    try:
+        assert len(read_osm(path).node_ids) == 200_000
+        assert tracemalloc.get_traced_memory()[1] < 50e6, "120 MB with blocks of 4 MB"
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_map_of_which_nearly_nothing_can_be_used_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "lanes.osm"
+    path.write_text("<osm>" + "<node id='x' lat='49' lon='8'/>" * 20_001 + "</osm>")
+    with pytest.raises(InputError, match="more than 20,000 of its records cannot be used; the first: node 'x': id"):
+        read_osm(path)

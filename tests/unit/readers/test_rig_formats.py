@@ -475,3 +475,10 @@ def test_opencv_writes_no_rig_that_it_cannot_hold(tmp_path: Path) -> None:
         WRITERS["opencv"](mixed, tmp_path / "a.yml")
     with pytest.raises(InputError, match=r"end in \.yml"):
         WRITERS["opencv"](rig, tmp_path / "a.txt")
+
+
+def test_a_key_that_is_a_section_too_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "calib.txt"
+    path.write_text("a: 1 2\n[a]\nb=1\n")
+    with pytest.raises(InputError, match="'a' is in the file twice, as a key and as a section"):
+        read_rig(path)

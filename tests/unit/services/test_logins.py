@@ -166,3 +166,6 @@ def test_workers_read_drives_below_the_configured_folders_only(tmp_path: Path, m
     for flow in (ingest_drive, backfill):
         with pytest.raises(InputError, match="CONETL_DRIVE_ROOTS"):
             flow.fn(outside)
+    (inside / "timestamps.txt").symlink_to(outside / "timestamps.txt")
+    with pytest.raises(InputError, match=r"timestamps\.txt lies outside .* CONETL_DRIVE_ROOTS"):
+        ingest_drive.fn(inside)

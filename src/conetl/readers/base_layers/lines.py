@@ -24,7 +24,7 @@ MAX_LINES = 500_000
 TOLERANCE_M = 0.01
 MAX_COORDINATE_M = 1e9
 #: Vertices that are simplified at once: the time for a curled line rises with the square of it; and those in memory at once.
-_BLOCK, _BATCH = 2_000, 200_000
+_BLOCK, BATCH = 2_000, 50_000
 #: Lanelet2 line strings that bound lanes or the road; others (stop lines, signs, walls) do not.
 LANELET2_BOUNDARIES = frozenset({"line_thin", "line_thick", "curbstone", "road_border", "guard_rail", "virtual"})
 #: Ways of these types are lane boundaries even without a lanelet.
@@ -94,18 +94,23 @@ def simplified(lines: Iterable[Line]) -> Iterator[Line]:
     for line in lines:
         batch.append(line)
         count += len(line.xyz)
-        if count > _BATCH:
+        if count > BATCH:
             yield from _simplified(batch)
             batch, count = [], 0
     if batch:
         yield from _simplified(batch)
 
 
+def require_near(xyz: Floats) -> None:
+    """Raise ValueError for coordinates that are no numbers, or so large that GEOS does not return from some of them."""
+    if not (np.abs(xyz) < MAX_COORDINATE_M).all():
+        raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")
+
+
 def _simplified(lines: list[Line]) -> list[Line]:
     """All at once, as blocks of vertices whose third coordinate is their number."""
     all_xyz = np.concatenate([line.xyz for line in lines])
-    if not (np.abs(all_xyz) < MAX_COORDINATE_M).all():  # NaN fails too; GEOS does not return from some of them
-        raise ValueError(f"it has coordinates beyond {MAX_COORDINATE_M:g} m")
+    require_near(all_xyz)
     line_of = np.repeat(np.arange(len(lines)), [len(line.xyz) for line in lines])
     first = np.diff(line_of, prepend=-1) > 0
     # Equal vertices are where a geometry is too short.

@@ -14,15 +14,14 @@ from typing import NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-import shapely
 from numpy.polynomial.polynomial import polyder, polyval
 from pyproj import CRS
 
-from conetl.files.documents import XmlFile, input_errors, library_errors, shown
+from conetl.files.documents import XmlFile, input_errors, library_errors, require_few_refused, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
-from conetl.readers.base_layers.lines import Line, LineFile, add_lines, simplified
+from conetl.readers.base_layers.lines import BATCH, Line, LineFile, add_lines, require_near, simplified
 
 Element = ElementTree.Element
 
@@ -63,11 +62,14 @@ def cubic_at(pieces: Floats, s_m: Floats) -> Floats:
     s = np.asarray(s_m, np.float64)
     if not len(pieces):
         return np.zeros(len(s))
-    ordered = pieces[np.argsort(pieces[:, 0], kind="stable")]
-    owner = np.searchsorted(ordered[:, 0], s, side="right") - 1
-    start, a, b, c, d = ordered[np.maximum(owner, 0)].T
+    if len(pieces) > 1:
+        pieces = pieces[np.argsort(pieces[:, 0], kind="stable")]
+        owner = np.searchsorted(pieces[:, 0], s, side="right") - 1
+        start, a, b, c, d = pieces[np.maximum(owner, 0)].T
+    else:
+        start, a, b, c, d = pieces.T
     ds = s - start
-    return np.where(owner >= 0, a + ds * (b + ds * (c + ds * d)), 0.0)
+    return np.where(s >= pieces[0, 0], a + ds * (b + ds * (c + ds * d)), 0.0)
 
 
 def samples_m(pieces: Sequence[Piece], from_m: float, to_m: float) -> Floats:
@@ -147,6 +149,10 @@ def clothoid(length_m: float, k0: float, k1: float, ds: Floats) -> tuple[Floats,
 
     (Fresnel integrals are the closed form, but lose all digits where the curvature hardly changes.)
     """
+    if k0 == k1:  # an arc: its chord, in the direction of its middle
+        turn = k0 * ds
+        chord = ds * np.sinc(turn / (2 * np.pi))
+        return np.column_stack([chord * np.cos(turn / 2), chord * np.sin(turn / 2)]), turn
     grid = np.unique(np.concatenate([np.linspace(0.0, length_m, int(length_m / STEP_M) + 2), ds]))
     rate = (k1 - k0) / length_m if length_m > 0 else 0.0
     half = np.diff(grid) / 2
@@ -176,6 +182,8 @@ def read_opendrive(path: Path) -> LineFile:
     """Lines of an OpenDRIVE file, in the CRS of its geoReference. Raises InputError without a usable road, or with too many."""
     lines: list[Line] = []
     refused: list[str] = []
+    batch: list[tuple[str, Line]] = []
+    count = 0
     header = ElementTree.Element("header")
     left = float(MAX_POINTS)
 
@@ -188,6 +196,14 @@ def read_opendrive(path: Path) -> LineFile:
                 "import the file in parts"
             )
 
+    def add_batch() -> None:
+        """The lines of several roads at once: for each road, arrays would be of a few vertices."""
+        nonlocal count
+        some = simplified([line for _, line in batch])
+        add_lines([(name, line) for (name, _), line in zip(batch, some, strict=True)], lines, refused)
+        batch.clear()
+        count = 0
+
     not_xml = library_errors(f"{path}: is not XML", ElementTree.ParseError, hint="; expected an OpenDRIVE file")
     with not_xml, input_errors(path), XmlFile(path) as file:
         for part in _parts(file, path):
@@ -196,10 +212,18 @@ def read_opendrive(path: Path) -> LineFile:
             elif part.tag == "road":
                 what = f"road {shown(part.get('id', ''))}"
                 try:
-                    some = simplified(_road_lines(part, spend))
-                    add_lines([(f"{what}, {line.attributes.get('border')}", line) for line in some], lines, refused)
-                except (ValueError, KeyError, shapely.errors.ShapelyError) as error:
+                    own = [*_road_lines(part, spend)]
+                    for line in own:
+                        require_near(line.xyz)
+                except (ValueError, KeyError) as error:
                     refused.append(f"{what}: {error}")
+                    require_few_refused(path, refused)
+                    continue
+                batch += [(f"{what}, {line.attributes.get('border')}", line) for line in own]
+                count += sum(len(line.xyz) for line in own)
+                if count > BATCH:
+                    add_batch()
+        add_batch()
         turn, shift = _offset_of(header)
     if not lines:
         raise InputError(f"{path}: none of its roads can be used{'; ' + refused[0] if refused else ''}")
@@ -264,7 +288,8 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
     starts = [_number(section, "s") for section in sections]
     if starts and not 0 <= starts[0] <= starts[-1] <= length:
         raise ValueError(f"its lane sections begin from {starts[0]:g} to {starts[-1]:g} m; expected 0 to {length:g} m")
-    spans = [(None, 0.0, length), *zip(sections, starts, [*starts[1:], length], strict=True)]
+    ends = [*starts[1:], length][: len(starts)]
+    spans = [(None, 0.0, length), *zip(sections, starts, ends, strict=True)]
     spans = [span for span in spans if span[1] < span[2]]
     lanes_of = [
         {} if one is None else {int(_number(lane, "id")): lane for lane in one.iter("lane")} for one, _, _ in spans
@@ -273,8 +298,8 @@ def _road_lines(road: Element, spend: Callable[[float], None]) -> Iterator[Line]
         spend(_points(pieces, start, end) * (len(elements) + 1))
     samples = [samples_m(pieces, start, end) for _, start, end in spans]
     whole = frame_of(pieces, elevation, roll, np.concatenate(samples))
-    ends = np.cumsum([len(s) for s in samples])
-    for elements, (section, start, _), s, stop in zip(lanes_of, spans, samples, ends.tolist(), strict=True):
+    stops = np.cumsum([len(s) for s in samples]).tolist()
+    for elements, (section, start, _), s, stop in zip(lanes_of, spans, samples, stops, strict=True):
         frame = RoadFrame(whole.base_m[stop - len(s) : stop], whole.left[stop - len(s) : stop])
         if section is None:
             yield Line("reference_line", frame.base_m, {**about, "border": "reference line"})

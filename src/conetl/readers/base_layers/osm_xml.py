@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from conetl.files.documents import MAX_VALUES, XmlFile, input_errors, library_errors, shown
+from conetl.files.documents import MAX_VALUES, XmlFile, input_errors, library_errors, require_few_refused, shown
 from conetl.model.arrays import Bools, Floats, Ints
 from conetl.model.errors import InputError
 
@@ -65,13 +65,13 @@ class _NotPlainError(Exception):
 def read_osm(path: Path) -> OsmMap:
     """Raises InputError where a file is not OSM XML."""
     try:
-        return _map_of(_plain_blocks(path))
+        return _map_of(path, _plain_blocks(path))
     except _NotPlainError:
         pass
     kinds = (expat.ExpatError, LookupError, _NotPlainError)  # LookupError: an unknown encoding
     not_osm = library_errors(f"{path}: is not OSM XML", *kinds, hint="; expected a Lanelet2 map")
     with not_osm, input_errors(path):
-        return _map_of(_rewritten_blocks(path))
+        return _map_of(path, _rewritten_blocks(path))
 
 
 # --------------------------------------------------------------------------- blocks of whole objects
@@ -278,7 +278,7 @@ class _Tags(NamedTuple):
         return self.owner[at], self.values.take(pa.array(at))
 
 
-def _map_of(blocks: Iterator[bytes]) -> OsmMap:
+def _map_of(path: Path, blocks: Iterator[bytes]) -> OsmMap:
     nodes: list[tuple[Ints, Floats]] = [(np.empty(0, np.int64), np.empty((0, 3)))]
     ways: dict[int, tuple[Ints, dict[str, str]]] = {}
     lanelet_ways: set[int] = set()
@@ -296,10 +296,14 @@ def _map_of(blocks: Iterator[bytes]) -> OsmMap:
         has_local |= "local_x" in tags.names
         ways |= _ways(block, tags, kept, refused)
         lanelet_ways |= _lanelet_ways(block, tags, kept)
+        require_few_refused(path, refused)
     ids, places = (np.concatenate(parts) for parts in zip(*nodes, strict=True))
-    order = np.argsort(ids, kind="stable")
-    order = order[np.append(np.diff(ids[order]) > 0, True)[: len(order)]]
-    return OsmMap(ids[order], places[order], has_local, ways, frozenset(lanelet_ways), refused)
+    nodes.clear()  # as large as both
+    if not (np.diff(ids) > 0).all():
+        order = np.argsort(ids, kind="stable")
+        order = order[np.append(np.diff(ids[order]) > 0, True)]
+        ids, places = ids[order], places[order]
+    return OsmMap(ids, places, has_local, ways, frozenset(lanelet_ways), refused)
 
 
 def _tags(block: _Block) -> _Tags:

@@ -14,7 +14,6 @@ that must be level. The folder mav0 may be left out.
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -123,8 +122,8 @@ def _images(source: pairs.Source, name: str) -> list[pairs.Image]:
 def _rows(path: Path, source: pairs.Source) -> Iterator[tuple[int, list[str]]]:
     """Line numbers and rows of a csv file, without empty ones and comments. Raises InputError."""
     name = path.relative_to(source.root).as_posix()
-    text = source.content.text(source.root, name, "it has the times and names of the images")
-    reader = csv.reader(io.StringIO(text, newline=""))
+    remedy = "it has the times and names of the images"
+    reader = csv.reader(source.content.lines(source.root, name, remedy, source.files.image_count))
     with library_errors(f"{path}: not a CSV file", csv.Error):
         for words in reader:
             if words and words[0].strip() and not words[0].lstrip().startswith("#"):
@@ -136,7 +135,7 @@ def _stamp(text: str, where: str) -> int | str:
     word = text.strip()
     if word.isascii() and word.isdigit() and len(word) < 20 and 0 < int(word) < 2**63:
         return int(word)
-    return f"{where}: '{word[:40]}' is not a time stamp; expected nanoseconds since 1970"
+    return f"{where}: {shown(word[:40])} is not a time stamp; expected nanoseconds since 1970"
 
 
 def _read_rig(source: pairs.Source) -> tuple[Rig, Floats]:

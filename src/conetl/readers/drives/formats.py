@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, TypeVar
@@ -88,7 +88,7 @@ class HeaderFacts:
             if path.is_file():
                 self.content.add(name, _pieces_of(path))
 
-    def set_times(self, stamps_ns: Sequence[int | str], path: Path) -> None:
+    def set_times(self, stamps_ns: Collection[int | str], path: Path) -> None:
         """First and last time that the reader accepts; texts are stamps that cannot be read. Raises InputError."""
         stamps = [stamp for stamp in stamps_ns if isinstance(stamp, int)]
         wrong = misplaced(dict(enumerate(stamps)))

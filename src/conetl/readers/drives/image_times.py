@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from conetl.files.documents import read_bytes
+from conetl.files.documents import read_table_bytes, table_lines
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.perception.video import VideoIndex
@@ -17,8 +17,6 @@ from conetl.readers.drives.poses import Samples
 from conetl.readers.trajectories import trajectory_format
 from conetl.readers.trajectories.times import clock_problem, decimal_ns, parse_timestamp, times_of_names
 
-#: A file of time stamps of `MAX_FRAMES` lines.
-_MOST_TIME_BYTES = 128_000_000
 #: Larger ones are not looked for.
 _MOST_TRIED_BYTES = 4_000_000
 _DAY_S = 86_400.0
@@ -91,9 +89,9 @@ def times_of(
         remedy = f"Name a file with one time per left image in {DRIVE_YAML}: 'images: {{timestamps: left.txt}}', and "
         remedy += "right_timestamps where the right ones have others"
         raise UnknownTimeError("images.timestamps", root, cause, remedy)
-    data = read_bytes(named_in_yaml(root, name, "the time stamps of the images are"), _MOST_TIME_BYTES)
+    data = read_table_bytes(named_in_yaml(root, name, "the time stamps of the images are"), len(paths))
     source.content.add(name, data)
-    texts = texts_of_file(data.decode("utf-8-sig", errors="replace").splitlines(), paths)
+    texts = texts_of_file([*table_lines(data)], paths)
     if len(texts) != len(paths):
         raise InputError(
             f"{root / name}: {len(texts)} time stamps for the {len(paths)} images of {camera}, expected one line per image{hint}"

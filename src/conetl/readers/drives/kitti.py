@@ -14,9 +14,10 @@ broken costs one rejection; without a calibration, a trajectory or one usable pa
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from contextlib import suppress
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,7 +40,7 @@ from conetl.readers.drives.pairs import ImageFile, PairError, Source
 from conetl.readers.drives.poses import checked_srid, stated_sigmas, wild_fixes
 from conetl.readers.rigs import CAM_TO_CAM, IMU_TO_VELO, VELO_TO_CAM, read_kitti_rig
 from conetl.readers.trajectories.oxts import MAX_RECORD_BYTES, OxtsRecord, parse_oxts
-from conetl.readers.trajectories.times import clock_problem, misplaced, parse_timestamps
+from conetl.readers.trajectories.times import Stamps, clock_problem, misplaced, parse_timestamps
 
 NAME, TITLE = "kitti", "KITTI raw layout"
 READS_OBJECTS, UNPACKS = True, False
@@ -81,10 +82,11 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
         source, calibration, pairs.first_size((files[0].path for _, files in sorted(left.items())), content)
     )
     name = f"{settings.cameras.left}/timestamps.txt"
-    stamps = _stamps(source, name)
+    records = _record_files(source)
+    stamps = _stamps(source, name, left.keys() | right.keys() | records.keys())
     split = _split_triggers(source, stamps)
-    oxts_stamps = _stamps(source, OXTS_STAMPS) if (root / OXTS_STAMPS).is_file() else {}
-    srid, track, bad_records = _trajectory(source, oxts_stamps)
+    oxts_stamps = _stamps(source, OXTS_STAMPS, records) if (root / OXTS_STAMPS).is_file() else {}
+    srid, track, bad_records = _trajectory(source, records, oxts_stamps)
     # A frame with a time stamp and a pose, but without images, is lost too: copied in part, or to another folder.
     numbers = sorted(left.keys() | right.keys() | stamps.keys() & (track.rows.keys() | bad_records.keys()))
     times = {n: time for n in numbers if isinstance(time := stamps.get(n), int) and n not in split}
@@ -95,8 +97,7 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
     def frame(n: int) -> pairs.RecordedPair:
         problem = PairError(RejectionReason.TIMESTAMP_INVALID, wrong.get(n, ""))
         if n not in stamps:
-            lines = f"{name} has {len(stamps)} lines, line {n + 1} is needed for this frame"
-            problem = PairError(RejectionReason.TIMESTAMP_MISSING, lines)
+            problem = PairError(RejectionReason.TIMESTAMP_MISSING, f"{name} has no line {n + 1} for this frame")
         captured = problem if n in wrong or n not in stamps else times[n]
         return pairs.RecordedPair(
             n, str(n), left.get(n, ()), right.get(n, ()), captured, partial(_pose_at, n, bad_records, track, root)
@@ -127,7 +128,8 @@ def scan(path: Path, settings: DriveYaml) -> Files:
 def read_header(source: Source, header: HeaderFacts) -> None:
     """The times of the left images; calibration and OXTS files must be there."""
     stamps = f"{source.settings.cameras.left}/timestamps.txt"
-    header.set_times([*_stamps(source, stamps).values()], source.path / stamps)
+    images = _numbered(chain(*(stream.paths for stream in source.files[:2])))
+    header.set_times(_stamps(source, stamps, images).values(), source.path / stamps)
     read_rig_for(source, calibration_path(source.path, source.settings), None)
     _record_files(source)
 
@@ -190,12 +192,14 @@ def _numbered(paths: Iterable[Path]) -> dict[int, list[ImageFile]]:
     return found
 
 
-def _stamps(source: Source, name: str, content: pairs.ContentHash | None = None) -> dict[int, int | str]:
+def _stamps(
+    source: Source, name: str, wanted: Container[int] | None = None, content: pairs.ContentHash | None = None
+) -> Stamps:
     """Times of a timestamps.txt, see `parse_timestamps`. Raises InputError."""
-    text = (content or source.content).text(
+    lines = (content or source.content).lines(
         source.root, name, "expected one line with a time stamp for each frame number"
     )
-    return parse_timestamps(text, source.settings.timestamps_timezone)
+    return parse_timestamps(lines, source.settings.timestamps_timezone, wanted)
 
 
 def _split_triggers(source: Source, left: Mapping[int, int | str]) -> dict[int, str]:
@@ -208,7 +212,7 @@ def _split_triggers(source: Source, left: Mapping[int, int | str]) -> dict[int, 
     if not (source.root / name).is_file():
         return {}
     own = pairs.ContentHash()
-    right = _stamps(source, name, own)
+    right = _stamps(source, name, left, own)
     found = {number: trigger_problem(time, right.get(number), source.settings) for number, time in left.items()}
     wrong = {number: f"{name}, line {number + 1}: {problem}" for number, problem in found.items() if problem}
     if wrong:
@@ -233,10 +237,12 @@ def trigger_problem(left: int | str, right: int | str | None, settings: DriveYam
     )
 
 
-def _trajectory(source: Source, stamps: Mapping[int, int | str]) -> tuple[int, OxtsTrajectory, dict[int, str]]:
+def _trajectory(
+    source: Source, files: Mapping[int, list[ImageFile]], stamps: Stamps
+) -> tuple[int, OxtsTrajectory, dict[int, str]]:
     """EPSG code of the map, the poses in it, and what is wrong with the other OXTS records, by frame number."""
     folder, settings = source.path, source.settings
-    records, bad = _read_oxts(source)
+    records, bad = _read_oxts(source, files)
     if not records:
         shown = "".join(f", for example {number:010d}.txt: {text}" for number, text in [*bad.items()][:1])
         raise InputError(f"{folder}: no usable pose in oxts/data{shown}")
@@ -253,9 +259,8 @@ def _trajectory(source: Source, stamps: Mapping[int, int | str]) -> tuple[int, O
     return srid, track, bad | wild
 
 
-def _read_oxts(source: Source) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
+def _read_oxts(source: Source, files: Mapping[int, list[ImageFile]]) -> tuple[dict[int, OxtsRecord], dict[int, str]]:
     """Valid OXTS records and, for the others, what is wrong with them, by frame number."""
-    files = _record_files(source)
     fetch([file.path for same in files.values() for file in same], fresh=True)
     records: dict[int, OxtsRecord] = {}
     bad: dict[int, str] = {}

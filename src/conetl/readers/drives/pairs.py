@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import accumulate
 from pathlib import Path
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from conetl.files.documents import read_table_bytes
+from conetl.files.documents import read_table_bytes, table_lines
 from conetl.files.storage import fetch, remember
 from conetl.geometry.rectification import stored_camera
 from conetl.geometry.small_arrays import nearest_index
@@ -56,13 +56,16 @@ class ContentHash:
         """Add a file of any size."""
         self._files[name] = file_digest(path)
 
-    def text(self, folder: Path, name: str, remedy: str) -> str:
-        """Text of a required file of the drive, which is added. Raises InputError where it is missing; remedy: what to do."""
+    def lines(self, folder: Path, name: str, remedy: str, images: int | None = None) -> Iterator[str]:
+        """Lines of a required file of the drive, which is added. Raises InputError where it is missing; remedy: what to do.
+
+        images: as of `read_table_bytes`.
+        """
         if not (folder / name).is_file():
             raise InputError(f"{folder}: {name} is missing; {remedy}")
-        data = read_table_bytes(folder / name)
+        data = read_table_bytes(folder / name, images)
         self.add(name, data)
-        return data.decode("utf-8-sig", errors="replace")
+        return table_lines(data)
 
     def hexdigest(self) -> str:
         """SHA-256 over sorted names and the hashes of their bytes."""

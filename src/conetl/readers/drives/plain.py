@@ -12,8 +12,7 @@ counted from true east counter-clockwise, pitch positive with the front down, ro
 from __future__ import annotations
 
 import csv
-import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -75,9 +74,9 @@ class Rows:
     _columns: Sequence[str] | None = None
     _count: int = 0
 
-    def add(self, text: str) -> None:
-        """Append whole lines of the file, the header first. Raises InputError where its columns are not those of `Row`."""
-        reader = csv.DictReader(io.StringIO(text, newline=""), fieldnames=self._columns)
+    def add(self, lines: Iterable[str]) -> None:
+        """Append lines of the file, the header first. Raises InputError where its columns are not those of `Row`."""
+        reader = csv.DictReader(lines, fieldnames=self._columns)
         with library_errors(f"{self.path}: not a CSV file", csv.Error):
             if self._columns is None:
                 self._columns = reader.fieldnames
@@ -124,10 +123,10 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
         first = next((str(row) for row in found.by_stem.values()), "the file has no rows")
         raise InputError(f"{path / TRAJECTORY}: no usable pose: {first}")
     srid = checked_srid(source.map_srid, good[0].lat_deg, good[0].lon_deg, path)
-    with input_errors(path):
-        poses = {row.stem: pose_of_row(row, srid, settings.sigmas) for row in good}
     times = {row.stem: time_of_row(row, settings.timestamps_timezone) for row in good}
-    bad = {stem: row for stem, row in found.by_stem.items() if isinstance(row, str)} | _wild_rows(poses, times)
+    with input_errors(path):
+        wild = _wild_rows([row for row in good if isinstance(times[row.stem], int)], times, srid)
+    bad = {stem: row for stem, row in found.by_stem.items() if isinstance(row, str)} | wild
     # Pairs are ordered by row; a stem without one comes last and only serves to name the rejection.
     stems = sorted(left.keys() | right.keys() | found.by_stem.keys())
     order = {stem: found.numbers.get(stem, len(found.by_stem) + i) for i, stem in enumerate(stems)}
@@ -143,7 +142,13 @@ def read(source: Source) -> tuple[Drive, list[Rejection]]:
         elif number in misplaced_at:
             text = f"{TRAJECTORY}: captured_at of '{stem}' {misplaced_at[number]}"
         time = captured if isinstance(captured, int) and text is None else PairError(reason, str(text))
-        return RecordedPair(number, f"'{stem}'", left.get(stem, []), right.get(stem, []), time, lambda _: poses[stem])
+
+        def pose_at(_: int) -> Pose:
+            row = found.by_stem[stem]
+            assert isinstance(row, Row)
+            return pose_of_row(row, srid, settings.sigmas)
+
+        return RecordedPair(number, f"'{stem}'", left.get(stem, []), right.get(stem, []), time, pose_at)
 
     return drive_of_pairs([*map(frame, sorted(stems, key=order.__getitem__))], source, rig, srid)
 
@@ -160,7 +165,7 @@ def scan(path: Path, settings: DriveYaml) -> Files:
 
 def read_header(source: Source, header: HeaderFacts) -> None:
     """The times of the rows; the rig must be there."""
-    rows = csv.DictReader(_trajectory(source).splitlines())
+    rows = csv.DictReader(_trajectory(source))
     zone = source.settings.timestamps_timezone
     header.set_times([stamp_or_problem(row.get("captured_at") or "", zone) for row in rows], source.path / TRAJECTORY)
     read_plain_rig(source)
@@ -179,16 +184,17 @@ def read_plain_rig(source: Source) -> Rig:
     return rectified_rig(found[0].model_copy(update=overrides(source.settings)), path)
 
 
-def _wild_rows(poses: Mapping[str, Pose], times: Mapping[str, int | str]) -> dict[str, str]:
-    """What is wrong with rows whose position cannot be true, by stem."""
-    timed = sorted((time, stem) for stem, time in times.items() if isinstance(time, int))
-    positions = np.array([poses[stem].map_t_body_m for _, stem in timed]).reshape(-1, 3)
-    wild = wild_fixes([time for time, _ in timed], positions)
-    return {timed[i][1]: f"{TRAJECTORY}, stem '{timed[i][1]}': {text}" for i, text in wild.items()}
+def _wild_rows(rows: Sequence[Row], times: Mapping[str, Any], srid: int) -> dict[str, str]:
+    """What is wrong with rows whose position cannot be true, by stem. Raises ValueError for one that the CRS cannot express."""
+    rows = sorted(rows, key=lambda row: (times[row.stem], row.stem))
+    lat_lon_height = np.array([(row.lat_deg, row.lon_deg, row.height_m) for row in rows]).reshape(-1, 3)
+    wild = wild_fixes([times[row.stem] for row in rows], geodesy.to_map(srid, *lat_lon_height.T))
+    return {rows[i].stem: f"{TRAJECTORY}, stem '{rows[i].stem}': {text}" for i, text in wild.items()}
 
 
-def _trajectory(source: Source) -> str:
-    return source.content.text(source.path, TRAJECTORY, f"for a log of another format run 'conetl init {source.path}'")
+def _trajectory(source: Source) -> Iterator[str]:
+    remedy = f"for a log of another format run 'conetl init {source.path}'"
+    return source.content.lines(source.path, TRAJECTORY, remedy, source.files.image_count)
 
 
 def pose_of_row(row: Row, srid: int, settings: Sigmas) -> Pose:

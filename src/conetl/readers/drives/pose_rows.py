@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from conetl.files.documents import read_table_bytes, table_lines
 from conetl.geometry import pose as se3
 from conetl.geometry import rig as rigs
 from conetl.model.arrays import Floats
@@ -21,7 +22,7 @@ from conetl.readers.drives.image_times import of_images
 from conetl.readers.drives.pairs import Image
 from conetl.readers.trajectories import find_trajectories
 from conetl.readers.trajectories.recorded import RecordedTrajectory, Records, assembled
-from conetl.readers.trajectories.text import floats, head_lines, line_blocks
+from conetl.readers.trajectories.text import floats, head_lines
 
 _COLUMNS = 12
 #: Largest entry of R^T R - 1 of a rotation in text; a file has a few digits.
@@ -29,8 +30,6 @@ _NOT_A_ROTATION = 2e-3
 #: Least mean component of the cameras' upward direction along the axis of the frame that points up.
 _UPRIGHT = 0.9
 _MOST_FILES = 500
-#: Rows of 200 characters of half a million images.
-_MOST_BYTES = 100_000_000
 _SUFFIXES = frozenset({".txt", ".csv", ".kitti"})
 
 
@@ -56,9 +55,7 @@ def read(path: Path, images: Sequence[Image], rig: Rig) -> RecordedTrajectory:
     Of a file in the frame of the first camera, the frame is that of the body at its first row. rig: with the left camera on the
     body. Raises InputError where rows and images do not belong together, or no row is a pose.
     """
-    if path.stat().st_size > _MOST_BYTES:
-        raise InputError(f"{path}: expected at most {_MOST_BYTES:,} bytes")
-    lines = [line for _, block in line_blocks(path) for line in block if line.strip()]
+    lines = [line for line in table_lines(read_table_bytes(path, len(images))) if line.strip()]
     rows = _table(of_images(lines, [image.path for image in images]))
     if len(rows) != len(images):
         raise InputError(

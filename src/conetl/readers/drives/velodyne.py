@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from conetl.files.documents import read_table_bytes
+from conetl.files.documents import read_table_bytes, table_lines
 from conetl.files.storage import NOT_A_FILE, is_present
 from conetl.geometry import pose as se3
 from conetl.geometry.rig import map_SE3_left
@@ -68,7 +68,7 @@ def scan_period_s(drive_folder: Path) -> float:
     stamps = []
     for name in ("timestamps_start.txt", "timestamps_end.txt"):
         path = drive_folder / VELODYNE / name
-        stamps.append(parse_timestamps(read_table_bytes(path).decode(errors="replace")) if path.is_file() else {})
+        stamps.append(parse_timestamps(table_lines(read_table_bytes(path))) if path.is_file() else {})
     turns = [
         (end - start) * 1e-9
         for number, start in stamps[0].items()

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import lru_cache
+from itertools import chain, repeat
 from typing import Annotated, Any
 from uuid import UUID, uuid5
 
@@ -136,19 +137,24 @@ class StatementRows(Sequence[ImportedFeature]):
         if self._problem is not None:
             raise self._problem
 
-    def _cells(self, name: str) -> list[Any]:
-        """Values of the good rows, None for empty cells."""
+    def _cells(self, name: str) -> Iterator[Any]:
+        """Values of the good rows, None for empty cells; some of them are in memory at a time."""
         columns = self.table.columns
-        return columns[name][: self._good].to_pylist() if name in columns else [None] * self._good
+        if name not in columns:
+            return repeat(None, self._good)
+        return chain.from_iterable(chunk.to_pylist() for chunk in columns[name][: self._good].iterchunks())
 
     def _checked(self, name: str) -> list[Any]:
         """Values of the good rows, the default for empty cells."""
-        values = self._cells(name)
-        if _FORMER_NAMES.get(name) in self.table.columns:
-            former = self._cells(_FORMER_NAMES[name])
-            values = [old if value is None else value for value, old in zip(values, former, strict=True)]
+        names = {name, _FORMER_NAMES.get(name)} & self.table.columns.keys()
         default = self._defaults[name]
         try:
+            if not names:
+                return _COLUMNS[name].validate_python([default][: self._good]) * self._good
+            values = self._cells(name)
+            if _FORMER_NAMES.get(name) in names:
+                former = self._cells(_FORMER_NAMES[name])
+                values = (old if value is None else value for value, old in zip(values, former, strict=True))
             return _COLUMNS[name].validate_python([default if value is None else value for value in values])
         except ValidationError as error:
             first = error.errors()[0]
@@ -172,9 +178,9 @@ class StatementRows(Sequence[ImportedFeature]):
         """Raises InputError. xyz_m: (N, 3) in the map's CRS; seen_ns: `last_seen_at`."""
         self._require_ids()
         self.require_all()
-        columns = {name: self._checked(name) for name in _COLUMNS}
-        self.categories, self._sha256 = columns.pop("category"), sha256
-        column = {name: np.array(values[: self._good], np.float64) for name, values in columns.items()}
+        self.categories, self._sha256 = self._checked("category"), sha256
+        columns = {name: np.array(self._checked(name), np.float64) for name in _COLUMNS if name != "category"}
+        column = {name: values[: self._good] for name, values in columns.items()}
         e, n, u, en, eu, nu = (column[name] for name in ("sigma_e_m", "sigma_n_m", "sigma_u_m", *_COVARIANCES))
         with np.errstate(over="ignore", invalid="ignore"):
             plane = e * e * n * n - en * en

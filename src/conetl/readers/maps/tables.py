@@ -266,10 +266,10 @@ def _read_csv(most_rows: int, path: Path) -> MapTable:
 
 def numbers_of(path: Path, name: str, column: pa.ChunkedArray, *, required: bool = False) -> Floats:
     """The values of a column (N,) as numbers, NaN for empty cells. Raises InputError, which names the row."""
-    values = column.to_pylist()
     if not (required and column.null_count):
-        with suppress(ValueError, TypeError, OverflowError):
-            return np.array(values, np.float64).reshape(-1)
+        with suppress(pa.ArrowInvalid, pa.ArrowNotImplementedError):
+            return np.asarray(column.cast(pa.float64()), np.float64).copy()
+    values = column.to_pylist()
     found = np.empty(len(values))
     for index, value in enumerate(values):
         try:

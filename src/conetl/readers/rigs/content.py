@@ -28,8 +28,8 @@ _YAML_HEADER = re.compile(r"^\s*%YAML[^\n]*\n")
 _MATRIX_TAG = re.compile(r"!!opencv-(nd-)?matrix")
 _NO_SPACE = re.compile(r"^([ \t]*[\w.]+):(?=[\[{])", re.MULTILINE)
 _DOTTED = {".nan": math.nan, ".inf": math.inf, "-.inf": -math.inf}
-#: Of XML, each with two tags.
-_MOST_ELEMENTS = 100_000
+#: Of XML elements, each with two tags, or of keys with a sign behind them, lists or lines.
+_MOST_KEYS = 100_000
 #: The root of OpenCV's XML.
 _OPENCV_ROOT = "opencv_storage"
 _UNKNOWN = "not a calibration that conetl knows"
@@ -48,11 +48,11 @@ def read_content(path: Path, *, of_lines: bool = False) -> Any:
     with library_errors(f"{path}: this is not a text file", UnicodeDecodeError):
         text = data.decode(encoding_of([data])).replace("\r\n", "\n").replace("\r", "\n")
     is_xml, is_json = text.lstrip()[:1] == "<", _JSON.match(text)
+    if text.count("<") / 2 + max(map(text.count, ":=[{\n")) > _MOST_KEYS:
+        raise InputError(f"{path}: {_UNKNOWN}: expected at most {_MOST_KEYS:,} keys, elements, lists or lines")
     if of_lines or (_LINES.search(text) and not (is_xml or is_json)):
         return _of_lines(path, text)
     if is_xml:
-        if text.count("<") > 2 * _MOST_ELEMENTS:
-            raise InputError(f"{path}: {_UNKNOWN}: expected at most {_MOST_ELEMENTS:,} elements")
         with library_errors(f"{path}: this is not XML", ElementTree.ParseError, ValueError):
             root = ElementTree.fromstring(text)
         if root.tag != _OPENCV_ROOT:
@@ -101,22 +101,25 @@ def _of_element(path: Path, element: ElementTree.Element, depth: int) -> Any:
 
 def _of_lines(path: Path, text: str) -> dict[str, Any]:
     """Texts by key; those of a section in a mapping of its own."""
-    found: dict[str, Any] = {}
-    section, part, key = "", found, ""
-    for raw in text.splitlines():
+    parts: dict[str, dict[str, list[str]]] = {"": {}}
+    section, words = "", list[str]()
+    for raw in text.split("\n"):
         line = _COMMENT.sub("", raw).strip()
         if line.startswith("[") and line.endswith("]"):
-            section, key = line[1:-1].strip(), ""
-            part = found.setdefault(section, {})
-        elif key and _NUMBER_LINE.fullmatch(f" {line}"):
-            part[key] = f"{part[key]} {line}".strip()  # below its name, or a matrix in several lines
+            section, words = line[1:-1].strip(), []
+            parts.setdefault(section, {})
+        elif words and _NUMBER_LINE.fullmatch(f" {line}"):
+            words.append(line)  # below its name, or a matrix in several lines
         elif line:
             name, sign, value = re.match(r"([^=:]*)([=:]?)(.*)", line).groups()  # type: ignore[union-attr]
             key = name.strip()
-            if key in part:
+            if key in parts[section]:
                 raise InputError(f"{path}: {shown(f'{section}.{key}'.lstrip('.'))} is in the file twice")
-            part[key] = value.strip() if sign else ""
-    return found
+            words = parts[section][key] = [value.strip() if sign else ""]
+    for name in parts[""].keys() & parts.keys():
+        raise InputError(f"{path}: {shown(name)} is in the file twice, as a key and as a section")
+    found = {name: {key: " ".join(filter(None, words)) for key, words in part.items()} for name, part in parts.items()}
+    return found.pop("") | found
 
 
 def _plain(value: Any) -> Any:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import time
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from datetime import UTC, datetime, tzinfo
 from decimal import ROUND_DOWN, Context, Decimal, InvalidOperation
 from functools import lru_cache
@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from conetl.model.base import ns_from_utc
 
 Times = NDArray[np.int64]
+Stamps = dict[int, int | str]
 DateOrder = Literal["ymd", "dmy", "mdy"]
 
 SECOND_NS = 1_000_000_000
@@ -153,22 +154,33 @@ def parse_timestamp(text: str, zone: str = "UTC", order: DateOrder | None = None
         )
     if int(second) > 59:
         raise ValueError(f"the seconds of {text.strip()[:60]!r} are above 59")
-    tz = _of_offset(offset) if offset else ZoneInfo(zone)
+    return _whole_ns(year, month, day, hour, minute, second, offset or zone) + int((fraction or "")[:9].ljust(9, "0"))
+
+
+@lru_cache(maxsize=1000)  # of the same second are several frames
+def _whole_ns(year: str, month: str, day: str, hour: str, minute: str, second: str, zone: str) -> int:
+    """UTC nanoseconds of a whole second in a time zone, or at an offset from UTC. Raises ValueError."""
+    tz: tzinfo | None = UTC if zone == "Z" else None
+    if tz is None:
+        tz = datetime.strptime(zone.ljust(5, "0"), "%z").tzinfo if zone[0] in "+-" else ZoneInfo(zone)
     instant = datetime(int(year), int(month), int(day), int(hour), int(minute), int(second), tzinfo=tz)
     if not 1970 <= instant.year < 2262:  # 64 bits of nanoseconds end in 2262
         raise ValueError(f"expected a time from 2000 to 2261, found {instant.date()}")
-    return ns_from_utc(instant) + int((fraction or "")[:9].ljust(9, "0"))
+    return ns_from_utc(instant)
 
 
-@lru_cache(maxsize=1000)
-def _of_offset(offset: str) -> tzinfo | None:
-    """The zone of an offset from UTC. Raises ValueError."""
-    return UTC if offset in {"Z", "UTC"} else datetime.strptime(offset.ljust(5, "0"), "%z").tzinfo
+def parse_timestamps(lines: Iterable[str], zone: str = "UTC", wanted: Container[int] | None = None) -> Stamps:
+    """Line number, from 0, -> UTC nanoseconds, or what is wrong with that line. Blank lines at the end do not count.
 
-
-def parse_timestamps(text: str, zone: str = "UTC") -> dict[int, int | str]:
-    """Line number, from 0, -> UTC nanoseconds, or what is wrong with that line. Blank lines at the end do not count."""
-    return {number: stamp_or_problem(line, zone) for number, line in enumerate(text.rstrip().splitlines())}
+    wanted: numbers of lines; None for all.
+    """
+    count = 0
+    found: Stamps = {}
+    for number, line in enumerate(lines):
+        if wanted is None or number in wanted:
+            found[number] = stamp_or_problem(line, zone)
+        count = count if line.isspace() else number + 1
+    return {number: stamp for number, stamp in found.items() if number < count}
 
 
 def stamp_or_problem(text: str, zone: str) -> int | str:
