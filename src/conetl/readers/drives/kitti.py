@@ -128,7 +128,7 @@ def scan(path: Path, settings: DriveYaml) -> Files:
 def read_header(source: Source, header: HeaderFacts) -> None:
     """The times of the left images; calibration and OXTS files must be there."""
     stamps = f"{source.settings.cameras.left}/timestamps.txt"
-    images = _numbered(chain(*(stream.paths for stream in source.files[:2])))
+    images = _numbered(chain(*(stream.paths for stream in source.files[:2]))) or None
     header.set_times(_stamps(source, stamps, images).values(), source.path / stamps)
     read_rig_for(source, calibration_path(source.path, source.settings), None)
     _record_files(source)
