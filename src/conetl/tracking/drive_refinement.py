@@ -70,16 +70,9 @@ def refine_with_cones(
         frame_pairs = at_images(frame_pairs, log, clock.offset_s)
     refined = refine_trajectory(frame_pairs, rig, motions, params.trajectory, control=control)
     if cones := _landmarks(refined, frame_pairs, rig, matches, params, control):
-        together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control, refined.errors)
+        together = refine_trajectory(frame_pairs, rig, motions, params.trajectory, cones, control, refined)
         if together.outcome is RefinementOutcome.REFINED:
-            pairs = [
-                pair.with_pose(sigma_enu_m=alone.pose.sigma_enu_m, sigma_rpy_rad=alone.pose.sigma_rpy_rad)
-                for pair, alone in zip(together.frame_pairs, refined.frame_pairs, strict=True)
-            ]
-            detail = f"{together.detail}; point objects used as landmarks: {len(cones)}"
-            refined = replace(
-                together, frame_pairs=tuple(pairs), covariance=refined.covariance, path=refined.path, detail=detail
-            )
+            refined = replace(together, detail=f"{together.detail}; point objects used as landmarks: {len(cones)}")
     refined = replace(refined, clock=clock, logged=tuple(frame_pairs))
     if refined.covariance is None:
         return refined

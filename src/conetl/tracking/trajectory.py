@@ -23,6 +23,7 @@ from conetl.geometry.motion.pose_graph import (
     LoggedPoses,
     MeasuredMotions,
     adjust,
+    adjust_with_cones,
 )
 from conetl.geometry.motion.stereo_motion import RelativeMotion
 from conetl.geometry.packing import cov_matrix
@@ -114,13 +115,16 @@ def refine_trajectory(
     params: TrajectoryParams,
     cones: Sequence[Sequence[Position]] = (),
     control: Sequence[ControlCone] = (),
-    errors: LogErrors | None = None,
+    alone: RefinedTrajectory | None = None,
 ) -> RefinedTrajectory:
     """Adjust a drive's poses to visual odometry and, optionally, to groups of positions of one cone each and control points.
 
-    motions: any subset of the drive's intervals, each once. errors: of the log, if they are known. Without motions, and if the
+    motions: any subset of the drive's intervals, each once. alone: the adjustment without the cones; errors of the log, sigmas,
+    covariance and path of the result are its own, as the same cones are located afterwards. Without motions, and if the
     adjustment would move a pose beyond its stated sigmas, the poses are unchanged and `outcome` has the reason.
     """
+
+    errors = None if alone is None else alone.errors
 
     def as_logged(outcome: RefinementOutcome, detail: str) -> RefinedTrajectory:
         own = np.array(rig.body_SE3_left)
@@ -157,14 +161,21 @@ def refine_trajectory(
         return replace(as_logged(RefinementOutcome.NO_MEASUREMENT, detail), path=path_of(log.rotations))
     observed = _observations(frame_pairs, [*(cone.positions for cone in control), *cones])
     priors = [LandmarkPrior(k, cone.xyz_m, np.asarray(np.linalg.inv(cone.cov_m2))) for k, cone in enumerate(control)]
-    solved = adjust(log, only(measured, good), observed, params.robust_sigmas, common_sigmas, priors)
+    given = log, only(measured, good), observed, params.robust_sigmas, common_sigmas, priors
+    solved: tuple[Floats, Floats, ChainCovariance] | None
+    if alone is not None and alone.covariance is not None:
+        both = adjust_with_cones(*given)
+        solved = None if both is None else (*both, alone.covariance)
+    else:
+        own = adjust(*given)
+        solved = None if own is None else (*own[:2], chain_solver.covariance(own[2]))
     if solved is None:
         found = as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
         return replace(found, path=path_of(log.rotations))
-    rotations, places, chain = solved
+    rotations, places, cov = solved
     shift = places - log.positions
     turn = Rotation.from_matrix(np.swapaxes(log.rotations, 1, 2) @ rotations).as_rotvec()
-    path = path_of(rotations, places)
+    path = path_of(rotations, places) if alone is None else alone.path
     worst = float(np.max(np.sum((shift / log.sigma_p) ** 2, axis=1)))
     if worst > params.max_shift_chi2:
         detail = (
@@ -172,7 +183,6 @@ def refine_trajectory(
             f"{params.max_shift_chi2**0.5:.1f}; the stated sigmas of GNSS/INS or of the calibration are too small"
         )
         return replace(as_logged(RefinementOutcome.AGAINST_STATED_SIGMAS, detail), path=path)
-    cov = chain_solver.covariance(chain)
     sigma = np.sqrt(cov.variances[:, :POSE])
     map_SE3_body = se3.se3(rotations, places)
     poses = map(se3.to_pose, map_SE3_body, sigma)

@@ -9,11 +9,14 @@ from hypothesis import strategies as st
 
 from conetl.geometry.motion.chain_solver import (
     ChainNormal,
+    ChainPoints,
     covariance,
     cross_covariance,
     eliminate,
     joint_covariance,
     solve,
+    solve_with_points,
+    with_points,
 )
 
 
@@ -60,6 +63,26 @@ def test_equals_the_dense_solution(seed: int, count: int, size: int, shared: int
         for second in range(first, count):
             assert np.allclose(cross_covariance(result, first, second), chain[first, :, second], rtol=1e-6, atol=1e-9)
     assert np.allclose(result.shared, inverse[count * size :, count * size :], rtol=1e-6, atol=1e-9)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 1000), count=st.integers(1, 9), shared=st.integers(0, 2), points=st.integers(0, 5))
+def test_points_that_leave_on_the_way_change_nothing(seed: int, count: int, shared: int, points: int) -> None:
+    """As with the points among the shared unknowns, in any order of sightings, some seen once, some from end to end."""
+    rng = np.random.default_rng(seed)
+    normal = random_normal(seed, count, 4, shared)[0]
+    ties = [(state, point) for point in range(points) for state in rng.choice(count, rng.integers(1, count + 1), False)]
+    rng.shuffle(ties)
+    state, point = np.array(ties, dtype=int).reshape(-1, 2).T
+    by_state, by_point = rng.normal(size=(len(ties), 5, 3)), rng.normal(size=(len(ties), 5, 3))
+    corner, right = np.stack([np.eye(3)] * points) if points else np.zeros((0, 3, 3)), rng.normal(size=(points, 3))
+    np.add.at(normal.diagonal[:, :3, :3], state, np.swapaxes(by_state, 1, 2) @ by_state)
+    np.add.at(corner, point, np.swapaxes(by_point, 1, 2) @ by_point)
+    tied = ChainPoints(state, point, np.swapaxes(by_state, 1, 2) @ by_point, corner, right)
+    found = solve_with_points(normal, tied)
+    states, others = solve(eliminate(with_points(normal, tied)))
+    assert np.allclose(found[0], states, rtol=1e-6, atol=1e-8)
+    assert np.allclose(np.concatenate([found[1], found[2].ravel()]), others, rtol=1e-6, atol=1e-8)
 
 
 @pytest.mark.parametrize("count", [16, 17, 33, 600])

@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from conetl.model.arrays import Floats
+from conetl.model.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,22 @@ class ChainNormal:
     """(K, n)"""
     right_shared: Floats
     """(m,)"""
+
+
+@dataclass(frozen=True)
+class ChainPoints:
+    """Normal equations of L points of 3 unknowns each, each tied to some states, by S ties."""
+
+    state: Ints
+    """(S,)"""
+    point: Ints
+    """(S,)"""
+    border: Floats
+    """(S, p, 3): block of the first p unknowns of a state and a point."""
+    corner: Floats
+    """(L, 3, 3)"""
+    right: Floats
+    """(L, 3)"""
 
 
 @dataclass(frozen=True)
@@ -106,6 +123,72 @@ def solve(chain: EliminatedChain) -> tuple[Floats, Floats]:
         return chain.alone, np.zeros(0)
     common = np.linalg.solve(chain.shared, chain.right_shared)
     return np.asarray(chain.alone - chain.reach @ common), np.asarray(common)
+
+
+def with_points(normal: ChainNormal, points: ChainPoints) -> ChainNormal:
+    """The same with the points as last shared unknowns, for as many as the covariance shall contain."""
+    (count, size), (_, known), unknowns = normal.right.shape, normal.corner.shape, points.right.size
+    border, corner = np.zeros((count, size, unknowns)), np.zeros((known + unknowns,) * 2)
+    for state, point, block in zip(points.state, points.point, points.border, strict=True):
+        border[state, : len(block), 3 * point : 3 * point + 3] += block
+    corner[:known, :known] = normal.corner
+    for point, block in enumerate(points.corner):
+        at = slice(known + 3 * point, known + 3 * point + 3)
+        corner[at, at] = block
+    return replace(
+        normal, border=np.concatenate([normal.border, border], axis=2), corner=corner,
+        right_shared=np.concatenate([normal.right_shared, points.right.ravel()]),
+    )  # fmt: skip
+
+
+def solve_with_points(normal: ChainNormal, points: ChainPoints) -> tuple[Floats, Floats, Floats]:
+    """The solution: (K, n) of the states, (m,) of the shared unknowns and (L, 3) of the points; 0 for those without a tie.
+
+    Each point is eliminated with the last state that it is tied to, so that time and memory are linear in K however many points
+    a long drive has. Raises LinAlgError where the equations are singular.
+    """
+    (count, size), shared = normal.right.shape, len(normal.right_shared)
+    last = np.full(len(points.right), -1)
+    np.maximum.at(last, points.point, points.state)
+    order = np.argsort(points.state, kind="stable")
+    ties = np.split(order, np.searchsorted(points.state[order], np.arange(1, count)))
+    front, right = np.zeros((size + shared,) * 2), np.zeros(size + shared)
+    front[size:, size:], right[size:] = normal.corner, normal.right_shared
+    inside: list[int] = []  # points of the front, after the state and the shared unknowns
+    solved: list[tuple[list[int], list[int], Floats, Floats]] = []
+    for k in range(count):
+        for point in dict.fromkeys(points.point[ties[k]].tolist()):
+            if point not in inside:
+                inside.append(point)
+                front = block_diag(front, points.corner[point])
+                right = np.append(right, points.right[point])
+        front[:size, :size] += normal.diagonal[k]
+        front[:size, size : size + shared] += normal.border[k]
+        front[size : size + shared, :size] += normal.border[k].T
+        right[:size] += normal.right[k]
+        at = {point: size + shared + 3 * place for place, point in enumerate(inside)}
+        for tie in ties[k]:
+            block, j = points.border[tie], at[int(points.point[tie])]
+            front[: len(block), j : j + 3] += block
+            front[j : j + 3, : len(block)] += block.T
+        gone, stay = [p for p in inside if last[p] == k], [p for p in inside if last[p] > k]
+        out = np.r_[:size, [at[point] + axis for point in gone for axis in range(3)]].astype(int)
+        rest = np.r_[size : size + shared, [at[point] + axis for point in stay for axis in range(3)]].astype(int)
+        beside = np.zeros((len(out), size + len(rest)))
+        beside[:size, :size] = normal.upper[k] if k + 1 < count else 0.0
+        beside[:, size:] = front[np.ix_(out, rest)]
+        columns = np.linalg.solve(front[np.ix_(out, out)], np.column_stack([beside, right[out]]))
+        solved.append((gone, stay, columns[:, :-1], columns[:, -1]))
+        reduced = -beside.T @ columns[:, :-1]
+        reduced[size:, size:] += front[np.ix_(rest, rest)]
+        front, right = (reduced + reduced.T) / 2, np.append(np.zeros(size), right[rest]) - beside.T @ columns[:, -1]
+        inside = [*stay]
+    common = np.linalg.solve(front[size:, size:], right[size:])
+    states, places = np.zeros((count + 1, size)), np.zeros_like(points.right)
+    for k, (gone, stay, gain, alone) in reversed([*enumerate(solved)]):
+        found = alone - gain @ np.concatenate([states[k + 1], common, places[stay].ravel()])
+        states[k], places[gone] = found[:size], found[size:].reshape(-1, 3)
+    return states[:-1], common, places
 
 
 def covariance(eliminated: EliminatedChain) -> ChainCovariance:

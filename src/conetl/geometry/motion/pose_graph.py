@@ -12,21 +12,22 @@ axes; for a car roll, pitch and yaw are about those axes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.motion import chain_solver
-from conetl.geometry.motion.chain_solver import ChainNormal, EliminatedChain
+from conetl.geometry.motion.chain_solver import ChainNormal, ChainPoints, EliminatedChain
 from conetl.geometry.small_arrays import cross_matrix
 from conetl.model.arrays import Floats, Ints
 
 #: Unknowns of a frame: six of the pose come first, then six of the log's slow error, and its smooth error with its rate.
 POSE, STATE = 6, 18
+Last = TypeVar("Last")
 _MAX_ITERATIONS = 40
 _CONVERGED = 1e-4
 #: Least variance by which the smooth error is new in the next frame.
@@ -106,13 +107,9 @@ class _State(NamedTuple):
     smooth: Floats
     """(K, 6): smooth error of a position in sigmas, and its rate in sigmas per length scale over the root of 3."""
     shared: Floats
-    """Errors common to the measured motions (`adjust`), then the feet of the cones."""
-    common: int
-    """How many errors come first."""
-
-    def foot(self, cone: int) -> slice:
-        """The foot of a cone among the shared unknowns."""
-        return slice(self.common + 3 * cone, self.common + 3 * cone + 3)
+    """Errors common to the measured motions (`adjust`)."""
+    feet: Floats
+    """(C, 3) of the cones, in the map's frame."""
 
 
 def adjust(
@@ -126,37 +123,71 @@ def adjust(
     """Rotations (K, 3, 3), positions (K, 3) and the last normal equations, eliminated; None if the iteration does not converge.
 
     common_sigmas: prior sigmas of the errors common to all motions: of their scale and, if it is estimated, of their turn about
-    the optical axis (rad per metre).
+    the optical axis (rad per metre). Takes memory for each frame and cone; see `adjust_with_cones`.
     """
+
+    def solve(normal: ChainNormal, cones: ChainPoints) -> tuple[Floats, Floats, Floats, EliminatedChain]:
+        chain = chain_solver.eliminate(chain_solver.with_points(normal, cones))
+        step, shared = chain_solver.solve(chain)
+        return step, shared[: len(common_sigmas)], shared[len(common_sigmas) :].reshape(-1, 3), chain
+
+    found = _iterated(log, motions, sightings, robust_sigmas, common_sigmas, priors, solve)
+    return None if found is None else (found[0].rotations, found[0].positions, found[1])
+
+
+def adjust_with_cones(
+    log: LoggedPoses,
+    motions: MeasuredMotions,
+    sightings: Sequence[LandmarkObservation],
+    robust_sigmas: float,
+    common_sigmas: Sequence[float],
+    priors: Sequence[LandmarkPrior] = (),
+) -> tuple[Floats, Floats] | None:
+    """As `adjust`, for any number of cones, without what the covariance needs."""
+
+    def solve(normal: ChainNormal, cones: ChainPoints) -> tuple[Floats, Floats, Floats, None]:
+        return (*chain_solver.solve_with_points(normal, cones), None)
+
+    found = _iterated(log, motions, sightings, robust_sigmas, common_sigmas, priors, solve)
+    return None if found is None else (found[0].rotations, found[0].positions)
+
+
+def _iterated(
+    log: LoggedPoses,
+    motions: MeasuredMotions,
+    sightings: Sequence[LandmarkObservation],
+    robust_sigmas: float,
+    common_sigmas: Sequence[float],
+    priors: Sequence[LandmarkPrior],
+    solve: Callable[[ChainNormal, ChainPoints], tuple[Floats, Floats, Floats, Last]],
+) -> tuple[_State, Last] | None:
+    """The unknowns, and what the last solution leaves; None if the iteration does not converge."""
     left = se3.compose(se3.se3(log.rotations, log.positions), log.body_SE3_left)
-    cones = 1 + max((s.cone for s in sightings), default=-1)
-    common = len(common_sigmas)
-    shared = np.zeros(common + 3 * cones)
     still = np.zeros((len(log.positions), POSE))
-    state = _State(log.rotations, log.positions, still, still, shared, common)
-    for cone in range(cones):
-        feet = [se3.apply(left[s.frame], s.xyz) for s in sightings if s.cone == cone]
-        shared[state.foot(cone)] = np.median(feet, axis=0) if feet else 0.0
+    feet = np.zeros((1 + max((s.cone for s in sightings), default=-1), 3))
+    for cone in range(len(feet)):
+        seen = [se3.apply(left[s.frame], s.xyz) for s in sightings if s.cone == cone]
+        feet[cone] = np.median(seen, axis=0) if seen else 0.0
+    state = _State(log.rotations, log.positions, still, still, np.zeros(len(common_sigmas)), feet)
     for _ in range(_MAX_ITERATIONS):
         normal = _normal_equations(log, state, np.array(common_sigmas))
         _add_motions(normal, log, state, motions, robust_sigmas)
-        _add_sightings(normal, log, state, sightings, robust_sigmas)
+        cones = _add_sightings(normal, log, state, sightings, robust_sigmas)
         for prior in priors:
-            at = state.foot(prior.cone)
-            normal.corner[at, at] += prior.information
-            normal.right_shared[at] += prior.information @ (prior.xyz - state.shared[at])
+            cones.corner[prior.cone] += prior.information
+            cones.right[prior.cone] += prior.information @ (prior.xyz - state.feet[prior.cone])
         try:
-            chain = chain_solver.eliminate(normal)
-            step, step_shared = chain_solver.solve(chain)
+            step, step_shared, step_feet, last = solve(normal, cones)
         except np.linalg.LinAlgError:
             return None
         state = _State(
             state.rotations @ Rotation.from_rotvec(step[:, 3:6]).as_matrix(), state.positions + step[:, :3],
-            state.bias + step[:, POSE : 2 * POSE], state.smooth + step[:, 2 * POSE :], state.shared + step_shared, common,
+            state.bias + step[:, POSE : 2 * POSE], state.smooth + step[:, 2 * POSE :], state.shared + step_shared,
+            state.feet + step_feet,
         )  # fmt: skip
         if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
-            return state.rotations, state.positions, chain
-        del normal, chain  # before the next ones: a long drive has gigabytes of them
+            return state, last
+        del normal, cones, last  # before the next ones: a long drive has gigabytes of them
     return None
 
 
@@ -246,7 +277,7 @@ def _add_motions(
     normal: ChainNormal, log: LoggedPoses, state: _State, motions: MeasuredMotions, robust_sigmas: float
 ) -> None:
     """Add visual odometry to the normal equations; its common errors are the first shared unknowns."""
-    common = state.common
+    common = len(state.shared)
     residual, from_first, from_second = motion_residuals(log, *state[:2], motions, state.shared[0])
     driven_m = np.linalg.norm(motions.next_SE3_first[:, :3, 3], axis=1)
     if common > 1:
@@ -274,28 +305,32 @@ def _add_motions(
 
 def _add_sightings(
     normal: ChainNormal, log: LoggedPoses, state: _State, sightings: Sequence[LandmarkObservation], robust_sigmas: float
-) -> None:
-    """Add cones as landmarks; their feet follow the motions' common errors among the shared unknowns."""
-    rotations, positions, shared = state.rotations, state.positions, state.shared
+) -> ChainPoints:
+    """Add cones as landmarks to the poses; the normal equations of their feet."""
+    frame, cone = (np.array([getattr(s, name) for s in sightings], dtype=int) for name in ("frame", "cone"))
+    feet = len(state.feet)
+    found = ChainPoints(frame, cone, np.zeros((len(frame), POSE, 3)), np.zeros((feet, 3, 3)), np.zeros((feet, 3)))
+    if not len(frame):
+        return found
+    measured = np.stack([s.xyz for s in sightings])
     body_R_left, lever = log.body_SE3_left[:3, :3], log.body_SE3_left[:3, 3]
-    for s in sightings:
-        at = state.foot(s.cone)
-        camera_R_map = (rotations[s.frame] @ body_R_left).T
-        centre = positions[s.frame] + rotations[s.frame] @ lever
-        local = camera_R_map @ (shared[at] - centre)
-        residual = s.xyz - local
-        information = s.information * _huber(np.asarray(residual @ s.information @ residual / 3), robust_sigmas)
-        by_pose = np.hstack(
-            [
-                -camera_R_map,
-                camera_R_map @ rotations[s.frame] @ cross_matrix(lever) + cross_matrix(local) @ body_R_left.T,
-            ]
-        )
-        normal.diagonal[s.frame, :POSE, :POSE] += by_pose.T @ information @ by_pose
-        normal.border[s.frame, :POSE, at] += by_pose.T @ information @ camera_R_map
-        normal.corner[at, at] += camera_R_map.T @ information @ camera_R_map
-        normal.right[s.frame, :POSE] += by_pose.T @ information @ residual
-        normal.right_shared[at] += camera_R_map.T @ information @ residual
+    rotations = state.rotations[frame]
+    camera_R_map = np.swapaxes(rotations @ body_R_left, 1, 2)
+    centre = state.positions[frame] + rotations @ lever
+    local = (camera_R_map @ (state.feet[cone] - centre)[:, :, None])[:, :, 0]
+    residual = measured - local
+    information = np.stack([s.information for s in sightings])
+    misfit2 = np.einsum("si,sij,sj->s", residual, information, residual) / 3
+    information = information * _huber(misfit2, robust_sigmas)[:, None, None]
+    by_turn = camera_R_map @ rotations @ cross_matrix(lever) + cross_matrix(local) @ body_R_left.T
+    by_pose = np.concatenate([-camera_R_map, by_turn], axis=2)
+    wide, wide_foot = np.swapaxes(by_pose, 1, 2) @ information, np.swapaxes(camera_R_map, 1, 2) @ information
+    np.add.at(normal.diagonal[:, :POSE, :POSE], frame, wide @ by_pose)
+    np.add.at(normal.right[:, :POSE], frame, (wide @ residual[:, :, None])[:, :, 0])
+    np.add.at(found.corner, cone, wide_foot @ camera_R_map)
+    np.add.at(found.right, cone, (wide_foot @ residual[:, :, None])[:, :, 0])
+    found.border[:] = wide @ camera_R_map
+    return found
 
 
 def motion_residuals(
