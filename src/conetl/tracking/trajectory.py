@@ -22,6 +22,7 @@ from conetl.geometry.motion.pose_graph import (
     LandmarkPrior,
     LoggedPoses,
     MeasuredMotions,
+    Measurements,
     adjust,
     adjust_with_cones,
 )
@@ -123,7 +124,6 @@ def refine_trajectory(
     covariance and path of the result are its own, as the same cones are located afterwards. Without motions, and if the
     adjustment would move a pose beyond its stated sigmas, the poses are unchanged and `outcome` has the reason.
     """
-
     errors = None if alone is None else alone.errors
 
     def as_logged(outcome: RefinementOutcome, detail: str) -> RefinedTrajectory:
@@ -161,13 +161,13 @@ def refine_trajectory(
         return replace(as_logged(RefinementOutcome.NO_MEASUREMENT, detail), path=path_of(log.rotations))
     observed = _observations(frame_pairs, [*(cone.positions for cone in control), *cones])
     priors = [LandmarkPrior(k, cone.xyz_m, np.asarray(np.linalg.inv(cone.cov_m2))) for k, cone in enumerate(control)]
-    given = log, only(measured, good), observed, params.robust_sigmas, common_sigmas, priors
+    given = Measurements(log, only(measured, good), observed, params.robust_sigmas, common_sigmas, priors)
     solved: tuple[Floats, Floats, ChainCovariance] | None
     if alone is not None and alone.covariance is not None:
-        both = adjust_with_cones(*given)
+        both = adjust_with_cones(given)
         solved = None if both is None else (*both, alone.covariance)
     else:
-        own = adjust(*given)
+        own = adjust(given)
         solved = None if own is None else (*own[:2], chain_solver.covariance(own[2]))
     if solved is None:
         found = as_logged(RefinementOutcome.NOT_CONVERGED, "the adjustment did not converge")
@@ -206,7 +206,8 @@ def _log_errors_of(
     Two rounds: which motions are plausible depends on the errors.
     """
     kept = only(measured, plausible_motions(log, measured, params.scale_sigma))
-    solved = adjust(log, kept, (), params.robust_sigmas, [params.scale_sigma]) if len(kept.start) else None
+    given = Measurements(log, kept, (), params.robust_sigmas, [params.scale_sigma])
+    solved = adjust(given) if len(kept.start) else None
     records = stated_errors(frame_pairs, log.renewed)
     return None if solved is None else estimate_log_errors(log, *solved[:2], kept, records, params)
 

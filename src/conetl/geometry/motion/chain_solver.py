@@ -144,8 +144,8 @@ def with_points(normal: ChainNormal, points: ChainPoints) -> ChainNormal:
 def solve_with_points(normal: ChainNormal, points: ChainPoints) -> tuple[Floats, Floats, Floats]:
     """The solution: (K, n) of the states, (m,) of the shared unknowns and (L, 3) of the points; 0 for those without a tie.
 
-    Each point is eliminated with the last state that it is tied to, so that time and memory are linear in K however many points
-    a long drive has. Raises LinAlgError where the equations are singular.
+    Each point is eliminated with the last state that it is tied to (frontal method: Irons 1970), so that time and memory are
+    linear in K however many points a long drive has. Raises LinAlgError where the equations are singular.
     """
     (count, size), shared = normal.right.shape, len(normal.right_shared)
     last = np.full(len(points.right), -1)

@@ -12,6 +12,7 @@ axes; for a car roll, pitch and yaw are about those axes.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, TypeVar
@@ -27,7 +28,7 @@ from conetl.model.arrays import Floats, Ints
 
 #: Unknowns of a frame: six of the pose come first, then six of the log's slow error, and its smooth error with its rate.
 POSE, STATE = 6, 18
-Last = TypeVar("Last")
+_Chain = TypeVar("_Chain", EliminatedChain, None)
 _MAX_ITERATIONS = 40
 _CONVERGED = 1e-4
 #: Least variance by which the smooth error is new in the next frame.
@@ -97,6 +98,19 @@ class LandmarkPrior(NamedTuple):
     information: Floats
 
 
+class Measurements(NamedTuple):
+    """What is adjusted."""
+
+    log: LoggedPoses
+    motions: MeasuredMotions
+    sightings: Sequence[LandmarkObservation]
+    robust_sigmas: float
+    common_sigmas: Sequence[float]
+    """Prior sigmas of the errors common to all motions: of their scale and, if it is estimated, of their turn about the optical
+    axis (rad per metre)."""
+    priors: Sequence[LandmarkPrior] = ()
+
+
 class _State(NamedTuple):
     """The unknowns."""
 
@@ -112,62 +126,41 @@ class _State(NamedTuple):
     """(C, 3) of the cones, in the map's frame."""
 
 
-def adjust(
-    log: LoggedPoses,
-    motions: MeasuredMotions,
-    sightings: Sequence[LandmarkObservation],
-    robust_sigmas: float,
-    common_sigmas: Sequence[float],
-    priors: Sequence[LandmarkPrior] = (),
-) -> tuple[Floats, Floats, EliminatedChain] | None:
+def adjust(measured: Measurements) -> tuple[Floats, Floats, EliminatedChain] | None:
     """Rotations (K, 3, 3), positions (K, 3) and the last normal equations, eliminated; None if the iteration does not converge.
 
-    common_sigmas: prior sigmas of the errors common to all motions: of their scale and, if it is estimated, of their turn about
-    the optical axis (rad per metre). Takes memory for each frame and cone; see `adjust_with_cones`.
+    Takes memory for each frame and cone; see `adjust_with_cones`.
     """
 
     def solve(normal: ChainNormal, cones: ChainPoints) -> tuple[Floats, Floats, Floats, EliminatedChain]:
+        known = len(normal.right_shared)
         chain = chain_solver.eliminate(chain_solver.with_points(normal, cones))
         step, shared = chain_solver.solve(chain)
-        return step, shared[: len(common_sigmas)], shared[len(common_sigmas) :].reshape(-1, 3), chain
+        return step, shared[:known], shared[known:].reshape(-1, 3), chain
 
-    found = _iterated(log, motions, sightings, robust_sigmas, common_sigmas, priors, solve)
+    found = _iterated(measured, solve)
     return None if found is None else (found[0].rotations, found[0].positions, found[1])
 
 
-def adjust_with_cones(
-    log: LoggedPoses,
-    motions: MeasuredMotions,
-    sightings: Sequence[LandmarkObservation],
-    robust_sigmas: float,
-    common_sigmas: Sequence[float],
-    priors: Sequence[LandmarkPrior] = (),
-) -> tuple[Floats, Floats] | None:
+def adjust_with_cones(measured: Measurements) -> tuple[Floats, Floats] | None:
     """As `adjust`, for any number of cones, without what the covariance needs."""
-
-    def solve(normal: ChainNormal, cones: ChainPoints) -> tuple[Floats, Floats, Floats, None]:
-        return (*chain_solver.solve_with_points(normal, cones), None)
-
-    found = _iterated(log, motions, sightings, robust_sigmas, common_sigmas, priors, solve)
+    found = _iterated(measured, lambda normal, cones: (*chain_solver.solve_with_points(normal, cones), None))
     return None if found is None else (found[0].rotations, found[0].positions)
 
 
 def _iterated(
-    log: LoggedPoses,
-    motions: MeasuredMotions,
-    sightings: Sequence[LandmarkObservation],
-    robust_sigmas: float,
-    common_sigmas: Sequence[float],
-    priors: Sequence[LandmarkPrior],
-    solve: Callable[[ChainNormal, ChainPoints], tuple[Floats, Floats, Floats, Last]],
-) -> tuple[_State, Last] | None:
-    """The unknowns, and what the last solution leaves; None if the iteration does not converge."""
+    measured: Measurements, solve: Callable[[ChainNormal, ChainPoints], tuple[Floats, Floats, Floats, _Chain]]
+) -> tuple[_State, _Chain] | None:
+    """The unknowns, and the chain of the last solution; None if the iteration does not converge."""
+    log, motions, sightings, robust_sigmas, common_sigmas, priors = measured
     left = se3.compose(se3.se3(log.rotations, log.positions), log.body_SE3_left)
     still = np.zeros((len(log.positions), POSE))
-    feet = np.zeros((1 + max((s.cone for s in sightings), default=-1), 3))
-    for cone in range(len(feet)):
-        seen = [se3.apply(left[s.frame], s.xyz) for s in sightings if s.cone == cone]
-        feet[cone] = np.median(seen, axis=0) if seen else 0.0
+    seen = defaultdict[int, list[Floats]](list)
+    for s in sightings:
+        seen[s.cone].append(se3.apply(left[s.frame], s.xyz))
+    feet = np.zeros((1 + max(seen, default=-1), 3))
+    for cone, places in seen.items():
+        feet[cone] = np.median(places, axis=0)
     state = _State(log.rotations, log.positions, still, still, np.zeros(len(common_sigmas)), feet)
     for _ in range(_MAX_ITERATIONS):
         normal = _normal_equations(log, state, np.array(common_sigmas))
@@ -177,7 +170,7 @@ def _iterated(
             cones.corner[prior.cone] += prior.information
             cones.right[prior.cone] += prior.information @ (prior.xyz - state.feet[prior.cone])
         try:
-            step, step_shared, step_feet, last = solve(normal, cones)
+            step, step_shared, step_feet, chain = solve(normal, cones)
         except np.linalg.LinAlgError:
             return None
         state = _State(
@@ -186,8 +179,8 @@ def _iterated(
             state.feet + step_feet,
         )  # fmt: skip
         if float(np.abs(step[:, :3] / log.sigma_p).max()) < _CONVERGED:
-            return state, last
-        del normal, cones, last  # before the next ones: a long drive has gigabytes of them
+            return state, chain
+        del normal, cones, chain  # before the next ones: a long drive has gigabytes of them
     return None
 
 
