@@ -192,6 +192,16 @@ def test_only_in_view_follows_the_camera(page, address, features):
 
 
 @pytest.mark.release
+def test_a_list_whose_request_failed_is_asked_for_again(browser, address):
+    tab = browser.new_page(viewport={"width": 1280, "height": 800})
+    tab.route("**/changes?**", lambda route: route.abort())
+    with tab.expect_event("requestfailed"):
+        open_view(tab, address, "#list=changes")
+    tab.unroute("**/changes?**")
+    wait_for_rows(tab, 4, "changes")
+    tab.close()
+
+
 def test_counts_of_a_drive_open_the_list_of_its_changes(page, address, features):
     open_view(page, address)
     page.click(".drive-text .chip[data-kind=moved]")

@@ -35,6 +35,8 @@ export interface Listed {
 type Name = "cones" | "changes";
 const DEFAULT_SORT: Record<Name, string> = { cones: "existence", changes: "shift-" };
 const REST_MS = 150;
+/** A list that could not be read is asked for again after this time. */
+const RETRY_MS = 5000;
 
 /** Names of drives often differ only at their end. */
 const bothEnds = (name: string) => (name.length > 26 ? `${name.slice(0, 10)}…${name.slice(-14)}` : name);
@@ -124,10 +126,17 @@ export function createLists(pane: ListPane, actions: ListActions) {
       const key = JSON.stringify([listed.map, listed.version, of, total()]); // drawn before the numbers are known, it is drawn again
       if (key === asked) return void chooseShown(scrollToChosen);
       asked = key;
+      const again = (error: unknown): never => {
+        if (key === asked) {
+          asked = "";
+          timer = window.setTimeout(tab.redraw, RETRY_MS);
+        }
+        throw error;
+      };
       const isFiltered = Object.values(filters).some((value) => value !== null);
       const [first, number] = of && total() ? await Promise.all([
         ask(of)(0, null), isFiltered ? api.listCount(listed.map, what, of).then((found) => found.count) : total(),
-      ]) : [{ rows: [], next: null }, 0]; // prettier-ignore
+      ]).catch(again) : [{ rows: [], next: null }, 0]; // prettier-ignore
       if (key !== asked) return;
       [count, read] = [number, of];
       pages.open(of && ask(of), first);
