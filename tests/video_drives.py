@@ -43,7 +43,7 @@ def write_frames(
     units: int = UNITS,
 ) -> Path:
     """Images (H, W, 3), even in size, as a video whose time stamps begin with zero and have so many units in a second."""
-    with av.open(str(path), "w") as container:
+    with av.open(str(path), "w", options={"fflags": "bitexact"}) as container:  # Matroska draws a number for each file
         stream = container.add_stream(codec, rate=10, options=_stated(codec, options))
         stream.height, stream.width = images[0].shape[:2]
         stream.pix_fmt = "yuvj420p" if codec == "mjpeg" else "yuv420p"

@@ -31,6 +31,8 @@ MAX_BYTES = 1 << 30
 #: A process that does not come back; processor time is measured against MAX_S.
 HANG_S = 20
 MAX_MESSAGE = 2000
+#: When the files were written, which a proposal may tell.
+WRITTEN_S = 1_772_445_600
 
 
 class FindingError(Exception):
@@ -76,7 +78,7 @@ def run_cases(name: str, first: int, cases: int, seed: int, keep: Path | None) -
         for case in range(first, first + cases):
             print(json.dumps({"case": case}), flush=True)
             faulthandler.dump_traceback_later(HANG_S, exit=True)
-            took_s, problem = run_case(reader, valid, random.Random(f"{seed}/{name}/{case}"), keep)
+            took_s, problem, _ = run_case(reader, valid, random.Random(f"{seed}/{name}/{case}"), keep)
             faulthandler.cancel_dump_traceback_later()
             slowest = max(slowest, (took_s, case))
             if problem:
@@ -91,6 +93,8 @@ class Valid(NamedTuple):
     path: Path
     scratch: Path
     files: dict[Path, bytes]
+    found: object
+    """What is read of them."""
 
 
 def valid_files(reader: Any, folder: Path) -> Valid:
@@ -98,8 +102,11 @@ def valid_files(reader: Any, folder: Path) -> Valid:
     work, scratch = folder / "in", folder / "out"
     work.mkdir()
     path = reader.write(work)
-    reader.read(path, scratch)
-    return Valid(path, scratch, {file: file.read_bytes() for file in sorted(work.rglob("*")) if file.is_file()})
+    for file in work.rglob("*"):
+        os.utime(file, (WRITTEN_S, WRITTEN_S))
+    found = reader.read(path, scratch)
+    files = {file: file.read_bytes() for file in sorted(work.rglob("*")) if file.is_file()}
+    return Valid(path, scratch, files, found)
 
 
 def _memory_folder() -> str | None:
@@ -113,32 +120,46 @@ def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
-def run_case(reader: Any, valid: Valid, rng: random.Random, keep: Path | None = None) -> tuple[float, str | None]:
-    """Processor time, and what went wrong. The files are as before afterwards."""
+class Outcome(NamedTuple):
+    """Of one case."""
+
+    took_s: float
+    problem: str | None
+    """What went wrong; None if nothing did."""
+    found: object
+    """What was read, or the error that says why it cannot be."""
+
+
+def run_case(reader: Any, valid: Valid, rng: random.Random, keep: Path | None = None) -> Outcome:
+    """Read the files with some of them mutated. They are as before afterwards."""
     from tests.fuzz.mutations import is_text, mutated
 
-    path, scratch, files = valid
+    path, scratch, files, _ = valid
     names = [*files]
     weights = [4 if is_text(files[name]) else 1 for name in names]
     changed = sorted(set(rng.choices(names, weights, k=rng.choice((1, 1, 1, 2)))))
     for file in changed:
         file.write_bytes(mutated(rng, files[file]))
+        os.utime(file, (WRITTEN_S, WRITTEN_S))
         if keep is not None:
             target = keep / file.relative_to(path.parent)
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(file.read_bytes())
     start = time.process_time()
-    problem = _problem(reader, path, scratch)
+    problem, found = _read(reader, path, scratch)
     took_s = time.process_time() - start
     for file in changed:
         file.write_bytes(files[file])
-    return took_s, problem or (f"{took_s:.0f} s: slower than {MAX_S:g} s" if took_s > MAX_S else None)
+        os.utime(file, (WRITTEN_S, WRITTEN_S))
+    return Outcome(took_s, problem or (f"{took_s:.0f} s: slower than {MAX_S:g} s" if took_s > MAX_S else None), found)
 
 
-def _problem(reader: Any, path: Path, scratch: Path) -> str | None:
+def _read(reader: Any, path: Path, scratch: Path) -> tuple[str | None, object]:
+    """What went wrong, and what was read."""
     from conetl.model.errors import ConetlError
     from conetl.model.rejections import Rejection
 
+    found: object = None
     try:
         found = reader.read(path, scratch)
         for item in found if isinstance(found, list) else ():
@@ -146,15 +167,16 @@ def _problem(reader: Any, path: Path, scratch: Path) -> str | None:
                 item.model_dump_json()
                 _check_message(item.detail)
     except FindingError as finding:
-        return f"{finding} at a rejection"
+        return f"{finding} at a rejection", found
     except ConetlError as error:
         try:
             _check_message(str(error))
         except FindingError as finding:
-            return f"{finding} {_where(error)}"
+            return f"{finding} {_where(error)}", error
+        return None, error
     except BaseException as error:
-        return f"{type(error).__name__}: {str(error)[:150]!r} {_where(error)}"
-    return None
+        return f"{type(error).__name__}: {str(error)[:150]!r} {_where(error)}", error
+    return None, found
 
 
 def _check_message(text: str) -> None:

@@ -29,7 +29,6 @@ from conetl.exports.zone_feed import read_feed_info
 from conetl.files.documents import read_table_bytes, read_yaml_model, table_lines
 from conetl.model.errors import ConetlError, InputError
 from conetl.model.params import ImportParams, IngestParams
-from conetl.model.rejections import Rejection
 from conetl.model.rig import Camera, Rig
 from conetl.perception.images import ImageFileError, check_image_ends, read_image, read_upright_image
 from conetl.perception.model_card import read_model_card, shipped_model_path
@@ -138,30 +137,33 @@ def write_layout(folder: Path, name: str, settings: str = "") -> Path:
 
 def read_after_init(path: Path, scratch: Path) -> object:
     """What `conetl init` finds, then the drive."""
-    with suppress(ConetlError):
-        propose(path, {"sigmas": {"horizontal_m": 0.02}})
-    return read_whole_drive(path, scratch)
+    try:
+        proposed: object = propose(path, {"sigmas": {"horizontal_m": 0.02}})
+    except ConetlError as error:
+        proposed = error
+    return [proposed, *read_whole_drive(path, scratch)]
 
 
-def read_whole_drive(path: Path, scratch: Path) -> object:
-    read_header(path).shown_path.encode()
+def read_whole_drive(path: Path, scratch: Path) -> list[object]:
+    header = read_header(path)
+    header.shown_path.encode()
     drive, rejections = read_drive(path, images_folder=scratch)
     drive.model_dump_json()
-    return rejections
+    return [header, drive, *rejections]
 
 
 def read_arriving(path: Path, _: Path) -> object:
     arriving = open_arriving(path)
     if arriving is None:
         return None
-    rejections: list[Rejection] = []
+    found: list[object] = []
     for pair in sorted(arriving.new_pairs(None), key=arriving.order):
         arriving.rig()
         try:
-            arriving.frame_pair(pair, None)
+            found.append(arriving.frame_pair(pair, None))
         except PairError as error:
-            rejections.append(error.rejection(pair.key, 0))
-    return rejections
+            found.append(error.rejection(pair.key, 0))
+    return found
 
 
 # --------------------------------------------------------------------------- trajectories
@@ -170,10 +172,10 @@ def read_arriving(path: Path, _: Path) -> object:
 def read_any_trajectory(name: str, path: Path, _: Path) -> object:
     """Found by its content, and read in the format that it was written in, whatever its content is now."""
     sample = trajectory_files.SAMPLES[name]
-    find_trajectories(path.parent)
+    found = find_trajectories(path.parent)
     with suppress(InputError):
         read_trajectory(path, sample.settings)
-    return read_trajectory(path, sample.settings.model_copy(update={"format": sample.format}))
+    return [found, read_trajectory(path, sample.settings.model_copy(update={"format": sample.format}))]
 
 
 # --------------------------------------------------------------------------- rigs
@@ -219,8 +221,7 @@ def read_chosen_rig(**choice: Any) -> Callable[[Path, Path], object]:
 
 
 def read_any_rig(path: Path, _: Path) -> object:
-    read_rig_for_images(path, (1242, 375))
-    return read_rig(path)
+    return [read_rig_for_images(path, (1242, 375)), read_rig(path)]
 
 
 # --------------------------------------------------------------------------- point clouds, lanes, maps
@@ -281,16 +282,15 @@ def write_surveyed(folder: Path) -> Path:
 
 
 def read_points(path: Path, _: Path) -> object:
-    count, _crs = read_las_header(path)
-    return sum(len(cloud.xyz_m) for cloud in las_chunks(path, count))
+    count, crs = read_las_header(path)
+    return [count, crs, *las_chunks(path, count)]
 
 
 def read_lines(path: Path, _: Path) -> object:
     reader = {".osm": read_lanelet2, ".xodr": read_opendrive}.get(path.suffix, read_vector_file)
     found = reader(path)
     json.dumps([dict(line.attributes) for line in found.lines])
-    read_lane_lines(path, srid=32632)
-    return found
+    return [found, read_lane_lines(path, srid=32632)]
 
 
 @prepared
@@ -319,18 +319,18 @@ def write_scans(folder: Path) -> Path:
 
 
 def read_scans(path: Path, _: Path) -> object:
-    scan_period_s(path)
+    found: list[object] = [scan_period_s(path)]
     for scan in list_scans(path).values():
         try:
-            read_scan(scan)
-        except ScanFileError:
-            continue
-    return left_SE3_velo(read_kitti_rig(path / "calib_cam_to_cam.txt", body_required=True), path)
+            found.append(read_scan(scan))
+        except ScanFileError as error:
+            found.append(str(error))
+    return [*found, left_SE3_velo(read_kitti_rig(path / "calib_cam_to_cam.txt", body_required=True), path)]
 
 
 def read_stamps(path: Path, _: Path) -> object:
     stamps = parse_timestamps(table_lines(read_table_bytes(path)), "Europe/Berlin")
-    return misplaced({number: time for number, time in stamps.items() if isinstance(time, int)})
+    return [stamps, misplaced({number: time for number, time in stamps.items() if isinstance(time, int)})]
 
 
 def read_oxts(path: Path, _: Path) -> object:
@@ -341,13 +341,15 @@ def read_oxts(path: Path, _: Path) -> object:
 
 
 def read_one_image(path: Path, _: Path) -> object:
+    found: list[object] = []
     for read in (lambda: read_image(path, (WIDTH, HEIGHT)), lambda: read_image(path), lambda: read_upright_image(path),
                  lambda: check_image_ends(path, path.name, (WIDTH, HEIGHT))):  # fmt: skip
         try:
-            read()
+            found.append(read())
         except ImageFileError as error:
             assert len(str(error)) < 500, str(error)[:1000]
-    return None
+            found.append(str(error))
+    return found
 
 
 def image_bytes(suffix: str, *flags: int, channels: int = 3) -> bytes:

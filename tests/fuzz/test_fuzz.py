@@ -1,16 +1,23 @@
-"""A short run of the fuzzer with fixed cases; `make fuzz` has the long one."""
+"""Every reader on its own valid files and on mutated ones: what it reads is as recorded in `recorded/`, and within limits.
+
+Renew the records with CONETL_RENEW_RECORDED=1 and read the difference. `make fuzz` has the long run.
+"""
 
 from __future__ import annotations
 
+import os
 import random
 from pathlib import Path
 
 import pytest
 
 from tests.fuzz.fuzz_readers import run_case, valid_files
+from tests.fuzz.outcomes import case_lines, result_lines
 from tests.fuzz.readers import READERS
+from tests.integration import recorded_text
 
-CASES = 8
+FOLDER = Path(__file__).with_name("recorded")
+CASES = 16
 SEED = 1
 #: Later cases with this seed that once crashed, hung, filled the memory, or quoted a whole file.
 FOUND = {
@@ -25,8 +32,16 @@ FOUND = {
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", READERS)
-def test_mutated_files_give_a_result_a_rejection_or_an_error_of_conetl(name: str, tmp_path: Path) -> None:
+def test_files_are_read_as_recorded_and_mutated_ones_within_limits(name: str, tmp_path: Path) -> None:
     valid = valid_files(READERS[name], tmp_path)
-    cases = [*range(CASES), *FOUND.get(name, ())]
-    problems = {case: run_case(READERS[name], valid, random.Random(f"{SEED}/{name}/{case}"))[1] for case in cases}
-    assert {case: problem for case, problem in problems.items() if problem} == {}
+    whole = result_lines(valid.found, tmp_path)
+    entries = {"valid": whole}
+    for case in (*range(CASES), *FOUND.get(name, ())):
+        outcome = run_case(READERS[name], valid, random.Random(f"{SEED}/{name}/{case}"))
+        assert outcome.problem is None, f"case {case}"
+        entries[f"case {case}"] = case_lines(outcome.found, whole, tmp_path)
+    if os.environ.get("CONETL_RENEW_RECORDED"):
+        recorded_text.write(name, entries, FOLDER)
+    known = recorded_text.recorded(name, FOLDER)
+    apart = {entry: recorded_text.differences(known.get(entry, []), lines) for entry, lines in entries.items()}
+    assert {entry: lines for entry, lines in apart.items() if lines} == {}

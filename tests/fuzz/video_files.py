@@ -68,7 +68,8 @@ def write_video(folder: Path, suffix: str, rig: Rig, frames: int, settings: str 
 
 def read_video_drive(path: Path, _: Path) -> object:
     """Header, drive and every image. An image may be broken or have changed, but has the size that the rig states."""
-    read_header(path).shown_path.encode()
+    header = read_header(path)
+    header.shown_path.encode()
     drive, rejections = read_drive(path)
     drive.model_dump_json()
     for pair in drive.frame_pairs[:20]:
@@ -77,18 +78,22 @@ def read_video_drive(path: Path, _: Path) -> object:
                 image = read_pair_image(pair, side, drive.rig)
                 camera = camera_of(drive.rig, side)
                 assert image.shape == (camera.height_px, camera.width_px, 3), image.shape
-    return rejections
+    return [header, drive, *rejections]
 
 
 def search_times(path: Path, _: Path) -> object:
     """What `conetl init` does: a proposal, then the shift of both files and the clock."""
-    with suppress(ConetlError):
-        propose(path, {"mount": {"forward_m": 1, "left_m": 0, "up_m": 0}})
-    with suppress(ConetlError, ImageFileError):
-        find_video_lag(index_video(path / "left.mp4"), index_video(path / "right.mp4"))
-    with suppress(ConetlError):
-        preview(path, read_drive_yaml(path))
-    return None
+    found: list[object] = []
+    for search in (
+        lambda: propose(path, {"mount": {"forward_m": 1, "left_m": 0, "up_m": 0}}),
+        lambda: find_video_lag(index_video(path / "left.mp4"), index_video(path / "right.mp4")),
+        lambda: preview(path, read_drive_yaml(path)),
+    ):
+        try:
+            found.append(search())
+        except (ConetlError, ImageFileError) as error:
+            found.append(str(error))
+    return found
 
 
 def quiet() -> None:

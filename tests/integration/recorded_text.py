@@ -278,9 +278,9 @@ class Names:
 
 
 @cache
-def recorded(group: str) -> dict[str, list[str]]:
+def recorded(group: str, folder: Path = FOLDER) -> dict[str, list[str]]:
     """Entry -> its lines, of a group's file."""
-    path = FOLDER / f"{group}.txt"
+    path = folder / f"{group}.txt"
     sections = path.read_text(encoding="utf-8").split("\n### ")[1:] if path.exists() else []
     known: dict[str, str] = {}
     return {
@@ -289,14 +289,14 @@ def recorded(group: str) -> dict[str, list[str]]:
     }
 
 
-def write(group: str, entries: Mapping[str, Sequence[str]]) -> None:
+def write(group: str, entries: Mapping[str, Sequence[str]], folder: Path = FOLDER) -> None:
     """Renew a group's file."""
-    FOLDER.mkdir(exist_ok=True)
+    folder.mkdir(exist_ok=True)
     known: dict[str, str] = {}
     text = "".join(
         f"\n### {name}\n" + "\n".join(_short(one, known) for one in lines) + "\n" for name, lines in entries.items()
     )
-    (FOLDER / f"{group}.txt").write_text(text, encoding="utf-8")
+    (folder / f"{group}.txt").write_text(text, encoding="utf-8")
     recorded.cache_clear()
 
 
