@@ -31,6 +31,7 @@ from conetl.tracking.checks.mount import STRETCH
 from tests.cases import cases
 from tests.integration.small_drives import SAMPLES, cut_drive, spoil_huffman_table, unpublished
 from tests.mutants import recordings as wrong
+from tests.mutants.recorded_analyses import check_as_recorded
 from tests.mutants.table import FIRST, RECORDINGS, SECOND, WrongRecording
 
 #: They would stand in a user's output.
@@ -69,8 +70,9 @@ def test_a_recording_that_contradicts_itself_is_held(
 ) -> None:
     drive, _ = recording.read(FIRST, tmp_path)
     assert recording.cause is not None
-    reason = hold_reason(analyse(drive, settings=sample_settings).health)
-    assert re.search(recording.cause, reason or "")
+    analysed = analyse(drive, settings=sample_settings)
+    assert re.search(recording.cause, hold_reason(analysed.health) or "")
+    check_as_recorded(recording.name, analysed)
 
 
 def test_images_that_cannot_be_decoded_cost_their_frame_pairs_not_the_drive(
@@ -120,6 +122,7 @@ def test_an_offset_of_the_clocks_is_found_and_corrected(
     assert Verdict.CORRECTED in {check.verdict for check in analysed.health if check.name.startswith("clock")}
     errors_m, chi2 = against_truth(analysed, SAMPLES[1])
     assert np.median(errors_m) <= 0.03 and chi2.max() < 18.4
+    check_as_recorded(f"clock {milliseconds} ms", analysed)
 
 
 @pytest.mark.release
@@ -136,6 +139,7 @@ def test_right_images_some_rows_off_are_corrected(sample_settings: Settings, tmp
     assert check.verdict is Verdict.CORRECTED and check.value == pytest.approx(rows, abs=0.3)
     assert hold_reason(analysed.health) is None
     assert against_truth(analysed, SAMPLES[0])[1].max() < 18.4
+    check_as_recorded(f"right images {rows} rows lower", analysed)
 
 
 @pytest.mark.release
@@ -172,6 +176,7 @@ def test_good_recordings_pass_and_are_sharp_in_all_parts(sample_settings: Settin
     checks = found.health
     assert checks and found.records.drive.unclear is None
     assert {check.verdict for check in checks} == {Verdict.PASS}, [c for c in checks if c.verdict is not Verdict.PASS]
+    check_as_recorded(folder.name, found)
 
 
 def test_a_part_with_other_right_images_is_found_although_one_interval_could_be_followed() -> None:
