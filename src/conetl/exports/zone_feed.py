@@ -125,13 +125,15 @@ def description_of(zone: WorkZone, state: ZoneState, params: WorkZoneParams) -> 
     count = len(zone.layout.cones)
     length = float(zone.layout.stations_m[-1] - zone.layout.stations_m[0])
     devices = "cones" if all(cone.category == CONE for cone in zone.layout.cones) else "devices"
-    known = f"{count} {devices} over {length:.0f} m, last surveyed by vehicle at {iso_seconds(state.surveyed)}"
+    known = f"{count} {devices if count != 1 else devices[:-1]} over {length:.0f} m, last surveyed by vehicle at {iso_seconds(state.surveyed)}"
     if zone.history.merged_into is not None:
         return f"{known}; now part of work zone {zone.history.merged_into}."
     if state.ended is not None:
         return f"{known}; the last cone is gone."
     if state.stale:
-        return f"{known}, more than {params.max_age_days:g} days ago: whether the work zone still stands is not known."
+        days = params.max_age_days
+        age = f"{days:g} days" if days >= 2 else f"{24 * days:.3g} h"
+        return f"{known}, more than {age} ago: whether the work zone still stands is not known."
     return f"{known}; the end date is an assumption, the work zone stood when it was last surveyed."
 
 
