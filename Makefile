@@ -124,8 +124,8 @@ fuzz: setup     ## run all readers on mutated files: no crash, at most 2 s and 1
 
 LOCK := --no-header --no-emit-index-url --no-annotate --python-version 3.11
 # The oldest Python decides, so that each Python gets the versions that the tests ran with.
-lock:           ## renew the locked dependencies from pyproject.toml (needs uv)
+lock: setup     ## renew the locked dependencies from pyproject.toml
 	@install -D requirements.txt build/oldest_python.txt
-	uv pip compile pyproject.toml --extra dev $(LOCK) -o build/oldest_python.txt
-	uv pip compile pyproject.toml --extra dev -c build/oldest_python.txt --universal --generate-hashes $(LOCK) -o requirements.txt
-	uv pip compile pyproject.toml --extra s3 --extra dask -c requirements.txt --universal --generate-hashes $(LOCK) -o requirements-runtime.txt
+	$(BIN)/uv pip compile pyproject.toml --extra dev $(LOCK) -o build/oldest_python.txt
+	$(BIN)/uv pip compile pyproject.toml --extra dev -c build/oldest_python.txt --universal --generate-hashes $(LOCK) -o requirements.txt
+	$(BIN)/uv pip compile pyproject.toml --extra s3 --extra dask -c requirements.txt --universal --generate-hashes $(LOCK) -o requirements-runtime.txt

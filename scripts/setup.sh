@@ -38,8 +38,14 @@ if [ "$(cat .venv/.conetl-lock 2>/dev/null)" != "$(lock)" ]; then
   say "Setting up the Python environment in .venv (a minute or two)"
   .venv/bin/python -m pip --version >/dev/null 2>&1 || "$python" -m venv --clear .venv
   # The lock names every package there is: nothing to resolve, and nothing that a release of tomorrow could change.
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --no-deps --require-hashes -r requirements.txt
-  .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+  pip_install() { .venv/bin/python -m pip install --quiet --disable-pip-version-check --no-compile --no-deps "$@"; }
+  uv_install() {
+    pip_install --require-hashes -r <(sed -n '/^uv==/,/[^\\]$/p' requirements.txt) &&
+      .venv/bin/uv pip install --quiet --no-cache --python .venv/bin/python --no-deps --require-hashes -r requirements.txt
+  }
+  # uv installs in a quarter of pip's time, but does not know pip's settings, such as an index of one's own.
+  uv_install || { say "uv cannot install the packages; pip does"; pip_install --require-hashes -r requirements.txt; }
+  pip_install --no-build-isolation -e .
   # Bytecode of what conetl uses, not of all 18,000 files. Where PYTHONDONTWRITEBYTECODE is set, as in many containers, every
   # process would otherwise compile Prefect again: 4 s for the server alone.
   env -u PYTHONDONTWRITEBYTECODE .venv/bin/python scripts/import_all.py
