@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 from tests.integration.recorded_text import differences, lines_of
 
-#: Longer arrays are told by their shape, some values and their sums.
+#: Of longer arrays: the shape, some values and sums.
 _MOST_VALUES, _SHOWN = 48, 6
 _MOST_CHARACTERS = 400
 _MOST_NEW = 12
