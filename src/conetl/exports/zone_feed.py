@@ -125,7 +125,8 @@ def description_of(zone: WorkZone, state: ZoneState, params: WorkZoneParams) -> 
     count = len(zone.layout.cones)
     length = float(zone.layout.stations_m[-1] - zone.layout.stations_m[0])
     devices = "cones" if all(cone.category == CONE for cone in zone.layout.cones) else "devices"
-    known = f"{count} {devices if count != 1 else devices[:-1]} over {length:.0f} m, last surveyed by vehicle at {iso_seconds(state.surveyed)}"
+    what = f"{count} {devices if count != 1 else devices[:-1]}"
+    known = f"{what} over {length:.0f} m, last surveyed by vehicle at {iso_seconds(state.surveyed)}"
     if zone.history.merged_into is not None:
         return f"{known}; now part of work zone {zone.history.merged_into}."
     if state.ended is not None:
