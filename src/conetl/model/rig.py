@@ -32,6 +32,10 @@ RELATIVE = ("rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m")
 LENS_COEFFICIENTS: dict[LensModel, int] = {"none": 0, "radial": 2, "brown": 5, "rational": 8, "fisheye": 4}
 
 
+#: The sixth power of an angle is small in a telephoto lens, so its coefficients may be large.
+_MOST_OF_LENS = 1e9
+
+
 class Lens(Record):
     """Distortion of one camera's lens, acting on normalised image coordinates x/z, y/z.
 
@@ -47,6 +51,10 @@ class Lens(Record):
         if len(self.coefficients) != LENS_COEFFICIENTS[self.model]:
             wanted = LENS_COEFFICIENTS[self.model]
             raise ValueError(f"lens model '{self.model}' has {wanted} coefficients, found {len(self.coefficients)}")
+        if worst := [one for one in self.coefficients if not abs(one) <= _MOST_OF_LENS]:
+            raise ValueError(
+                f"a coefficient of the lens is {worst[0]:g}, expected numbers of at most {_MOST_OF_LENS:g}"
+            )
         return self
 
 

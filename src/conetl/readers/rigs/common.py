@@ -18,7 +18,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline, rectify
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
-from conetl.model.rig import MAX_IMAGE_PIXELS, Camera, Lens, Rig
+from conetl.model.rig import LENS_COEFFICIENTS, MAX_IMAGE_PIXELS, Camera, Lens, LensModel, Rig
 
 Size = tuple[int, int]
 Pair = tuple[str, str]
@@ -187,19 +187,21 @@ class Node(NamedTuple):
 
         fisheye: they are k1, k2, k3, k4 of the equidistant model.
         """
-        if fisheye:
-            return Lens(model="fisheye", coefficients=tuple(self.numbers((4,)).tolist()))
-        values = self.numbers().tolist()
-        if len(values) not in (0, 4, 5, 8, 12, 14):
-            raise self.bad(f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
-        if any(values[8:]):
-            raise self.bad("holds thin-prism or tilt coefficients, which conetl does not model; calibrate without them")
-        values = (values + [0.0] * 8)[:8]
-        if any(values[5:]):
-            return Lens(model="rational", coefficients=tuple(values))
-        if any(values[2:5]):
-            return Lens(model="brown", coefficients=tuple(values[:5]))
-        return Lens(model="radial", coefficients=tuple(values[:2])) if any(values) else Lens()
+        model: LensModel = "fisheye"
+        values = self.numbers((4,) if fisheye else None).tolist()
+        if not fisheye:
+            if len(values) not in (0, 4, 5, 8, 12, 14):
+                raise self.bad(f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
+            if any(values[8:]):
+                raise self.bad(
+                    "holds thin-prism or tilt coefficients, which conetl does not model; calibrate without them"
+                )
+            values = (values + [0.0] * 8)[:8]
+            model = (
+                "rational" if any(values[5:]) else "brown" if any(values[2:5]) else "radial" if any(values) else "none"
+            )
+        with input_errors(f"{self.path}: '{self.key}' cannot be used"):
+            return Lens(model=model, coefficients=tuple(values[: LENS_COEFFICIENTS[model]]))
 
     def stereo_rig(self, tool: str, left: Camera, right: Camera, right_SE3_left: Floats, unit: object = "m") -> Rig:
         """Rig of the usual stereo calibration `p_right = R p_left + t`, as (4, 4); the body is the left camera.

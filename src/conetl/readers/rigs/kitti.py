@@ -19,7 +19,7 @@ from conetl.geometry import pose as se3
 from conetl.geometry.rectification import check_stereo_baseline
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
-from conetl.model.rig import Camera, Lens, Rig
+from conetl.model.rig import Camera, Rig
 from conetl.readers.rigs.common import Node, Pair, Size, rectified_rig
 from conetl.readers.rigs.content import read_content
 from conetl.readers.rigs.rectified import camera_of_projection
@@ -117,8 +117,7 @@ def _rectified_camera(path: Path, cameras: dict[str, Floats], number: int) -> tu
 def _raw_camera(path: Path, cameras: dict[str, Floats], number: int) -> tuple[Camera, Floats]:
     """A camera that took the images and its pose (4, 4) in camera 0."""
     s, k, d, r, t = (f"{key}_{number:02d}" for key in "SKDRT")
-    lens = Lens(model="brown", coefficients=tuple(cameras[d].tolist())) if cameras[d].any() else Lens()
-    camera = Node(path, cameras[k], k).camera(Node(path, cameras[s], s).size(), lens)
+    camera = Node(path, cameras[k], k).camera(Node(path, cameras[s], s).size(), Node(path, cameras[d], d).lens())
     return camera, se3.invert(se3.se3(Node(path, cameras[r], r).rotation(), cameras[t]))
 
 

@@ -112,7 +112,9 @@ def _variables(data: bytes) -> dict[str, Any]:
 
     MathWorks, MAT-File Format (2024), Level 5. Not by scipy's loadmat, which ends the process at some damaged files.
     """
-    order = {b"IM": "<", b"MI": ">"}[data[126:128]]
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    if order is None:
+        raise ValueError("its header is incomplete")
     found: dict[str, Any] = {}
     room = MAX_JSON_BYTES
     for kind, content in _elements(data[128:], order):

@@ -194,7 +194,7 @@ def column_of(
     units = _DEGREES if role in ANGLES else _LENGTHS
     if word in _REFUSED or (required and word not in units):
         raise InputError(
-            f"{path}: column {shown(name)}: the unit {word[:40]} is not supported; write degrees, radians or metres"
+            f"{path}: column {shown(name)}: the unit {shown(word)} is not supported; write degrees, radians or metres"
         )
     unstated = "rad" if role in ANGLES and settings.angles == "radians" else ""
     return Column(at, name, units.get(word or unstated, 1.0), unit=word or None)

@@ -66,8 +66,8 @@ def _mapped(path: Path, width: int) -> Floats:
         size = path.stat().st_size
         if size % (8 * width) or size > MAX_BYTES:
             raise InputError(
-                f"{path}: has {size:,} bytes; expected records of {8 * width} bytes, "
-                f"{MAX_BYTES:,} at most. Was it copied completely?"
+                f"{path}: has {size:,} bytes; expected records of {8 * width} bytes each, "
+                f"and at most {MAX_BYTES:,} bytes. Was it copied completely?"
             )
         return np.memmap(path, "<f8", "r", shape=(size // (8 * width), width)) if size else np.zeros((0, width))
 
