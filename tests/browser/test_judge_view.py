@@ -271,6 +271,7 @@ def fill_form(page: Any, reason: str) -> None:
     page.keyboard.press("Enter")
 
 
+@pytest.mark.release
 def test_a_decision_keeps_the_panel_its_images_and_renews_the_chip(page, address, changed, conn):
     open_cone(page, address, changed["confirmed"])
     page.wait_for_selector(".panel-images .pane img")

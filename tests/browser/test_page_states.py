@@ -114,7 +114,7 @@ STATES: dict[str, tuple[str, list[Act]]] = {
 
 #: In every run of the tests; the others show parts of these.
 OFTEN = (
-    "decide", "camera follows", "changes, filter", "full images, compared", "compare, side by side", "misspelt link",
+    "decide", "camera follows", "full images, compared", "compare, side by side", "misspelt link",
 )  # fmt: skip
 
 

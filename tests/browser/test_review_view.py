@@ -123,6 +123,7 @@ def test_what_is_skipped_stays_away_and_nothing_is_written_without_a_name(browse
     page.close()
 
 
+@pytest.mark.release
 def test_a_class_is_corrected_and_withdrawn_by_keys(page, address, conn):
     open_review(page, address)
     page.click(".review-items li:last-child button")  # moved
@@ -185,6 +186,7 @@ def test_items_are_judged_by_at_most_three_keys_each(page, address, conn, settin
     page.wait_for_selector(".badge[data-count='1']")
 
 
+@pytest.mark.release
 def test_a_person_who_is_logged_in_needs_no_token_and_sees_whole_images(
     browser, module_database_url, address, tmp_path
 ):

@@ -176,6 +176,7 @@ def test_7_the_empty_position_of_a_removed_cone(task, changed):
         hand.page.wait_for_selector(".panel-images .viewer[data-frame] path.cone.dashed", state="attached")
 
 
+@pytest.mark.release
 def test_8_a_held_drive_is_accepted(task, conn, size):
     """By somebody whose name and token the tab knows."""
     with task() as hand:
