@@ -128,6 +128,7 @@ def test_a_stated_class_shows_on_drives_that_were_committed_before(page, conn):
     page.wait_for_selector(".classes", state="hidden")
 
 
+@pytest.mark.release
 def test_a_concurrent_decision_appears_and_is_a_conflict(page, conn):
     one = the_one(conn, 3)
     click_cone(page, one)
@@ -251,6 +252,7 @@ def test_news_come_without_a_reload(page, conn, module_database_url, tmp_path: P
     assert page.evaluate("window.notReloaded") is True
 
 
+@pytest.mark.release
 def test_a_drive_on_hold_is_accepted_and_the_acceptance_withdrawn(page, conn):
     held = survey(2)
     conn.rollback()
@@ -277,6 +279,7 @@ def test_a_drive_on_hold_is_accepted_and_the_acceptance_withdrawn(page, conn):
         page.screenshot(path=f"{folder}/hold.png")
 
 
+@pytest.mark.release
 def test_a_decision_shows_at_once_in_selector_image_and_lists(page, conn):
     """Of somebody else, while the page shows the road as it opens. Last in this file: the decision stays."""
     count = len(read_current_features(conn))

@@ -30,7 +30,8 @@ def tab(browser: Any) -> Iterator[Any]:
     assert problems == []
 
 
-@pytest.mark.parametrize("state", cases("empty", release=["misspelt", "one drive"]))
+@pytest.mark.release
+@pytest.mark.parametrize("state", ["empty", "misspelt", "one drive"])
 def test_a_drive_arrives_on_every_page(browser, database_url, samples, tmp_path, state):
     """The axis of time had no bounds without a drive, and its labels no end."""
     conn = connect(database_url)

@@ -161,6 +161,7 @@ def image_pose(page: Any, changeset: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(frame["xyz_m"]), np.array(frame["map_R_camera"])[:, 2]
 
 
+@pytest.mark.release
 def test_the_maps_camera_follows_the_image_along_the_drive(page, address, changed):
     open_cone(page, address, changed["moved"])
     page.wait_for_selector(".panel-images .pane img")
@@ -270,6 +271,7 @@ def fill_form(page: Any, reason: str) -> None:
     page.keyboard.press("Enter")
 
 
+@pytest.mark.release
 def test_a_decision_keeps_the_panel_its_images_and_renews_the_chip(page, address, changed, conn):
     open_cone(page, address, changed["confirmed"])
     page.wait_for_selector(".panel-images .pane img")

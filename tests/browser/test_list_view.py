@@ -239,6 +239,7 @@ def test_the_search_finds_cones_drives_days_and_coordinates(page, address, featu
     page.wait_for_selector(f".panel h2:text-is('{features['wanders'][:8]}')")
 
 
+@pytest.mark.release
 def test_downloads_are_what_is_shown(page, address, features):
     open_view(page, address, "#changeset=1", cones=3)  # three cones, all added
 
@@ -265,6 +266,7 @@ def test_downloads_are_what_is_shown(page, address, features):
     assert page.get_attribute(".menu-popup a[target=_blank]", "href") == "./api/maps/default/changesets/1/report"
 
 
+@pytest.mark.release
 def test_an_address_that_is_wrong_is_said_so(browser, address):
     tab = browser.new_page(viewport={"width": 1280, "height": 800})
     for hash_, *said in (
@@ -336,6 +338,7 @@ def test_a_phone_needs_no_sideways_scrolling(browser, address, features, long_na
     tab.close()
 
 
+@pytest.mark.release
 @pytest.mark.skipif(not AXE.is_file(), reason="axe-core is not installed (npm ci in web/)")
 def test_axe_has_no_serious_finding(browser, address, features):
     tab = browser.new_page(viewport={"width": 1280, "height": 800}, bypass_csp=True)

@@ -114,8 +114,7 @@ STATES: dict[str, tuple[str, list[Act]]] = {
 
 #: In every run of the tests; the others show parts of these.
 OFTEN = (
-    "measure", "download", "decide", "camera follows", "changes, filter", "list and cone", "revert", "removed cone",
-    "full images, compared", "compare, side by side", "review, next", "misspelt link",
+    "decide", "camera follows", "full images, compared", "compare, side by side", "misspelt link",
 )  # fmt: skip
 
 

@@ -1,8 +1,7 @@
-"""The review in images in a real Chromium: twenty items by keys, what the server keeps, small screens, accessibility."""
+"""The review in images in a real Chromium: items by keys, what the server keeps, small screens, accessibility."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,9 +24,10 @@ from tests.view_map import serving, with_images
 TOKEN = "a-token-that-nobody-guesses"
 HOLD = "GNSS/INS jumps by 5.0 m."
 SIZES = [(1280, 800), (390, 844), (640, 400)]  # the last is the first at 200 % zoom
-#: Both sides of the road; the next day twenty of them are gone, and three stand elsewhere.
-BEFORE = [Cone((13.0 + 2.4 * k, side, 0.0), height_m=0.7) for k in range(13) for side in (3.6, -3.9)]
-AFTER = [Cone((x + 1.2, y * 1.2, z), height_m=0.7) for x, y, z in (c.foot_m for c in BEFORE[:3])] + BEFORE[23:]
+#: Both sides of the road; the next day eight of them are gone, and three stand elsewhere.
+GONE = 8
+BEFORE = [Cone((13.0 + 2.4 * k, side, 0.0), height_m=0.7) for k in range(7) for side in (3.6, -3.9)]
+AFTER = [Cone((x + 1.2, y * 1.2, z), height_m=0.7) for x, y, z in (c.foot_m for c in BEFORE[:3])] + BEFORE[3 + GONE :]
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def settings(tmp_path_factory: pytest.TempPathFactory) -> Settings:
 def address(module_database_url: str, conn: Any, images: Path, settings: Settings) -> Iterator[str]:
     for day, cones in enumerate((BEFORE, AFTER, AFTER)):
         first_ns = START_NS + day * DAY_NS
-        found = survey_of(cones, np.random.default_rng(day), f"day_{day}", frames=30, start_m=0.0, first_ns=first_ns)
+        found = survey_of(cones, np.random.default_rng(day), f"day_{day}", frames=20, start_m=0.0, first_ns=first_ns)
         found = found._replace(drive=with_images(found.drive, found.detections, images / f"day_{day}"))
         merge(conn, found, hold=HOLD if day == 2 else None)
     conn.commit()
@@ -123,6 +123,7 @@ def test_what_is_skipped_stays_away_and_nothing_is_written_without_a_name(browse
     page.close()
 
 
+@pytest.mark.release
 def test_a_class_is_corrected_and_withdrawn_by_keys(page, address, conn):
     open_review(page, address)
     page.click(".review-items li:last-child button")  # moved
@@ -141,24 +142,23 @@ def test_a_class_is_corrected_and_withdrawn_by_keys(page, address, conn):
     assert [d.kind for d in list_decisions(conn)] == ["hold"]
 
 
-def test_twenty_items_are_judged_by_at_most_sixty_keys(page, address, conn, settings, capsys):
+def test_items_are_judged_by_at_most_three_keys_each(page, address, conn, settings):
     """It decides."""
     held = next(c for c in list_changesets(conn) if c.hold)
     report = settings.drive_report_path(held.drive_id, held.changeset_no)
     write_drive_page(conn, held, report, map_name="default")
     conn.rollback()
-    keys, seconds = 1, []  # the one that opens it
+    keys = 1  # the one that opens it
 
     def press(key: str) -> None:
         nonlocal keys
         keys += 1
         page.keyboard.press(key)
 
-    assert open_review(page, address) >= 20
+    assert open_review(page, address) > GONE
     row = wait_for_images(page)
     assert HOLD in page.inner_text(".review-head .why")
-    for number in range(20):
-        began = time.monotonic()
+    for number in range(GONE):
         if number == 5:  # twice by mistake: back, and taken back
             press("r")
             wait_for_images(page, row)
@@ -170,28 +170,23 @@ def test_twenty_items_are_judged_by_at_most_sixty_keys(page, address, conn, sett
         row = wait_for_images(page, row)
         if number == 0:  # the accepted drive confirms what moved
             page.wait_for_selector(".review-items:not(:has-text('Moved by'))")
-        elif number != 5:
-            seconds.append(time.monotonic() - began)
-    page.wait_for_function("() => document.querySelectorAll('.review-items .saved').length === 20")
-    assert keys <= 60
-    with capsys.disabled():
-        print(
-            f"\n{keys} keys for 20 items; next images after {np.median(seconds):.2f} s (median), {max(seconds):.2f} s at most"
-        )
+    page.wait_for_function("n => document.querySelectorAll('.review-items .saved').length === n", arg=GONE)
+    assert keys <= 3 * GONE
 
     conn.rollback()
     made = [d for d in list_decisions(conn) if d.kind != "hold"]
     kinds = sorted(d.kind for d in made)
-    assert len(made) == 20 and kinds.count("accept") == 1 and kinds.count("pin") == 1 and kinds.count("approve") == 18
+    assert kinds == ["accept", *["approve"] * (GONE - 2), "pin"]
     assert {(d.decided_by, d.note) for d in made} == {("Ada", "judged in the images")}
     assert [c.counts for c in list_changesets(conn) if c.drive_id == held.drive_id] == [True]
     assert "accepted by Ada" in report.read_text()
     page.keyboard.press("Escape")
-    page.wait_for_selector(".decisions .decision-row >> nth=19")
+    page.wait_for_selector(f".decisions .decision-row >> nth={GONE - 1}")
     page.reload()
     page.wait_for_selector(".badge[data-count='1']")
 
 
+@pytest.mark.release
 def test_a_person_who_is_logged_in_needs_no_token_and_sees_whole_images(
     browser, module_database_url, address, tmp_path
 ):

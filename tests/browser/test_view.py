@@ -136,6 +136,7 @@ def test_before_changes_after(page, address):
     assert pixels_of(screenshot(page), ADDED) > 40
 
 
+@pytest.mark.release
 def test_compare_and_any_time(page, address, samples):
     open_view(page, address)
     page.click("text=Compare two")
@@ -184,6 +185,7 @@ def test_a_click_shows_history_and_images(page, address, features):
     page.wait_for_selector(".panel", state="hidden")
 
 
+@pytest.mark.release
 def test_a_link_restores_the_view(page, address, features, browser):
     open_view(page, address)
     page.click("canvas", position={"x": 20, "y": 20})

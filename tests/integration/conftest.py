@@ -5,7 +5,6 @@ from __future__ import annotations
 import fcntl
 import os
 import subprocess
-import sys
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,12 @@ from typer.testing import CliRunner
 
 from conetl.cli.app import app
 from conetl.db.connection import Connection
+from conetl.files.home import make_home
 from conetl.model.errors import ConetlError
 from conetl.model.map_records import MapFeature
-from conetl.pipeline.settings import prefect_environment, prefect_login
+from conetl.pipeline.settings import prefect_environment, prefect_login, prefect_server_environment
+from conetl.services import processes
+from flows.server import NOT_NEEDED
 from tests import command
 from tests.conftest import run_home
 from tests.integration.drives_of_days import failed_audits
@@ -67,37 +69,25 @@ def conetl_process(
     return command.conetl(*arguments, "--json", before=before, cwd=folder, **where)
 
 
-_SERVER = """
-import sys, time
-from pathlib import Path
-from flows.server import prefect_server
-home, main_process = map(Path, sys.argv[1:])
-with prefect_server(home) as url:
-    (home / "url.new").write_text(url)
-    (home / "url.new").rename(home / "url")
-    while main_process.exists():
-        time.sleep(0.5)
-"""
-
-
 @pytest.fixture(scope="session")
-def prefect(tmp_path_factory: pytest.TempPathFactory, pytestconfig: pytest.Config) -> dict[str, str]:
+def prefect(pytestconfig: pytest.Config) -> dict[str, str]:
     """What leads a command to the one Prefect server of this test run, which ends with it. A start costs about 10 s."""
-    folder = tmp_path_factory.getbasetemp()
-    home = (folder.parent if hasattr(pytestconfig, "workerinput") else folder) / "prefect-home"
-    home.mkdir(exist_ok=True)
-    main_process = Path("/proc", run_home(pytestconfig).name.rpartition("-")[2])
-    with (home / "start.lock").open("w") as lock:
+    home = run_home(pytestconfig)
+    make_home(home)
+    with (home / "prefect" / "start.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        if not (home / "url").exists():
-            server = subprocess.Popen(
-                [sys.executable, "-c", _SERVER, str(home), str(main_process)],
-                env=command.environment_of(PREFECT_HOME=home / "prefect", **QUIET), cwd=command.ROOT,
-                start_new_session=True,
+        server = processes.read_services(home).get("prefect")
+        if server is None:
+            port = command.free_port()
+            address = f"http://127.0.0.1:{port}"
+            ours = prefect_server_environment(home, address) | NOT_NEEDED | QUIET
+            server = processes.start_service(
+                "prefect", processes.server_command("127.0.0.1", port), home=home, address=address,
+                environment=command.environment_of(PREFECT_HOME=home / "prefect", **ours),
             )  # fmt: skip
-            command.until((home / "url").exists, "the start of the Prefect server", 300, 0.2)
-            assert server.poll() is None
-    return {"PREFECT_API_URL": (home / "url").read_text(), "PREFECT_API_AUTH_STRING": prefect_login(home)}
+            processes.wait_healthy(server, lambda: processes.is_healthy(f"{address}/api"), 300)
+            processes.write_services(home, {"prefect": server})
+    return {"PREFECT_API_URL": f"{server.address}/api", "PREFECT_API_AUTH_STRING": prefect_login(home)}
 
 
 @pytest.fixture(scope="module")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from hashlib import sha256
 from itertools import permutations
 from typing import Any
@@ -32,6 +32,7 @@ from tests.integration.small_drives import SAMPLES
 from tests.mutants.recordings import jump
 
 _DAY_NS = 86_400_000_000_000
+Parts = Callable[[str], AnalysedDrive]
 WRONG = ("wrong_0", "wrong_1", "wrong_2")
 
 
@@ -46,9 +47,9 @@ def part(drive: Drive, name: str, first: int, last: int, later_ns: int = 0) -> D
 
 
 @pytest.fixture(scope="module")
-def parts(sample_settings: Settings) -> dict[str, AnalysedDrive]:
+def parts(sample_settings: Settings) -> Parts:
     """Three parts of a drive, the same ones with a jump of 50 m before the second, and the whole drive a day before;
-    corrected_1 is the second one delivered again without the jump."""
+    corrected_1 is the second one delivered again without the jump. Each is analysed when a test asks for it."""
     good = read_drive(SAMPLES[0])[0]
     wrong = jump(50.0, 15)(good)
     cut = ((0, 15), (15, 27), (27, 39))
@@ -59,7 +60,8 @@ def parts(sample_settings: Settings) -> dict[str, AnalysedDrive]:
         part(good, "corrected_1", *cut[1]).model_copy(update={"drive_id": "wrong_1"}),
     ]
     names = [drive.drive_id for drive in drives[:-1]] + ["corrected_1"]
-    return {name: analyse(drive, settings=sample_settings) for name, drive in zip(names, drives, strict=True)}
+    named = dict(zip(names, drives, strict=True))
+    return cache(lambda name: analyse(named[name], settings=sample_settings))
 
 
 @pytest.fixture
@@ -92,19 +94,17 @@ def accept(settings: Settings, drive_id: str) -> Any:
 
 
 @pytest.mark.release
-def test_parts_of_one_recording_that_fit_count(settings: Settings, parts: dict[str, AnalysedDrive]) -> None:
+def test_parts_of_one_recording_that_fit_count(settings: Settings, parts: Parts) -> None:
     for name in ("good_1", "good_0", "good_2"):
-        assert commit(parts[name], settings).report.on_hold is None
+        assert commit(parts(name), settings).report.on_hold is None
     assert not held(settings) and cones(settings) >= 9
 
 
 @pytest.mark.parametrize(
     "order", cases((WRONG,), release=[(WRONG[::-1],), (("wrong_1", "wrong_0", "wrong_2"),)]), ids="-".join
 )
-def test_parts_on_both_sides_of_a_jump_are_held(
-    settings: Settings, parts: dict[str, AnalysedDrive], order: Sequence[str]
-) -> None:
-    reports = [commit(parts[name], settings).report for name in order]
+def test_parts_on_both_sides_of_a_jump_are_held(settings: Settings, parts: Parts, order: Sequence[str]) -> None:
+    reports = [commit(parts(name), settings).report for name in order]
     assert held(settings) == set(order) and cones(settings) == 0
     jumps = [check.value for report in reports for check in report.health if check.name == ADJOINING and check.value]
     assert jumps and np.allclose(jumps, 50.0, atol=1.0)
@@ -113,18 +113,18 @@ def test_parts_on_both_sides_of_a_jump_are_held(
     assert named | on_hold_at_once == set(order)
 
 
-def test_the_part_that_a_person_accepts_counts(settings: Settings, parts: dict[str, AnalysedDrive]) -> None:
+def test_the_part_that_a_person_accepts_counts(settings: Settings, parts: Parts) -> None:
     for name in ("wrong_0", "wrong_1"):
-        commit(parts[name], settings)
+        commit(parts(name), settings)
     accept(settings, "wrong_0")
     assert held(settings) == {"wrong_1"} and cones(settings) > 0
-    commit(parts["wrong_2"], settings)
+    commit(parts("wrong_2"), settings)
     assert held(settings) == {"wrong_1", "wrong_2"}
 
 
-def test_the_part_that_the_map_confirms_counts(settings: Settings, parts: dict[str, AnalysedDrive]) -> None:
+def test_the_part_that_the_map_confirms_counts(settings: Settings, parts: Parts) -> None:
     for name in ("day_before", "wrong_0", "wrong_1"):
-        commit(parts[name], settings)
+        commit(parts(name), settings)
     assert held(settings) == {"wrong_1"} and cones(settings) == 9
 
 
@@ -135,14 +135,14 @@ def number_of(settings: Settings, drive_id: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def map_of(cluster_url: str, template_database: str, sample_settings: Settings, parts: dict[str, AnalysedDrive]) -> Any:
+def map_of(cluster_url: str, template_database: str, sample_settings: Settings, parts: Parts) -> Any:
     """The map and the drives on hold after some steps: names of parts to commit, or functions of the settings."""
 
     def make(*steps: Any) -> Any:
         with cloned_database(cluster_url, template_database) as url:
             settings = sample_settings.model_copy(update={"database_url": SecretStr(url)})
             for step in steps:
-                step(settings) if callable(step) else commit(parts[step], settings)
+                step(settings) if callable(step) else commit(parts(step), settings)
             return held(settings), in_database(settings, valid_time_map)
 
     return make
@@ -152,7 +152,7 @@ def test_the_map_is_the_same_in_every_order(map_of: Any) -> None:
     orders = [*permutations(("day_before", *WRONG))]
     in_order = map_of(*orders[0])
     assert in_order[0] == {"wrong_1", "wrong_2"}
-    assert [map_of(*order) == in_order for order in orders[5::6]] == [True] * 4
+    assert [map_of(*order) == in_order for order in orders[11::12]] == [True] * 2
 
 
 @pytest.mark.parametrize("order", cases((WRONG[::-1],), release=[(WRONG,)]), ids="-".join)
@@ -164,15 +164,15 @@ def test_a_corrected_part_ends_the_holds(map_of: Any, order: Sequence[str]) -> N
     assert found["versions"] and found == map_of("wrong_0", "wrong_1", "corrected_1")[1]
 
 
-def test_the_rig_id_that_the_hold_advises_ends_the_holds(settings: Settings, parts: dict[str, AnalysedDrive]) -> None:
+def test_the_rig_id_that_the_hold_advises_ends_the_holds(settings: Settings, parts: Parts) -> None:
     for name in ("wrong_0", "wrong_1"):
-        said = commit(parts[name], settings).report.on_hold
+        said = commit(parts(name), settings).report.on_hold
     assert said is not None and "rig_id: NAME" in said and "ingest that drive again" in said
-    drive = parts["wrong_0"].drive
+    drive = parts("wrong_0").drive
     named = drive.model_copy(
         update={"rig": drive.rig.model_copy(update={"rig_id": "van-2"}), "content_sha256": "0" * 64}
     )
-    commit(replace(parts["wrong_0"], records=parts["wrong_0"].records._replace(drive=named)), settings)
+    commit(replace(parts("wrong_0"), records=parts("wrong_0").records._replace(drive=named)), settings)
     assert not held(settings) and cones(settings) > 4
 
 
@@ -211,11 +211,9 @@ def test_what_was_accepted_and_is_no_longer_holds_what_it_continues(map_of: Any)
     assert map_of(*WRONG, accept_and_withdraw)[0] == set(WRONG)
 
 
-def test_a_part_is_held_in_the_transaction_of_the_one_that_contradicts_it(
-    settings: Settings, parts: dict[str, AnalysedDrive]
-) -> None:
+def test_a_part_is_held_in_the_transaction_of_the_one_that_contradicts_it(settings: Settings, parts: Parts) -> None:
     """What would be left by a kill in between: a wrong part that counts, and that nothing looks at again."""
-    first = commit(parts["wrong_0"], settings)
+    first = commit(parts("wrong_0"), settings)
     in_database(
         settings,
         lambda conn: execute(
@@ -226,5 +224,5 @@ def test_a_part_is_held_in_the_transaction_of_the_one_that_contradicts_it(
         ),
     )
     with pytest.raises(DatabaseError, match="killed"):
-        commit(parts["wrong_1"], settings)
+        commit(parts("wrong_1"), settings)
     assert in_database(settings, lambda conn: len(list_changesets(conn))) == 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
-from itertools import permutations
+from itertools import islice, permutations
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from conetl.model.map_records import DeltaKind
 from conetl.model.params import IngestParams, ReconcileParams
 from conetl.pipeline.maps.decisions import accept_drive, decide_location, revert
 from conetl.pipeline.replay import replay_of
+from tests.cases import cases
 from tests.integration import drives_of_days as world
 from tests.synthetic.painted_road import Paint, markings_of
 from tests.synthetic.world import ORIGIN_M, START_NS, Cone
@@ -55,7 +56,7 @@ def in_order(another_database):
         yield world.valid_time_map(conn)
 
 
-@pytest.mark.parametrize("order", [(2, 1, 0), (1, 2, 0)], ids=lambda order: "".join(map(str, order)))
+@pytest.mark.parametrize("order", cases(((2, 1, 0),), release=[((1, 2, 0),)]), ids=str)
 def test_other_orders_of_three_drives_give_the_same_map(conn, in_order, order):
     """Random ones: `test_exactly_once.py`."""
     expected = {}
@@ -119,7 +120,7 @@ def aside(day, shift_m):
 def test_drives_that_contradict_each_other_widen_the_same_sigmas_in_every_order(conn):
     """A lever arm that is wrong by 0.3 m: there, back and there again."""
     maps = []
-    for order in permutations(range(3)):
+    for order in islice(permutations(range(3)), 0, None, 2):
         name = "aside_" + "".join(map(str, order))
         for day in order:
             world.merge(conn, aside(day, -0.3 if day == 1 else 0.3), map_name=name)
@@ -129,7 +130,7 @@ def test_drives_that_contradict_each_other_widen_the_same_sigmas_in_every_order(
         maps.append(sorted((f.version, f.first_seen_ns, *f.xyz_m, *f.cov_m2) for f in features))
         assert all(0.5 < f.cov_m2[3] ** 0.5 < 0.7 and f.cov_m2[0] ** 0.5 < 0.2 for f in features)
     assert world.failed_audits(conn) == []
-    np.testing.assert_allclose(maps[1:], maps[:1] * 5, rtol=1e-9)
+    np.testing.assert_allclose(maps[1:], maps[:1] * 2, rtol=1e-9)
 
 
 def changes_of(conn, map_name):
@@ -213,7 +214,7 @@ def test_a_drive_that_was_on_hold_states_what_it_did_to_lane_markings(conn):
     assert set(at_once.change_counts.lines) == {DeltaKind.REMOVED, DeltaKind.MOVED, DeltaKind.CONFIRMED}
 
 
-@pytest.mark.parametrize("order", [(2, 0, 1), (1, 2, 0), (0, 1, 2)], ids=lambda order: "".join(map(str, order)))
+@pytest.mark.parametrize("order", cases(((2, 0, 1),), release=[((1, 2, 0),), ((0, 1, 2),)]), ids=str)
 def test_a_drive_that_contradicts_the_map_is_on_hold_in_every_order(conn, order):
     """The last drive's heights are of another datum. Alone it stands; with an earlier one it is on hold until it is accepted."""
     good = of_day(2)
@@ -274,7 +275,7 @@ def test_what_others_do_to_drives_on_hold_is_said_and_kept_in_order(conn):
     assert world.failed_audits(conn) == []
 
 
-@pytest.mark.parametrize("at", [0, -1], ids=["earlier first pair", "later last pair"])
+@pytest.mark.parametrize("at", cases(-1, release=[0]))
 def test_a_delivery_with_one_end_of_another_time_replaces_the_first(conn, at):
     """The same recording: its id, and its first or its last time stamp."""
     world.merge(conn, of_day(0))
@@ -326,7 +327,7 @@ def test_of_two_deliveries_only_the_later_one_counts_whatever_releases_them(conn
     assert world.failed_audits(conn) == []
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", cases(0, release=[1]))
 def test_random_decisions_and_deliveries_leave_one_delivery_of_each_and_nothing_to_replay(conn, seed):
     rng = np.random.default_rng(seed)
     for _ in range(12):

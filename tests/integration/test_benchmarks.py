@@ -122,7 +122,8 @@ TINY = {
 
 #: They take most of the time of all, and what they run has tests of its own.
 LONG = (
-    "alike", "calibration", "detect", "fleet", "ingest", "mutants", "overhead", "recordings", "view", "watch",
+    "alike", "calibration", "changes", "detect", "fleet", "health", "honest", "ingest", "kills", "map", "mutants", "ogc",
+    "overhead", "plans", "recordings", "trajectory", "view", "watch",
 )  # fmt: skip
 
 

@@ -22,6 +22,7 @@ from conetl.model.params import ImportParams
 from conetl.pipeline.maps.decisions import CLASSIFY, PIN, SUPPRESS, decide_location, revert
 from conetl.pipeline.maps.import_map import import_map
 from conetl.readers.maps.imported_rows import read_map_file
+from tests.cases import cases
 from tests.integration.drives_of_days import RIGS, failed_audits, merge, survey, valid_time_map
 from tests.synthetic.world import ORIGIN_M
 
@@ -151,7 +152,7 @@ def test_a_class_that_a_person_states_holds_for_all_drives_and_is_taken_back(con
         decide_location(conn, CLASSIFY, str(other.feature_id), category="lamp", map_name="default")
 
 
-@pytest.mark.parametrize("day", range(2))
+@pytest.mark.parametrize("day", cases(1, release=[0]))
 def test_a_reverted_drive_might_never_have_come_and_comes_back_as_it_was(conn, another_database, day):
     """It takes along its calibration, too, which others have in common with it."""
     for one in range(3):
@@ -188,7 +189,7 @@ def test_decisions_and_drives_in_any_order_give_one_map(another_database, conn):
     [pinned], [suppressed] = near(conn, 34.0, 2.0), near(conn, 14.0, 3.6)
     expected = None
     orders = list(permutations(("1", "2", "pin", "suppress", "revert")))
-    for order in orders[::40]:
+    for order in orders[::60]:
         with another_database() as other:
             merge(other, survey(0))
             merge(other, survey(3))

@@ -192,11 +192,13 @@ def test_without_plans_nothing_is_compared_and_a_large_map_says_so(conn, view, d
 def test_the_nightly_flow_shows_them_as_a_table(
     conn, view, database_url, prefect_here, prefect, conetl, monkeypatch, tmp_path
 ):
-    from flows.scheduled import publish_map
+    from flows.scheduled import audit, publish_map
 
     for name, value in (("DATABASE_URL", database_url), ("HOME", str(tmp_path)), ("VIEW_URL", "http://127.0.0.1:1/")):
         monkeypatch.setenv(f"CONETL_{name}", value)
     publish_map(map_name="default", formats=["csv"], folder=tmp_path / "exports", return_state=True)
+    audited = audit(return_state=True)
+    assert audited.type == "COMPLETED" and audited.message.endswith("audits passed")
     user, _, password = prefect["PREFECT_API_AUTH_STRING"].partition(":")
     wanted = {"artifacts": {"key": {"any_": ["plan-differences"]}}}
     found = httpx.post(

@@ -15,10 +15,11 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import cv2
 import httpx
@@ -237,13 +238,6 @@ def test_bad_pairs_cost_those_pairs_only(desk: Desk, small_drive: Path) -> None:
     assert sum('"pose_invalid"' in line for line in quarantine) == 2, "once for each analysis"
 
 
-def test_the_versions_of_work_zones_are_stored_after_a_merge(desk: Desk, small_drive: Path) -> None:
-    assert ingest(small_drive, settings=desk.settings).counts[DeltaKind.ADDED] > 3
-    versions = json.loads(desk.ask("zones", "history", "--json"))
-    assert [(one["version"], one["event"]) for one in versions] == [(1, "began")]
-    assert versions[0]["state"]["work_zone_id"] == versions[0]["zone_id"]
-
-
 def test_what_cannot_be_decoded_was_not_looked_at(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
     """Only decoding finds that out, after the drive was read: no cone may go for it."""
     assert desk.ingest(small_drive).counts[DeltaKind.ADDED] > 3
@@ -330,8 +324,10 @@ def test_a_known_drive_that_does_not_count_says_why_and_what_makes_it_count(
     assert "not in effect" not in said()
 
 
-def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: Path, tmp_path: Path) -> None:
-    """Of the drive itself, and of another one that goes on hold because of it."""
+def test_why_a_drive_is_on_hold_is_said_once_and_last(
+    desk: Desk, small_drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of the drive itself, and of another one that goes on hold because of it. The command, but for Prefect."""
     lower = cut_drive(SAMPLES[1], tmp_path / "lower", frames=range(4, 20))
     shift_poses(lower, height_m=-1.6)
     desk.ingest(lower)
@@ -340,11 +336,15 @@ def test_why_a_drive_is_on_hold_is_said_once_and_last(desk: Desk, small_drive: P
 
     jumping = cut_drive(SAMPLES[2], tmp_path / "jumping", frames=range(4, 20))
     shift_poses(jumping, lat_deg=4e-5, first=8)
-    done = desk.run("ingest", jumping)
-    assert done.returncode == 1
-    assert "jumping (2026-03-04 15:22 UTC): on hold (jumps of the poses), the map is unchanged." in done.stdout
-    assert (done.stdout + done.stderr).count("GNSS/INS jumps by") == 1
-    last = done.stderr.splitlines()[-1]
+    monkeypatch.setattr("flows.server.prefect_server", nullcontext)
+    monkeypatch.setattr("flows.ingest_drive.ingest_here", lambda header, *_, **__: desk.ingest(header.path))
+    with patch.dict(os.environ):
+        _, code = ingest_drives([jumping], desk.settings, IngestParams(), map_srid=None, show=print_report)
+    assert code == 1
+    said = capsys.readouterr()
+    assert "jumping (2026-03-04 15:22 UTC): on hold (jumps of the poses), the map is unchanged." in said.out
+    assert (said.out + said.err).count("GNSS/INS jumps by") == 1
+    last = said.err.splitlines()[-1]
     assert last.startswith("conetl: Drive jumping is on hold and changes nothing on the map. GNSS/INS jumps by")
     assert last.endswith("conetl drive accept jumping --map default --note REASON")
     with pytest.raises(DriveOnHoldError, match="GNSS/INS jumps by") as known:
@@ -534,7 +534,8 @@ def test_the_plan_of_a_drive_shows_its_lane_markings(desk: Desk, small_drive: Pa
 def test_a_watched_drive_is_replaced_by_its_ingest_which_writes_its_report(
     desk: Desk, small_drive: Path, tmp_path: Path
 ) -> None:
-    """Watched through the command line, then ingested; the page lies where the flow says, and comes again from the database."""
+    """Watched through the command line, then ingested; the page lies where the flow says, and comes again from the database.
+    The versions of the map's work zones are stored, too."""
     name = "<b>small</b> drive"
     (small_drive / "drive.yaml").write_text(f"drive_id: {name}\n")
     (small_drive / "COMPLETE").touch()
@@ -552,6 +553,8 @@ def test_a_watched_drive_is_replaced_by_its_ingest_which_writes_its_report(
         conn.rollback()
         again, _ = drive_page(conn, list_changesets(conn)[0], map_name="default")
     [report] = json.loads(done.stdout)
+    [zone] = json.loads(desk.ask("zones", "history", "--json"))
+    assert (zone["version"], zone["event"]) == (1, "began") and zone["state"]["work_zone_id"] == zone["zone_id"]
     reports = Path(desk.environment["CONETL_HOME"]) / "exports" / "reports" / "default"
     assert (reports / "_b_small__b__drive.png").read_bytes().startswith(b"\x89PNG")
     page = (reports / "000001-_b_small__b__drive.html").read_text()

@@ -48,6 +48,7 @@ def test_sigmas_are_at_most_six_percent_of_the_distance() -> None:
     assert max(shares) < 0.06
 
 
+@pytest.mark.release
 @needs_kitti
 def test_ranges_of_a_calibration_without_sigmas_hold_against_lidar() -> None:
     """Every other frame; the prior was chosen on the others, among other recordings."""

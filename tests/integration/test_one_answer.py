@@ -35,7 +35,7 @@ from tests.synthetic.road import random_world
 from tests.synthetic.world import ORIGIN_M, START_NS, Cone
 from tests.view_map import shown
 
-HISTORIES = int(os.environ.get("HISTORIES", "2"))
+HISTORIES = int(os.environ.get("HISTORIES", "1"))
 WORLDS, WORLD_M, DAYS, DRIVES = 10, 45.0, 6, 4
 HOUR_NS = 3_600_000_000_000
 SECOND = timedelta(seconds=1)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import conetl
+from conetl.pipeline.settings import Settings
 from tests.command import ROOT, environment_of
 from tests.integration.small_drives import SAMPLES, cut_drive
 
@@ -30,14 +31,18 @@ _NO_DATABASE = "import psycopg2\ndef refuse(*_, **__): raise AssertionError('con
 def python(code: str, *arguments: object, home: Path, errors: bool = False, **environment: str) -> str:
     done = subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)], cwd=home, capture_output=True, text=True, timeout=600, check=False,
-        env=environment_of(CONETL_HOME=home / "home", PYTHONPATH=f"{ROOT / 'src'}{os.pathsep}{ROOT}", **environment),
+        env=environment_of(PYTHONPATH=f"{ROOT / 'src'}{os.pathsep}{ROOT}", **{"CONETL_HOME": home / "home", **environment}),
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stderr if errors else done.stdout
 
 
-def test_the_example_finds_the_surveyed_cones_without_prefect_and_database(tmp_path: Path) -> None:
-    said = python(_NO_DATABASE + _EXAMPLE, ROOT / "examples" / "first_map.py", tmp_path / "plot.png", home=tmp_path)
+def test_the_example_finds_the_surveyed_cones_without_prefect_and_database(
+    tmp_path: Path, sample_settings: Settings
+) -> None:
+    """It reads what other tests have found in the images of its drive."""
+    example, plot, home = ROOT / "examples" / "first_map.py", tmp_path / "plot.png", str(sample_settings.home)
+    said = python(_NO_DATABASE + _EXAMPLE, example, plot, home=tmp_path, CONETL_HOME=home)
     result = json.loads(said.splitlines()[-1])
     with (SAMPLES[0] / "truth.csv").open() as file:
         rows = [row for row in csv.DictReader(file) if row["present"] == "1"]
@@ -47,7 +52,7 @@ def test_the_example_finds_the_surveyed_cones_without_prefect_and_database(tmp_p
     apart = np.linalg.norm(truth[:, None] - cones[None], axis=2).min(axis=1)
     assert apart.max() < 0.1
     assert max(result["sigmas"]) < 0.1
-    assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+    assert plot.read_bytes().startswith(b"\x89PNG")
     assert not any(name.split(".")[0] in {"prefect", "flows"} for name in result["modules"])
 
 

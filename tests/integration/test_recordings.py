@@ -121,9 +121,8 @@ def cones(sample_settings: Settings) -> np.ndarray:
 @pytest.mark.parametrize(
     "name",
     cases(
-        "binned",
         "Bayer in CompressedImage",
-        release=["KITTI odometry, colour", "CameraInfo with a region", "Foxglove images"],
+        release=["binned", "KITTI odometry, colour", "CameraInfo with a region", "Foxglove images"],
     ),
 )
 def test_cones_are_where_those_of_the_sample_drive_are(name: str, tmp_path: Path, cones: np.ndarray) -> None:
@@ -146,6 +145,7 @@ def test_cones_are_where_those_of_the_sample_drive_are(name: str, tmp_path: Path
     assert np.sqrt(np.mean(sigmas) / 3) < 1.0
 
 
+@pytest.mark.release
 @pytest.mark.skipif(not ODOMETRY.is_dir(), reason=f"KITTI odometry is not at {ODOMETRY}")
 def test_kitti_odometry_becomes_a_drive_in_one_round(tmp_path: Path) -> None:
     """Real images; the poses are those of visual odometry."""

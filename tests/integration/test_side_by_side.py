@@ -153,7 +153,7 @@ PLACES = st.integers(-8, 8).map(lambda step: float(round(BORDER_M) + 60 * step))
 
 
 @settings(
-    max_examples=2,
+    max_examples=1,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
     phases=[Phase.explicit, Phase.reuse, Phase.generate],  # shrinking would take minutes

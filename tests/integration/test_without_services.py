@@ -1,6 +1,6 @@
 """Drives on one machine where nothing of `conetl up` runs: receipts, batches, and what goes wrong around a commit.
 
-The first test lets the command start Prefect; the others use a server that runs.
+The first test lets the command start Prefect, as `test_drop_folder.py` does; the others use a server that runs.
 """
 
 from __future__ import annotations
@@ -65,6 +65,7 @@ def _plan(root: Path, home: Path, database_url: str, *options: str) -> dict[str,
     return {line["drive_id"]: line for line in said["plan"]["lines"]}
 
 
+@pytest.mark.release
 def test_a_backfill_without_services_leaves_nothing_but_the_map_and_its_receipts(
     tmp_path: Path, database_url: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -82,7 +82,7 @@ class Street:
             (rig.left, np.array(rig.body_SE3_left), shutter.left_s), (rig.right, np.array(rig.body_SE3_right), shutter.right_s)
         ):  # fmt: skip
             late_s = np.zeros(len(points_m))
-            for _ in range(8 if readout_s else 1):
+            for _ in range(4 if readout_s else 1):
                 poses = se3.compose(self.poses_at(stamp_s + late_s), body_SE3_camera)
                 own = np.einsum("nji,nj->ni", poses[:, :3, :3], points_m - poses[:, :3, 3])
                 uv = _seen(own, camera)

@@ -187,7 +187,7 @@ def figures(late_from: int, drive_m: float, cone_m: float) -> Figures:
     """drive_m, cone_m: sigmas of a drive as a whole and of a cone in it, one axis; the last cone is there from that drive on."""
     rng = np.random.default_rng(1)
     rows = []
-    for _ in range(150):
+    for _ in range(60):
         drives = []
         for drive in range(DRIVES):
             # An offset beyond four sigmas is not believed, which is right, and would happen to one drive in some thousand.

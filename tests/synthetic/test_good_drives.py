@@ -17,7 +17,7 @@ from tests.synthetic.good_drives import checked, clock_of, draw_drive, failed
 
 
 def test_good_drives_are_not_held() -> None:
-    for seed in range(4):
+    for seed in range(2):
         refined, checks = checked(draw_drive(np.random.default_rng(seed)))
         assert refined.outcome is RefinementOutcome.REFINED
         assert hold_reason(checks) is None

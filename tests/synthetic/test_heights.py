@@ -60,7 +60,7 @@ def test_heights_that_the_images_do_not_climb_are_named(
     assert check.value == pytest.approx(factor, abs=0.2 * abs(factor) + 0.15)
 
 
-@pytest.mark.parametrize("seed", cases(*range(3000, 3003), release=range(3003, 3008)))
+@pytest.mark.parametrize("seed", cases(3000, 3002, release=[3001, *range(3003, 3008)]))
 def test_good_heights_pass(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also of plain GNSS, whose heights vary by metres."""
     _, check = of_heights(seed, 1.0, monkeypatch)

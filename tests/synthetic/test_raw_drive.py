@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -53,14 +54,14 @@ def raw_rig(rectified: Rig) -> Rig:
     })  # fmt: skip
 
 
-def take_raw(image: np.ndarray, rectified: Rig, raw: Rig, side: str) -> np.ndarray:
-    """The raw camera's view of a rectified image: for each raw pixel its ray, and where the rectified camera sees that."""
+def raw_view(rectified: Rig, raw: Rig, side: str) -> Callable[[np.ndarray], np.ndarray]:
+    """The raw camera's view of rectified images: for each raw pixel its ray, and where the rectified camera sees that."""
     own, theirs = rigs.camera_of(raw, side), rigs.camera_of(rectified, side)  # type: ignore[arg-type]
     u, v = np.meshgrid(np.arange(own.width_px), np.arange(own.height_px))
     rays = cam.rays(own, np.stack([u, v], axis=-1)) @ np.array(Rotation.from_rotvec(TURNS[side]).as_matrix()).T
     assert np.isfinite(rays).all()
     uv = cam.project(theirs, rays).astype(np.float32)
-    return cv2.remap(image, uv[..., 0], uv[..., 1], cv2.INTER_LANCZOS4, borderValue=(90, 90, 90))
+    return lambda image: cv2.remap(image, uv[..., 0], uv[..., 1], cv2.INTER_LANCZOS4, borderValue=(90, 90, 90))
 
 
 @pytest.fixture(scope="module")
@@ -90,9 +91,10 @@ def raw_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
         folder = root / f"image_{number}"
         (folder / "data").mkdir(parents=True)
         shutil.copy(SAMPLE / f"image_{number}" / "timestamps.txt", folder)
+        taken = raw_view(rectified, raw, side)
         for frame in FRAMES:
             image = cv2.imread(str(SAMPLE / f"image_{number}" / "data" / f"{frame:010d}.jpg"))
-            cv2.imwrite(str(folder / "data" / f"{frame:010d}.png"), take_raw(image, rectified, raw, side))
+            cv2.imwrite(str(folder / "data" / f"{frame:010d}.png"), taken(image))
     (root / "calib_cam_to_cam.txt").write_text("".join(f"{key}: {value}\n" for key, value in lines.items()))
     return root
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -13,7 +15,7 @@ from conetl.model.drive import FramePair, Position
 from conetl.model.params import IngestParams, TrajectoryParams
 from conetl.tracking.drive_refinement import refine_with_cones
 from conetl.tracking.error_propagation import motion_error, relative_cov
-from conetl.tracking.trajectory import RefinementOutcome, refine_trajectory
+from conetl.tracking.trajectory import RefinedTrajectory, RefinementOutcome, refine_trajectory
 from tests import records
 from tests.synthetic.noisy_drive import draw_positions
 from tests.synthetic.odometry import log_of, motions_of, pose_errors, true_poses
@@ -30,6 +32,12 @@ def drive(seed: int, sigma_m: float = 0.4) -> tuple[np.ndarray, list[FramePair],
     return truth, log_of(truth, rng, sigma_m, 0.0009, PARAMS), motions_of(truth, RIG, rng, PARAMS)
 
 
+@cache
+def refined(seed: int, sigma_m: float = 0.4) -> RefinedTrajectory:
+    _, log, motions = drive(seed, sigma_m)
+    return refine_trajectory(log, RIG, motions, PARAMS)
+
+
 def slide(error: np.ndarray) -> float:
     """How far the error of the place changes over a drive, m."""
     return float(np.linalg.norm(np.ptp(error[:, :3], axis=0)))
@@ -44,10 +52,9 @@ def shifted(motion: RelativeMotion, shift_m: float) -> RelativeMotion:
 
 def test_absolute_and_relative_covariance_are_honest() -> None:
     """NEES of poses and of motions over 30 frames: both sides of the band, so that doubled or halved sigmas fail."""
-    runs, absolute, relative = 24, [], []
+    runs, absolute, relative = 8, [], []
     for seed in range(runs):
-        truth, log, motions = drive(seed)
-        result = refine_trajectory(log, RIG, motions, PARAMS)
+        (truth, _, _), result = drive(seed), refined(seed)
         assert result.outcome is RefinementOutcome.REFINED, result.detail
         error = pose_errors(result.frame_pairs, truth)[30]
         assert result.covariance is not None
@@ -68,18 +75,18 @@ def test_absolute_and_relative_covariance_are_honest() -> None:
 def test_refinement_takes_the_slide_out() -> None:
     before, after = [], []
     for seed in range(8):
-        truth, log, motions = drive(seed)
+        truth, log, _ = drive(seed)
         before.append(slide(pose_errors(log, truth)))
-        after.append(slide(pose_errors(refine_trajectory(log, RIG, motions, PARAMS).frame_pairs, truth)))
+        after.append(slide(pose_errors(refined(seed).frame_pairs, truth)))
     assert np.median(after) < 0.35 * np.median(before)
 
 
 def test_rtk_grade_poses_are_not_harmed() -> None:
     before, after = [], []
-    for seed in range(8):
-        truth, log, motions = drive(seed, sigma_m=0.02)
+    for seed in range(4):
+        truth, log, _ = drive(seed, sigma_m=0.02)
         before.append(np.sqrt(np.mean(pose_errors(log, truth)[:, :3] ** 2)))
-        result = refine_trajectory(log, RIG, motions, PARAMS)
+        result = refined(seed, 0.02)
         after.append(np.sqrt(np.mean(pose_errors(result.frame_pairs, truth)[:, :3] ** 2)))
         places = [np.array([pair.pose.map_t_body_m for pair in pairs]) for pairs in (result.frame_pairs, log)]
         assert np.linalg.norm(places[0] - places[1], axis=1).max() < 0.05
@@ -103,7 +110,7 @@ def test_without_measurements_the_poses_are_those_of_the_log() -> None:
 def test_a_gap_in_the_measurements_is_bridged() -> None:
     _, log, motions = drive(2)
     result = refine_trajectory(log, RIG, motions[:20] + motions[30:], PARAMS)
-    whole = refine_trajectory(log, RIG, motions, PARAMS)
+    whole = refined(2)
     assert result.outcome is RefinementOutcome.REFINED
     error, whole_error = motion_error(result), motion_error(whole)
     assert error is not None and whole_error is not None
@@ -136,8 +143,7 @@ def test_one_wild_motion_is_refused(wild_m: float) -> None:
     wild = [*motions[:25], shifted(motions[25], wild_m), *motions[26:]]
     result = refine_trajectory(log, RIG, wild, PARAMS)
     assert "1 rejected" in result.detail
-    clean = refine_trajectory(log, RIG, motions, PARAMS)
-    assert slide(pose_errors(result.frame_pairs, truth)) < slide(pose_errors(clean.frame_pairs, truth)) + 0.15
+    assert slide(pose_errors(result.frame_pairs, truth)) < slide(pose_errors(refined(3).frame_pairs, truth)) + 0.15
 
 
 def test_a_jump_of_the_log_is_not_blamed_on_the_images() -> None:
@@ -190,7 +196,7 @@ def test_a_standing_car_stays_where_it_is() -> None:
 def test_cones_as_landmarks_bridge_what_images_do_not_tell() -> None:
     """Twelve frames without visual odometry, but three cones in view: they hold the trajectory together."""
     before, after = [], []
-    for seed in range(6):
+    for seed in range(3):
         truth, log, motions = drive(seed)
         kept = motions[:24] + motions[36:]
         rng = np.random.default_rng(100 + seed)
@@ -212,7 +218,7 @@ def test_cones_as_landmarks_correct_the_length_of_the_way() -> None:
     pairs = make_path(32)
     truth = np.stack([se3.map_SE3_body(pair.pose) for pair in pairs])
     before, after = [], []
-    for seed in range(4):
+    for seed in range(2):
         cones = [Cone((12.0 + 4.0 * k, 3.2 - 6.0 * (k % 2), 0.0)) for k in range(5)]
         matches = draw_positions(np.random.default_rng(seed), RIG, cones).matches
         log = log_of(truth, np.random.default_rng(50 + seed), 0.4, 0.0009, PARAMS)
@@ -250,7 +256,7 @@ def longer(motion: RelativeMotion, factor: float) -> RelativeMotion:
 def test_without_cones_the_trajectory_is_that_of_visual_odometry() -> None:
     _, log, motions = drive(3)
     alone, result = (
-        refine_trajectory(log, RIG, motions, PARAMS),
+        refined(3),
         refine_with_cones(log, RIG, motions, [], IngestParams()),
     )
     assert np.array_equal(alone.map_SE3_left, result.map_SE3_left)

@@ -14,7 +14,7 @@ from typing import Generic, Literal, NamedTuple, TypeVar
 import numpy as np
 import shapely
 from pydantic import Field
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from conetl.files.documents import input_errors, library_errors, read_limited
 from conetl.geometry.consistency import point_nees
@@ -239,5 +239,5 @@ def check_map(points: Sequence[SurveyedPoint], features: Sequence[MapFeature], *
     rmse = np.sqrt([*squares, squares[0] + squares[1], squares.sum()])
     of_points = np.array([np.diag(np.square(points[i].sigma_m)) for i in pairs])
     total = float(point_nees(d, cov_matrices([features[j].cov_m2 for j in pairs.values()]) + of_points).sum())
-    contradicts = bool(chi2.sf(total, 3 * len(d)) < _CONTRADICTS)
+    contradicts = bool(chdtrc(3 * len(d), total) < _CONTRADICTS)
     return CheckedMap(residuals, rmse, d.mean(axis=0), total / (3 * len(d)), contradicts=contradicts)

@@ -140,7 +140,7 @@ def state(history: MapHistory) -> State:
     return history.chains, misses(history), holds(history)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 5), chance=st.randoms(use_true_random=False))
 def test_every_order_and_any_repeats_give_the_same_map(seed: int, count: int, chance: Random) -> None:
     """Up to five drives, good, held and accepted ones: 80 steps instead of 600."""
@@ -149,7 +149,7 @@ def test_every_order_and_any_repeats_give_the_same_map(seed: int, count: int, ch
     assert_one_map(drives, decisions, chance)
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), chance=st.randoms(use_true_random=False))
 def test_lane_markings_are_the_same_in_every_order(seed: int, chance: Random) -> None:
     """Markings that are painted, removed, moved by 0.5 m and shortened from day to day, and cones beside them."""
@@ -191,7 +191,7 @@ def test_drives_in_order_are_compared_once_and_in_reverse_again() -> None:
     assert forwards.compared == len(drives) < backwards.compared
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_chains_have_no_gaps_and_one_open_row(seed: int) -> None:
     """Rows follow each other without gap or overlap, and only the last one is open; versions are numbered from one."""
@@ -208,7 +208,7 @@ def test_chains_have_no_gaps_and_one_open_row(seed: int) -> None:
         assert all(version.present for version in chain[:-1])
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), painted=st.booleans())
 def test_the_evidence_of_a_row_is_that_of_all_drives_until_then(seed: int, painted: bool) -> None:
     drives = random_case(seed, 4)
@@ -274,7 +274,7 @@ def test_a_miss_begins_a_row_of_the_same_version_and_a_removal_replaces_the_miss
     assert chain[-1].feature.first_missed_ns is None
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), which=st.integers(0, 3))
 def test_a_withdrawn_drive_leaves_no_trace_and_may_come_again(seed: int, which: int) -> None:
     drives = random_case(seed, 4)
@@ -288,7 +288,7 @@ def test_a_withdrawn_drive_leaves_no_trace_and_may_come_again(seed: int, which: 
     assert ingest.state == everything
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), chance=st.randoms(use_true_random=False))
 def test_decisions_apply_in_every_order(seed: int, chance: np.random.Generator) -> None:
     drives = random_case(seed, 3)

@@ -331,7 +331,7 @@ def shaken(count: int, seed: int) -> list[np.ndarray]:
 def test_the_shift_of_two_files_and_frames_that_one_lost(tmp_path: Path) -> None:
     images = shaken(240, 1)
     left = index_video(write_video(tmp_path / "left.mp4", images[:200]))
-    for first in (0, 7, 31):
+    for first in (0, 31):
         right = index_video(
             write_video(tmp_path / f"right{first}.mp4", [255 - image for image in images[first : first + 190]])
         )

@@ -12,6 +12,7 @@ from conetl.geometry.motion.pose_graph import LoggedPoses, MeasuredMotions
 from conetl.model.params import TrajectoryParams
 from conetl.tracking.log.log_errors import ErrorShares, LogErrors, StatedErrors, estimate_log_errors, sigma_levels
 from conetl.tracking.log.path_fit import PathFit, fit_path
+from tests.cases import cases
 
 Floats = NDArray[np.float64]
 PARAMS = TrajectoryParams()
@@ -87,7 +88,7 @@ def found(*args: object, **options: object) -> LogErrors:
     return estimate_log_errors(log, log.rotations, log.positions, motions, records, PARAMS)
 
 
-@pytest.mark.parametrize("sigma_m", [0.05, 0.3])
+@pytest.mark.parametrize("sigma_m", cases(0.3, release=[0.05]))
 @pytest.mark.parametrize(
     ("errors", "expected"),
     [
@@ -119,7 +120,7 @@ def test_a_constant_error_is_told_from_one_that_changes() -> None:
     assert common(lasts) > 0.6
 
 
-@pytest.mark.parametrize("part", [0.25, 0.5])
+@pytest.mark.parametrize("part", cases(0.25, release=[0.5]))
 def test_the_rate_of_a_wave_is_found_of_which_a_drive_shows_a_part(part: float) -> None:
     """A Matern process of order 3/2 takes it for a slower one: a wave is smoother."""
 

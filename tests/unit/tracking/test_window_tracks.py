@@ -13,6 +13,7 @@ from conetl.model.params import IngestParams
 from conetl.tracking import window_tracks
 from conetl.tracking.tracks import drive_data, fuse_tracks
 from conetl.tracking.window_tracks import ObservedPair, WindowTracks, add_pair
+from tests.cases import cases
 from tests.integration.drives_of_days import RIG, survey
 
 PARAMS = IngestParams()
@@ -62,7 +63,7 @@ def nearest(track: Track, others: Iterable[Track]) -> tuple[int, float]:
     return int(away.argmin()), float(away.min())
 
 
-@pytest.mark.parametrize("window", [20, window_tracks.WINDOW_PAIRS])
+@pytest.mark.parametrize("window", cases(window_tracks.WINDOW_PAIRS, release=[20]))
 def test_the_tracks_are_those_of_the_whole_drive(window: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Also where the first observations of a cone have left the window before the last ones: all but up to three that
     left it before there was a track."""
