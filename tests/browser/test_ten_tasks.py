@@ -124,7 +124,6 @@ def test_1_the_cone_that_moved_most(task, changed, size):
         assert hand.page.locator(".panel .why").inner_text().startswith("Moved: ")
 
 
-@pytest.mark.release
 def test_2_why_a_cone_went(task, changed):
     with task("&changeset=2") as hand:
         hand.find(changed["removed"][0])
@@ -142,7 +141,6 @@ def test_3_the_width_between_cones(task, changed):
         row.locator("text=±").wait_for()
 
 
-@pytest.mark.release
 def test_4_two_days_compared(task):
     with task("&changeset=2") as hand:
         hand.click("text=Compare two")
@@ -160,7 +158,6 @@ def test_5_a_street_is_exported(task):
         assert Path(found.value.path()).read_bytes().startswith(b"SQLite format 3")
 
 
-@pytest.mark.release
 def test_6_cones_below_a_probability(task):
     with task("&changeset=2") as hand:
         hand.click("button:has-text('List') >> nth=0")
@@ -169,14 +166,12 @@ def test_6_cones_below_a_probability(task):
         hand.page.wait_for_selector(".filter-summary:has-text('hidden by filters')")
 
 
-@pytest.mark.release
 def test_7_the_empty_position_of_a_removed_cone(task, changed):
     with task("&changeset=2") as hand:
         hand.find(changed["removed"][0])
         hand.page.wait_for_selector(".panel-images .viewer[data-frame] path.cone.dashed", state="attached")
 
 
-@pytest.mark.release
 def test_8_a_held_drive_is_accepted(task, conn, size):
     """By somebody whose name and token the tab knows."""
     with task() as hand:
@@ -201,7 +196,6 @@ def test_9_a_coordinate_is_read(task, size):
         assert re.search(r"\d{6}\.\d+ E +\d{7}\.\d+ N", hand.page.inner_text(".cursor"))
 
 
-@pytest.mark.release
 def test_10_a_link_opens_what_is_seen(task, changed, browser, size):
     with task("&changeset=2") as hand:
         hand.find(changed["moved"][0])
