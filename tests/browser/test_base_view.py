@@ -117,7 +117,6 @@ def test_a_moving_picture_is_light_and_at_rest_it_is_whole_again(page, address):
     assert (np.abs(screenshot(page) - before).max(axis=2) > 8).mean() < 0.001
 
 
-@pytest.mark.release
 def test_the_preset_of_the_paper_is_one_click_and_a_link(page, address, features):
     """Figure 6 of Lagahit & Tseng: LiDAR red, lane boundaries green, the new cone blue, before beside after."""
     open_view(page, address)

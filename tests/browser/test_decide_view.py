@@ -279,7 +279,6 @@ def test_a_drive_on_hold_is_accepted_and_the_acceptance_withdrawn(page, conn):
         page.screenshot(path=f"{folder}/hold.png")
 
 
-@pytest.mark.release
 def test_a_decision_shows_at_once_in_selector_image_and_lists(page, conn):
     """Of somebody else, while the page shows the road as it opens. Last in this file: the decision stays."""
     count = len(read_current_features(conn))

@@ -97,7 +97,6 @@ def test_the_three_worst_of_last_night_why_and_their_images_in_three_interaction
     assert page.evaluate("document.documentElement.dataset.differences") >= "3"
 
 
-@pytest.mark.release
 def test_a_person_judges_and_opens_again(page, address, conn, tmp_path):
     opened(page, address)
     page.keyboard.press("d")

@@ -239,7 +239,6 @@ def test_the_search_finds_cones_drives_days_and_coordinates(page, address, featu
     page.wait_for_selector(f".panel h2:text-is('{features['wanders'][:8]}')")
 
 
-@pytest.mark.release
 def test_downloads_are_what_is_shown(page, address, features):
     open_view(page, address, "#changeset=1", cones=3)  # three cones, all added
 

@@ -186,7 +186,6 @@ def test_items_are_judged_by_at_most_three_keys_each(page, address, conn, settin
     page.wait_for_selector(".badge[data-count='1']")
 
 
-@pytest.mark.release
 def test_a_person_who_is_logged_in_needs_no_token_and_sees_whole_images(
     browser, module_database_url, address, tmp_path
 ):

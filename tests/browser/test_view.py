@@ -185,7 +185,6 @@ def test_a_click_shows_history_and_images(page, address, features):
     page.wait_for_selector(".panel", state="hidden")
 
 
-@pytest.mark.release
 def test_a_link_restores_the_view(page, address, features, browser):
     open_view(page, address)
     page.click("canvas", position={"x": 20, "y": 20})
