@@ -336,6 +336,27 @@ def test_of_all_errors_the_first_one_of_the_first_row_counts(tmp_path: Path) -> 
         refused(path, f"row {first}: .*{message}.*; nothing was written")
 
 
+@pytest.mark.parametrize("beside", ["2026-02-28T10:00:00Z", "2026-02-28T10:00:00", "2026/02/28 10:00"])
+@pytest.mark.parametrize(
+    ("text", "at"),
+    [
+        ("2026-03-01T10:00:00Z", 0), ("2026-03-01 10:00:00.25+00:00", 0.25), ("2026-03-01T12:00:00+02:00", 0),
+        ("2026-03-01T10:00:00", 0), ("2026-03-01T10:00:00.1234567Z", 0.123456), ("2026-03-01", -36_000), ("20260301T100000Z", 0),
+    ],
+)  # fmt: skip
+def test_times_are_read_one_by_one_as_all_at_once(tmp_path: Path, text: str, at: float, beside: str) -> None:
+    """Arrow reads most columns at once, without those of two kinds or a kind that is Python's alone."""
+    path = tmp_path / "points.csv"
+    lines = [f"{458300 + 7.123 * k:.3f},5427800.1,160,{one}" for k, one in enumerate((text, beside, ""))]
+    path.write_text("\n".join(["easting,northing,z,last_seen_at", *lines]))
+    found = read_map_file(path, ImportParams(sigma_m=0.1), crs=UTM)
+    seen_ns = [one.feature.last_seen_ns for one in found.statements]
+    start_ns = 1_772_359_200 * 10**9  # 2026-03-01 10:00
+    assert seen_ns[0] == start_ns + round(at * 1e9)
+    assert seen_ns[1] == start_ns - 86_400 * 10**9
+    assert seen_ns[2] == found.stated_at_ns == max(seen_ns[:2])
+
+
 def test_messages_have_no_control_characters(tmp_path: Path) -> None:
     path = tmp_path / "points.csv"
     path.write_text("east\x1b[31m,north\n1,2\n")

@@ -15,10 +15,10 @@ import pyarrow.compute as pc
 from conetl.files.documents import encoding_of, library_errors
 from conetl.model.errors import InputError
 
-#: Most values (rows times columns) of a map, as they are in memory; ten times those of our own exports.
-MAX_VALUES = 50_000_000
+#: Most values (rows times columns) of a map, as they are in memory.
+MAX_VALUES = 10_000_000
 #: Cells that are Python's strings at once.
-_BATCH_CELLS = 160_000
+_BATCH_CELLS = 40_000
 #: Characters of a line of a text file: no row of a map is as long.
 _MAX_LINE = 1 << 20
 #: As many as a table of PostgreSQL has.
