@@ -22,6 +22,7 @@ from conetl.readers.base_layers import georeferencing as geo
 from conetl.readers.base_layers.line_files import read_lane_lines, read_vector_file
 from conetl.readers.base_layers.lines import read_lanelet2
 from conetl.readers.base_layers.opendrive import read_opendrive
+from conetl.readers.maps.csv_text import read_csv_text
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.maps.tables import read_table
 from conetl.readers.plans import read_plans
@@ -297,6 +298,21 @@ def test_long_cells_take_no_time(tmp_path: Path, text: str) -> None:
     path = tmp_path / "points.csv"
     path.write_text(text)
     refused(path, "row")
+
+
+@pytest.mark.parametrize("delimiter", [",", ";"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_quotes_change_no_cell(tmp_path: Path, delimiter: str, end: str) -> None:
+    """Arrow reads a table without them, Python one with them."""
+    rows = [["Lon", "lat ", "note"], ["8.1", " 49", ""], ["", "#", "NULL"], ["8.2", "n/a", "Höhe"], ["", "", ""]]
+    for name, quoted in (("a.csv", ""), ("b.csv", '"')):
+        lines = [delimiter.join(f"{quoted}{cell}{quoted}" for cell in row) for row in rows]
+        (tmp_path / name).write_text(end.join([*lines, "", ""]), newline="")
+    plain, other = (read_csv_text(tmp_path / name, 10) for name in ("a.csv", "b.csv"))
+    assert plain.equals(other)
+    assert plain.to_pydict() == {
+        "lon": ["8.1", None, "8.2", None], "lat": ["49", "#", "n/a", None], "note": [None, "NULL", "Höhe", None],
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -37,7 +37,7 @@ MAX_ROWS = 250_000
 _MAX_TEXT_BYTES = 160 << 20
 #: Largest uncompressed size.
 MAX_BYTES = 2 << 30
-TEXT_SUFFIXES = (".csv", ".geojson", ".json")
+_GEOJSON = (".geojson", ".json")
 _BATCH = 20_000
 #: GEOS's numbers of the types of points and multi-points.
 _POINTS = (0, 4)
@@ -108,8 +108,9 @@ def read_table(path: Path, layer: str | None = None, *, most_rows: int = MAX_ROW
         size = path.stat().st_size
     if not path.is_file() or size == 0:
         raise InputError(f"{path} is {'empty' if path.is_file() else 'not a file'}: nothing to import")
-    if path.suffix.lower() in TEXT_SUFFIXES:
+    if path.suffix.lower() in (".csv", *_GEOJSON):
         require_size(path, _MAX_TEXT_BYTES)
+    if path.suffix.lower() in _GEOJSON:
         require_few_features(path, most_rows)
     if layer is not None and reader is not read_vector:
         raise InputError(f"{path}: has no layers: leave out --layer")
@@ -126,11 +127,8 @@ def _read_vector(most_rows: int, path: Path, layer: str | None) -> MapTable:
         _check_flatgeobuf_header(path)
     with library_errors(f"{path} cannot be read as a map"):
         # GDAL reads a whole text for its layers, and again for the facts of one.
-        info = pyogrio.read_info(path) if layer is None and path.suffix.lower() in TEXT_SUFFIXES else {}
-        has_one = str(info.get("driver")).startswith("GeoJSON")
-        layers = (
-            tuple(name for name, kind in layers_of(path) if kind is not None) if not has_one else (info["layer_name"],)
-        )
+        info = pyogrio.read_info(path) if layer is None and path.suffix.lower() in _GEOJSON else {}
+        layers = (info["layer_name"],) if str(info.get("driver")).startswith("GeoJSON") else layers_of(path)
         layer = _choose_layer(path, layers, layer)
         info = info or pyogrio.read_info(path, layer=layer)
         _check_claim(path, info["features"], "features", len(info["fields"]), most_rows)

@@ -156,8 +156,7 @@ def _read_by_gdal(path: Path) -> tuple[list[tuple[dict[str, Any], bytes | None]]
             count = len(pyogrio.read_info(path)["fields"])
             if count * most_rows > _MOST_VALUES:
                 raise InputError(f"{path} has {count:,} columns in {most_rows:,} lines: leave out columns")
-        layers = [None] if is_table else [name for name, kind in layers_of(path) if kind is not None]
-        for layer in layers:
+        for layer in (None,) if is_table else layers_of(path):
             meta, _, geometries, fields = pyogrio.raw.read(
                 path,
                 layer=layer,
