@@ -151,3 +151,18 @@ def test_a_road_that_is_too_far_away_costs_itself_only(tmp_path):
     found = read_opendrive(path)
     assert [line.xyz[0, 0] for line in found.lines] == [1, 20]
     assert found.refused[0] == "road '7': it has coordinates beyond 1e+09 m"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<{0}/>",
+        "<OpenDRIVE>" + road("<geometry s='0' x='1' y='2' hdg='0' length='10'><{0}/></geometry>") + "</OpenDRIVE>",
+    ],
+)
+def test_long_names_of_elements_are_cut_in_messages(text, tmp_path):
+    path = tmp_path / "lanes.xodr"
+    path.write_text(text.format("a" * 10_000))
+    with pytest.raises(InputError, match="<aaa") as raised:
+        read_opendrive(path)
+    assert len(str(raised.value)) < 1000

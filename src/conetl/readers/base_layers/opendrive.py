@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 from pyproj import CRS
 
-from conetl.files.documents import XmlFile, input_errors, library_errors, require_few_refused, shown
+from conetl.files.documents import MAX_SHOWN, XmlFile, input_errors, library_errors, require_few_refused, shown
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
 from conetl.readers.base_layers.georeferencing import parse_crs
@@ -112,12 +112,11 @@ def _parts(file: XmlFile, path: Path) -> Iterator[Element]:
             open_elements.append(item)
             count += 1
             if open_elements[0].tag != "OpenDRIVE":
-                raise InputError(f"{path}: its root is <{item.tag}>, expected <OpenDRIVE>")
+                raise InputError(f"{path}: its root is <{item.tag[:MAX_SHOWN]}>, expected <OpenDRIVE>")
             if count > _MOST_ELEMENTS:
                 part = open_elements[min(1, len(open_elements) - 1)]
-                raise InputError(
-                    f"{path}: <{part.tag}> {shown(part.get('id', ''))} has more than {_MOST_ELEMENTS:,} elements: split it"
-                )
+                name = f"<{part.tag[:MAX_SHOWN]}> {shown(part.get('id', ''))}"
+                raise InputError(f"{path}: {name} has more than {_MOST_ELEMENTS:,} elements: split it")
             continue
         open_elements.pop()
         if len(open_elements) == 1:
@@ -202,7 +201,9 @@ def _piece(geometry: Element) -> Piece:
     shape = next(iter(geometry), None)
     kind = shape.tag if shape is not None else "line"
     if kind not in _SHAPES:
-        raise ValueError(f"its geometry <{kind}> is unknown; expected line, arc, spiral, poly3 or paramPoly3")
+        raise ValueError(
+            f"its geometry <{kind[:MAX_SHOWN]}> is unknown; expected line, arc, spiral, poly3 or paramPoly3"
+        )
     curve, names = _SHAPES[kind]
     numbers = [_number(shape, name) for name in names] if shape is not None else []
     if curve is param_poly3:
