@@ -78,6 +78,11 @@ _COLUMNS: dict[str, TypeAdapter[list[Any]]] = {
         **dict.fromkeys(_COVARIANCES, float),
     }.items()
 }
+#: Of a row, behind its position: those of the covariance as in `MapFeature`, whose variances take the place of the sigmas.
+_NUMBERS = (
+    "sigma_e_m", "cov_en_m2", "cov_eu_m2", "sigma_n_m", "cov_nu_m2", "sigma_u_m", "object_height_m", "object_height_sigma_m",
+    "existence_probability", "observation_count",
+)  # fmt: skip
 #: Names of columns before 0.3.
 _FORMER_NAMES = {"object_height_m": "height_m", "object_height_sigma_m": "height_sigma_m"}
 
@@ -184,13 +189,14 @@ class StatementRows(Sequence[ImportedFeature]):
         self._require_ids()
         self.require_all()
         self.categories, self._sha256 = list(chain.from_iterable(self._checked("category"))), sha256
-        columns = {
-            name: np.concatenate([np.empty(0), *(np.array(block, np.float64) for block in self._checked(name))])
-            for name in _COLUMNS
-            if name != "category"
-        }
-        column = {name: values[: self._good] for name, values in columns.items()}
-        e, n, u, en, eu, nu = (column[name] for name in ("sigma_e_m", "sigma_n_m", "sigma_u_m", *_COVARIANCES))
+        self._numbers = numbers = np.empty((len(self), 3 + len(_NUMBERS)))
+        numbers[:, :3] = xyz_m
+        for name in (name for name in _COLUMNS if name != "category"):
+            start = 0
+            for block in self._checked(name):
+                numbers[start : start + len(block), 3 + _NUMBERS.index(name)] = block
+                start += len(block)
+        e, en, eu, n, nu, u = numbers[: self._good, 3:9].T
         with np.errstate(over="ignore", invalid="ignore"):
             plane = e * e * n * n - en * en
             minor = plane * u * u + 2 * en * eu * nu - e * e * nu * nu - n * n * eu * eu
@@ -204,10 +210,9 @@ class StatementRows(Sequence[ImportedFeature]):
         self._require((first <= last) & (last <= stated_ns), what)
         self._require(valid[: self._good] <= stated_ns, "valid_from is after the time of the survey")
         self.require_all()
-        others = [column[name] for name in ("object_height_m", "object_height_sigma_m", "existence_probability")]
-        self._numbers = np.column_stack([xyz_m, e * e, en, eu, n * n, nu, u * u, *others, column["observation_count"]])
         self._instants_ns = np.column_stack([first, last, valid])
         self.sigmas_m = np.column_stack([e, n, u])
+        numbers[:, [3, 6, 8]] = self.sigmas_m**2
 
     def _has_plain_times(self, name: str, found_ns: Ints) -> bool:
         """Whether Arrow reads all times of the good rows, in a tenth of the time of Python; they are put into `found_ns`."""
