@@ -100,7 +100,9 @@ def read_opendrive(path: Path) -> LineFile:
         turn, shift = _offset_of(header)
     if not lines:
         raise InputError(f"{path}: none of its roads can be used{'; ' + refused[0] if refused else ''}")
-    return LineFile([line._replace(xyz=line.xyz @ turn.T + shift) for line in lines], *_crs(header, refused))
+    if header.find("offset") is not None:
+        lines = [line._replace(xyz=line.xyz @ turn.T + shift) for line in lines]
+    return LineFile(lines, *_crs(header, refused))
 
 
 def _parts(file: XmlFile, path: Path) -> Iterator[Element]:
