@@ -29,6 +29,7 @@ from conetl.readers.base_layers.opendrive import read_opendrive
 from conetl.readers.drives.drive_yaml import read_drive_yaml
 from conetl.readers.drives.plain import Row, Rows
 from conetl.readers.maps.imported_rows import read_map_file
+from conetl.readers.maps.tables import MAX_ROWS
 from conetl.readers.plans import read_plans
 from conetl.readers.rigs import read_rig
 from conetl.readers.surveyed_points import MOST_POINTS, read_surveyed_points
@@ -38,8 +39,8 @@ from tests.unit.readers import trajectory_files as logs
 
 #: A log of a working day at 10 Hz; logs may have a hundred times as many (20 million records, 2 GiB).
 LOG_RECORDS = 300_000
-#: A register of a large city; maps may have five times as many.
-MAP_ROWS = 200_000
+#: A register of a large city, the most that one file may have.
+MAP_ROWS = MAX_ROWS
 
 
 class Case(NamedTuple):

@@ -14,8 +14,8 @@ _OF_SQLITE = b"SQLite format 3\0"
 _LAYERS = "gpkg_contents"
 
 
-def layers_of(path: Path) -> list[tuple[str, str | None]]:
-    """Names and geometry types of the layers, without views of a database that are none.
+def layers_of(path: Path) -> tuple[str, ...]:
+    """Names of the layers with geometry, without views of a database that are none.
 
     Raises InputError for a layer that is a view, whose query may take minutes or have no end, and errors of pyogrio and sqlite3.
     """
@@ -36,4 +36,5 @@ def layers_of(path: Path) -> list[tuple[str, str | None]]:
                     raise InputError(f"{path}: layer {shown(name)} is a view: save it as a table of another GeoPackage")
             elif _LAYERS in views:
                 raise InputError(f"{path}: {_LAYERS} is a view: expected the table of a GeoPackage")
-    return [(str(name), kind) for name, kind in pyogrio.list_layers(path) if str(name).lower() not in views]
+    found = pyogrio.list_layers(path)
+    return tuple(str(name) for name, kind in found if kind is not None and str(name).lower() not in views)

@@ -328,6 +328,16 @@ def test_opendrive_roads_that_are_too_many_together_are_refused(tmp_path, monkey
         read_opendrive(path)
 
 
+def test_an_opendrive_road_of_too_many_points_costs_itself(tmp_path, monkeypatch):
+    path = tmp_path / "a.xodr"
+    short = '<road id="9" length="10"><planView><geometry s="0" x="1" y="2" hdg="0" length="10"/></planView></road>'
+    path.write_text(XODR.replace("</OpenDRIVE>", f"{short}</OpenDRIVE>"))
+    monkeypatch.setattr("conetl.readers.base_layers.opendrive._MOST_ROAD_POINTS", 300)
+    found = read_opendrive(path)
+    assert [line.attributes["road"] for line in found.lines] == ["9"]
+    assert "road '1': its lines have more than 300 points, one each 1 m: split it" in found.refused
+
+
 def test_las_records_after_the_points_must_fit(tmp_path):
     path = write_las(tmp_path / "a.las", 10)
     data = bytearray(path.read_bytes())

@@ -123,7 +123,7 @@ def test_elements_behind_the_points_of_a_track_are_not_read_on(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("name", "text", "problem"),
     [
-        ("cones.csv", b"\n" * 2_000_000, "more than 1,000,000 rows"),
+        ("cones.csv", b"8.4,49,100\n" * 300_000, "more than 250,000 rows"),
         ("lanes.osm", b"<a>" * 2_000_000, "not closed"),
         ("lanes.osm", b"<nd ref='1'/>" * 200_000, "100,001 elements are no nodes or ways"),
         ("lanes.xodr", b"<a></a>" * 2_000_000, "tags in 1,000,000 bytes"),
@@ -289,3 +289,14 @@ def test_more_points_than_a_survey_has_are_refused(tmp_path: Path) -> None:
     path.write_text(f"easting,northing,height\n{rows}")
     with pytest.raises(InputError, match=r"more than 50,000 rows or .*: import it in parts"):
         read_surveyed_points(path, 25832, crs="EPSG:25832", sigma_m=0.02)
+
+
+@pytest.mark.usefixtures("limited")
+@pytest.mark.parametrize(
+    ("rows", "refusal"), [(1, "no column wkt"), (2_000, "2,000 columns in 2,001 lines: leave out")]
+)
+def test_a_table_of_permits_of_many_columns_takes_little_memory(tmp_path: Path, rows: int, refusal: str) -> None:
+    path = tmp_path / "permits.csv"
+    path.write_text("a," * 1_999 + "b\n" + "1,2\n" * rows)
+    with pytest.raises(InputError, match=refusal):
+        read_plans(path)

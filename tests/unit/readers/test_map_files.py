@@ -22,6 +22,7 @@ from conetl.readers.base_layers import georeferencing as geo
 from conetl.readers.base_layers.line_files import read_lane_lines, read_vector_file
 from conetl.readers.base_layers.lines import read_lanelet2
 from conetl.readers.base_layers.opendrive import read_opendrive
+from conetl.readers.maps.csv_text import read_csv_text
 from conetl.readers.maps.imported_rows import read_map_file
 from conetl.readers.maps.tables import read_table
 from conetl.readers.plans import read_plans
@@ -277,11 +278,11 @@ def test_a_table_across_180_degrees(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a.csv", "a.geojson", "a.osm", "a.xodr"])
 def test_a_sparse_file_is_refused_at_once(tmp_path: Path, name: str) -> None:
-    """2 GB that take no space: refused by their size. 500 MB: by their first line or block."""
+    """2 GB that take no space: refused by their size. 150 or 500 MB: by their first line or block."""
     path, read = tmp_path / name, {".osm": read_lanelet2, ".xodr": read_opendrive}.get(name[1:], imported)
     for size, words in (
-        (2 << 30, "expected at most 536,870,912"),
-        (500 << 20, "more than 1,048,576 char|cannot be read|without a tag"),
+        (2 << 30, "expected at most 167,772,160" if read is imported else "expected at most 536,870,912"),
+        (150 << 20 if read is imported else 500 << 20, "more than 1,048,576 char|cannot be read|without a tag"),
     ):
         with path.open("wb") as file:
             file.truncate(size)
@@ -297,6 +298,21 @@ def test_long_cells_take_no_time(tmp_path: Path, text: str) -> None:
     path = tmp_path / "points.csv"
     path.write_text(text)
     refused(path, "row")
+
+
+@pytest.mark.parametrize("delimiter", [",", ";"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_quotes_change_no_cell(tmp_path: Path, delimiter: str, end: str) -> None:
+    """Arrow reads a table without them, Python one with them."""
+    rows = [["Lon", "lat ", "note"], ["8.1", " 49", ""], ["", "#", "NULL"], ["8.2", "n/a", "Höhe"], ["", "", ""]]
+    for name, quoted in (("a.csv", ""), ("b.csv", '"')):
+        lines = [delimiter.join(f"{quoted}{cell}{quoted}" for cell in row) for row in rows]
+        (tmp_path / name).write_text(end.join([*lines, "", ""]), newline="")
+    plain, other = (read_csv_text(tmp_path / name, 10) for name in ("a.csv", "b.csv"))
+    assert plain.equals(other)
+    assert plain.to_pydict() == {
+        "lon": ["8.1", None, "8.2", None], "lat": ["49", "#", "n/a", None], "note": [None, "NULL", "Höhe", None],
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -334,6 +350,27 @@ def test_of_all_errors_the_first_one_of_the_first_row_counts(tmp_path: Path) -> 
         lines = [f"{458300 + 7.123 * k:.3f},{5427800 + k / 3:.3f},160,{','.join(row)}" for k, row in enumerate(rows)]
         path.write_text("\n".join([names, *lines]))
         refused(path, f"row {first}: .*{message}.*; nothing was written")
+
+
+@pytest.mark.parametrize("beside", ["2026-02-28T10:00:00Z", "2026-02-28T10:00:00", "2026/02/28 10:00"])
+@pytest.mark.parametrize(
+    ("text", "at"),
+    [
+        ("2026-03-01T10:00:00Z", 0), ("2026-03-01 10:00:00.25+00:00", 0.25), ("2026-03-01T12:00:00+02:00", 0),
+        ("2026-03-01T10:00:00", 0), ("2026-03-01T10:00:00.1234567Z", 0.123456), ("2026-03-01", -36_000), ("20260301T100000Z", 0),
+    ],
+)  # fmt: skip
+def test_times_are_read_one_by_one_as_all_at_once(tmp_path: Path, text: str, at: float, beside: str) -> None:
+    """Arrow reads most columns at once, without those of two kinds or a kind that is Python's alone."""
+    path = tmp_path / "points.csv"
+    lines = [f"{458300 + 7.123 * k:.3f},5427800.1,160,{one}" for k, one in enumerate((text, beside, ""))]
+    path.write_text("\n".join(["easting,northing,z,last_seen_at", *lines]))
+    found = read_map_file(path, ImportParams(sigma_m=0.1), crs=UTM)
+    seen_ns = [one.feature.last_seen_ns for one in found.statements]
+    start_ns = 1_772_359_200 * 10**9  # 2026-03-01 10:00
+    assert seen_ns[0] == start_ns + round(at * 1e9)
+    assert seen_ns[1] == start_ns - 86_400 * 10**9
+    assert seen_ns[2] == found.stated_at_ns == max(seen_ns[:2])
 
 
 def test_messages_have_no_control_characters(tmp_path: Path) -> None:

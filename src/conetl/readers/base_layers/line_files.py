@@ -50,14 +50,12 @@ def read_vector_file(path: Path) -> LineFile:
     refused: list[str] = []
     systems: dict[str, None] = {}
     with library_errors(f"{path}: not a file of lines that GDAL can read"):
-        for name, _ in layers_of(path):
+        for name in layers_of(path):
             if pyogrio.read_info(path, layer=name, force_feature_count=True)["features"] > MAX_LINES:
                 raise InputError(f"{path}: more than {MAX_LINES:,} features in layer {shown(name)}: import it in parts")
             meta, fids, geometries, fields = pyogrio.raw.read(
                 path, layer=name, return_fids=True, force_2d=False, datetime_as_string=True
             )
-            if geometries is None:
-                continue
             before = len(lines)
             for start in range(0, len(fids), _BATCH):
                 own = slice(start, start + _BATCH)

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from functools import partial
 from itertools import chain
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.csv as pv
 
 from conetl.files.documents import encoding_of, library_errors
 from conetl.model.errors import InputError
 
-#: Most values (rows times columns) of a map, as they are in memory; ten times those of our own exports.
-MAX_VALUES = 50_000_000
+#: Most values (rows times columns) of a map, as they are in memory.
+MAX_VALUES = 10_000_000
 #: Cells that are Python's strings at once.
-_BATCH_CELLS = 160_000
+_BATCH_CELLS = 40_000
 #: Characters of a line of a text file: no row of a map is as long.
 _MAX_LINE = 1 << 20
 #: As many as a table of PostgreSQL has.
@@ -35,33 +37,24 @@ def read_csv_text(path: Path, most_rows: int) -> pa.Table:
     with library_errors(f"{path} cannot be read as CSV", OSError, UnicodeError, csv.Error):
         with path.open("rb") as raw:
             encoding = encoding_of(iter(partial(raw.read, _MAX_LINE), b""))
+            raw.seek(0)
+            is_plain = not any(b'"' in block or b"\0" in block for block in iter(partial(raw.read, _MAX_LINE), b""))
         with path.open(encoding=encoding, newline="") as file:
             texts = _short_lines(path, file)
             header = next(texts, "")
-            header = next(texts, "") if header.lower().startswith("sep=") else header  # of Excel
+            has_mark = header.lower().startswith("sep=")  # of Excel
+            header = next(texts, "") if has_mark else header
             delimiter = max(",;\t", key=header.count)
             rows = csv.reader(chain([header], texts), strict=True, delimiter=delimiter)
             names = next(rows, [])
-            width = len(names)
-            if width > _MOST_COLUMNS:
-                raise InputError(f"{path} has {width:,} columns, expected at most {_MOST_COLUMNS:,}: leave out columns")
+            if len(names) > _MOST_COLUMNS:
+                raise InputError(
+                    f"{path} has {len(names):,} columns, expected at most {_MOST_COLUMNS:,}: leave out columns"
+                )
             schema = pa.schema([(text.strip().lower(), pa.string()) for text in names])
-            most, at_once = min(most_rows, MAX_VALUES // max(1, width)), _BATCH_CELLS // max(1, width)
-            lines: list[list[str]] = []
-            batches: list[pa.RecordBatch] = []
-            for number, line in enumerate(rows, start=1):
-                if number > most:
-                    raise too_many(path, most)
-                if not line:
-                    continue
-                if len(line) != width:
-                    raise InputError(f"{path}, row {number}: {len(line)} values where the header has {width}")
-                lines.append(line)
-                if len(lines) > at_once:
-                    batches.append(_batch(lines, schema))
-                    lines.clear()
-            batches.append(_batch(lines, schema))
-    table = pa.Table.from_batches(batches, schema)
+            most = min(most_rows, MAX_VALUES // max(1, len(names)))
+            table = _by_arrow(path, encoding, delimiter, 1 + has_mark, schema, most) if is_plain and names else None
+            table = _by_python(path, rows, schema, most) if table is None else table
     if delimiter == ",":
         return table
     return pa.table([_with_decimal_points(column) for column in table.columns], schema=schema)
@@ -77,9 +70,52 @@ def _short_lines(path: Path, file: TextIO) -> Iterator[str]:
         yield line
 
 
-def _batch(lines: list[list[str]], schema: pa.Schema) -> pa.RecordBatch:
-    """Rows of a CSV file, None for empty cells."""
-    columns = zip(*lines, strict=True) if lines else ((),) * len(schema)
+def _by_arrow(path: Path, encoding: str, delimiter: str, skipped: int, schema: pa.Schema, most: int) -> pa.Table | None:
+    """The rows of a file without quotes in a tenth of the time of Python; None where one of them is wrong, or there is none."""
+    names = [str(number) for number in range(len(schema))]
+    batches: list[pa.RecordBatch] = []
+    with suppress(pa.ArrowInvalid):
+        found = pv.open_csv(
+            path,
+            pv.ReadOptions(
+                use_threads=False,
+                skip_rows=skipped,
+                column_names=names,
+                encoding={"utf-8-sig": "utf8"}.get(encoding, encoding),
+            ),
+            pv.ParseOptions(delimiter=delimiter, quote_char=False),
+            pv.ConvertOptions(column_types=dict.fromkeys(names, pa.string())),
+        )
+        for batch in found:
+            batches.append(_batch(batch.columns, schema))
+            most -= batch.num_rows
+            if most < 0:
+                raise too_many(path, most + sum(one.num_rows for one in batches))
+        return pa.Table.from_batches(batches, schema)
+    return None
+
+
+def _by_python(path: Path, rows: Iterable[list[str]], schema: pa.Schema, most: int) -> pa.Table:
+    """Raises InputError naming a row with more or fewer values than the header."""
+    lines: list[list[str]] = []
+    batches: list[pa.RecordBatch] = []
+    for number, line in enumerate(rows, start=1):
+        if number > most:
+            raise too_many(path, most)
+        if not line:
+            continue
+        if len(line) != len(schema):
+            raise InputError(f"{path}, row {number}: {len(line)} values where the header has {len(schema)}")
+        lines.append(line)
+        if len(lines) * len(schema) > _BATCH_CELLS:
+            batches.append(_batch(zip(*lines, strict=True), schema))
+            lines.clear()
+    batches.append(_batch(zip(*lines, strict=True) if lines else ((),) * len(schema), schema))
+    return pa.Table.from_batches(batches, schema)
+
+
+def _batch(columns: Iterable[Any], schema: pa.Schema) -> pa.RecordBatch:
+    """Columns of text, None for empty cells."""
     texts = [pc.utf8_trim_whitespace(pa.array(column, pa.string())) for column in columns]
     return pa.record_batch([pc.if_else(pc.equal(column, ""), None, column) for column in texts], schema=schema)
 

@@ -9,11 +9,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import lru_cache
-from itertools import chain, repeat
+from itertools import chain, islice, repeat
 from typing import Annotated, Any
 from uuid import UUID, uuid5
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, FailFast, Field, TypeAdapter, ValidationError
 
 from conetl.files.documents import expectation, shown
@@ -31,6 +33,8 @@ _NAMESPACE = UUID("5f0f6f0a-1c1b-4a53-9d0e-3c7a4a5be9a1")
 EARLIEST_NS = 946_684_800_000_000_000
 #: In place of the time of an empty cell.
 NO_TIME = -(2**63)
+#: Cells that are Python's values at once.
+_BLOCK = 20_000
 #: Other English and German names of classes, in the spelling of `_checked_category`.
 _SYNONYMS = {
     **dict.fromkeys(("cone", "pylon", "pylone", "leitkegel", "verkehrsleitkegel", "verkehrskegel"), CONE),
@@ -74,6 +78,11 @@ _COLUMNS: dict[str, TypeAdapter[list[Any]]] = {
         **dict.fromkeys(_COVARIANCES, float),
     }.items()
 }
+#: Of a row, behind its position: those of the covariance as in `MapFeature`, whose variances take the place of the sigmas.
+_NUMBERS = (
+    "sigma_e_m", "cov_en_m2", "cov_eu_m2", "sigma_n_m", "cov_nu_m2", "sigma_u_m", "object_height_m", "object_height_sigma_m",
+    "existence_probability", "observation_count",
+)  # fmt: skip
 #: Names of columns before 0.3.
 _FORMER_NAMES = {"object_height_m": "height_m", "object_height_sigma_m": "height_sigma_m"}
 
@@ -144,22 +153,23 @@ class StatementRows(Sequence[ImportedFeature]):
             return repeat(None, self._good)
         return chain.from_iterable(chunk.to_pylist() for chunk in columns[name][: self._good].iterchunks())
 
-    def _checked(self, name: str) -> list[Any]:
-        """Values of the good rows, the default for empty cells."""
-        names = {name, _FORMER_NAMES.get(name)} & self.table.columns.keys()
-        default = self._defaults[name]
-        try:
-            if not names:
-                return _COLUMNS[name].validate_python([default][: self._good]) * self._good
-            values = self._cells(name)
-            if _FORMER_NAMES.get(name) in names:
-                former = self._cells(_FORMER_NAMES[name])
-                values = (old if value is None else value for value, old in zip(values, former, strict=True))
-            return _COLUMNS[name].validate_python([default if value is None else value for value in values])
-        except ValidationError as error:
-            first = error.errors()[0]
-            self._fail(int(first["loc"][0]), f"{name} is {first['input']!r:.100}, {expectation(first)}")
-            return self._checked(name)
+    def _checked(self, name: str) -> Iterator[list[Any]]:
+        """Values of the good rows in blocks, the default for empty cells; up to the first one that is wrong."""
+        default, former = self._defaults[name], _FORMER_NAMES.get(name)
+        validate = _COLUMNS[name].validate_python
+        values = self._cells(name)
+        if former in self.table.columns:
+            values = (old if value is None else value for value, old in zip(values, self._cells(former), strict=True))
+        for start in range(0, self._good, _BLOCK):
+            block = [default if value is None else value for value in islice(values, _BLOCK)]
+            try:
+                yield validate(block)
+            except ValidationError as error:
+                first = error.errors()[0]
+                at = int(first["loc"][0])
+                self._fail(start + at, f"{name} is {first['input']!r:.100}, {expectation(first)}")
+                yield validate(block[:at])
+                return
 
     def _require_ids(self) -> None:
         first: dict[UUID, int] = {}
@@ -178,10 +188,15 @@ class StatementRows(Sequence[ImportedFeature]):
         """Raises InputError. xyz_m: (N, 3) in the map's CRS; seen_ns: `last_seen_at`."""
         self._require_ids()
         self.require_all()
-        self.categories, self._sha256 = self._checked("category"), sha256
-        columns = {name: np.array(self._checked(name), np.float64) for name in _COLUMNS if name != "category"}
-        column = {name: values[: self._good] for name, values in columns.items()}
-        e, n, u, en, eu, nu = (column[name] for name in ("sigma_e_m", "sigma_n_m", "sigma_u_m", *_COVARIANCES))
+        self.categories, self._sha256 = list(chain.from_iterable(self._checked("category"))), sha256
+        self._numbers = numbers = np.empty((len(self), 3 + len(_NUMBERS)))
+        numbers[:, :3] = xyz_m
+        for name in (name for name in _COLUMNS if name != "category"):
+            start = 0
+            for block in self._checked(name):
+                numbers[start : start + len(block), 3 + _NUMBERS.index(name)] = block
+                start += len(block)
+        e, en, eu, n, nu, u = numbers[: self._good, 3:9].T
         with np.errstate(over="ignore", invalid="ignore"):
             plane = e * e * n * n - en * en
             minor = plane * u * u + 2 * en * eu * nu - e * e * nu * nu - n * n * eu * eu
@@ -195,15 +210,32 @@ class StatementRows(Sequence[ImportedFeature]):
         self._require((first <= last) & (last <= stated_ns), what)
         self._require(valid[: self._good] <= stated_ns, "valid_from is after the time of the survey")
         self.require_all()
-        others = [column[name] for name in ("object_height_m", "object_height_sigma_m", "existence_probability")]
-        self._numbers = np.column_stack([xyz_m, e * e, en, eu, n * n, nu, u * u, *others, column["observation_count"]])
         self._instants_ns = np.column_stack([first, last, valid])
         self.sigmas_m = np.column_stack([e, n, u])
+        numbers[:, [3, 6, 8]] = self.sigmas_m**2
+
+    def _has_plain_times(self, name: str, found_ns: Ints) -> bool:
+        """Whether Arrow reads all times of the good rows, in a tenth of the time of Python; they are put into `found_ns`."""
+        columns = self.table.columns
+        if name not in columns or f"{name}_us" in columns or pa.types.is_integer(columns[name].type):
+            return False
+        values = columns[name][: self._good]
+        for zone in ("UTC", None):
+            with suppress(pa.ArrowInvalid, pa.ArrowNotImplementedError):
+                micros = values.cast(pa.timestamp("us", zone)).cast(pa.int64()).drop_null()
+                ends = pc.min_max(micros).as_py().values()
+                if len(micros) and any(clock_problem(end * 1000, EARLIEST_NS) for end in ends):
+                    return False
+                found_ns[values.is_valid().to_numpy()] = 1000 * micros.to_numpy()
+                return True
+        return False
 
     def instants_ns(self, name: str, default_ns: Ints | None = None) -> Ints:
         """UTC nanoseconds of the good rows, in empty cells the default; `name`_us (microseconds since 1970) is exact where a
         format's own times are not."""
         found = np.full(self._good, NO_TIME) if default_ns is None else default_ns[: self._good].copy()
+        if self._has_plain_times(name, found):
+            return found
         given = {name, f"{name}_us"} & self.table.columns.keys()
         for index, (micros, value) in enumerate(
             zip(self._cells(f"{name}_us"), self._cells(name), strict=True) if given else ()
@@ -217,6 +249,7 @@ class StatementRows(Sequence[ImportedFeature]):
         return found[: self._good]
 
 
+@lru_cache(maxsize=10_000)
 def _instant_ns(name: str, micros: Any, value: Any) -> int:
     """UTC nanoseconds of a cell, of the first one if both have a value. Raises ValueError."""
     if micros is not None:
@@ -226,17 +259,11 @@ def _instant_ns(name: str, micros: Any, value: Any) -> int:
         time_ns = int(micros) * 1000
     else:
         try:
-            time_ns = _time_ns(value if isinstance(value, datetime) else str(value))
+            # 2026/03/02, as some programs write it
+            stated = value if isinstance(value, datetime) else datetime.fromisoformat(str(value).replace("/", "-"))
+            time_ns = ns_from_utc(stated if stated.tzinfo else stated.replace(tzinfo=UTC))  # UTC without an offset
         except (ValueError, OverflowError):
             raise ValueError(f"{name} is {shown(value)}, expected a time like 2026-03-02T10:00:00Z") from None
     if problem := clock_problem(time_ns, EARLIEST_NS):
         raise ValueError(f"{name}, {shown(value)}, {problem}")
     return time_ns
-
-
-@lru_cache(maxsize=10_000)
-def _time_ns(stated: datetime | str) -> int:
-    """UTC nanoseconds of a time, UTC unless it states an offset. Raises ValueError, OverflowError."""
-    # 2026/03/02, as some programs write it
-    instant = stated if isinstance(stated, datetime) else datetime.fromisoformat(stated.replace("/", "-"))
-    return ns_from_utc(instant if instant.tzinfo else instant.replace(tzinfo=UTC))

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 import shapely
 from pyproj import CRS
 
-from conetl.files.documents import input_errors, library_errors, require_few_features, shown
+from conetl.files.documents import input_errors, library_errors, require_few_features, require_size, shown
 from conetl.geometry.geodesy import ELLIPSOIDAL
 from conetl.model.arrays import Floats
 from conetl.model.errors import InputError
@@ -31,11 +31,13 @@ from conetl.readers.base_layers.georeferencing import geometries_of, height_unit
 from conetl.readers.maps.csv_text import MAX_VALUES, read_csv_text, too_many
 from conetl.readers.vector_layers import layers_of
 
-#: Larger files are not cone maps and do not fit into memory.
-MAX_ROWS = 1_000_000
+#: The register of a large city has as many signs; all rows are in memory, to be imported at once or not at all.
+MAX_ROWS = 250_000
+#: Of text, which is in memory: of as many rows with all columns of our own exports.
+_MAX_TEXT_BYTES = 160 << 20
 #: Largest uncompressed size.
 MAX_BYTES = 2 << 30
-TEXT_SUFFIXES = (".csv", ".geojson", ".json")
+_GEOJSON = (".geojson", ".json")
 _BATCH = 20_000
 #: GEOS's numbers of the types of points and multi-points.
 _POINTS = (0, 4)
@@ -106,7 +108,9 @@ def read_table(path: Path, layer: str | None = None, *, most_rows: int = MAX_ROW
         size = path.stat().st_size
     if not path.is_file() or size == 0:
         raise InputError(f"{path} is {'empty' if path.is_file() else 'not a file'}: nothing to import")
-    if path.suffix.lower() in TEXT_SUFFIXES:
+    if path.suffix.lower() in (".csv", *_GEOJSON):
+        require_size(path, _MAX_TEXT_BYTES)
+    if path.suffix.lower() in _GEOJSON:
         require_few_features(path, most_rows)
     if layer is not None and reader is not read_vector:
         raise InputError(f"{path}: has no layers: leave out --layer")
@@ -122,9 +126,11 @@ def _read_vector(most_rows: int, path: Path, layer: str | None) -> MapTable:
     if path.suffix.lower() == ".fgb":
         _check_flatgeobuf_header(path)
     with library_errors(f"{path} cannot be read as a map"):
-        layers = tuple(name for name, kind in layers_of(path) if kind is not None)
+        # GDAL reads a whole text for its layers, and again for the facts of one.
+        info = pyogrio.read_info(path) if layer is None and path.suffix.lower() in _GEOJSON else {}
+        layers = (info["layer_name"],) if str(info.get("driver")).startswith("GeoJSON") else layers_of(path)
         layer = _choose_layer(path, layers, layer)
-        info = pyogrio.read_info(path, layer=layer)
+        info = info or pyogrio.read_info(path, layer=layer)
         _check_claim(path, info["features"], "features", len(info["fields"]), most_rows)
         with input_errors(path):
             crs = None if info["crs"] is None else parse_crs(info["crs"])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,12 @@ from lxml import etree
 from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
-from conetl.files.documents import XmlFile, first_message, input_errors, library_errors, shown
+from conetl.files.documents import shown
 from conetl.files.names import printable
 from conetl.model.errors import InputError
-from conetl.model.planned_zones import NotAPlanError, PlanFile, PlannedZone, UnusedRecord
+from conetl.model.planned_zones import NotAPlanError, PlanFile, PlannedZone
+from conetl.readers.plans.national_highways import Element, elements_of
+from conetl.readers.plans.wzdx import used_and_unused
 
 _WORKS = frozenset({"MaintenanceWorks", "ConstructionWorks"})
 _LANES = "RoadOrCarriagewayOrLaneManagement"
@@ -39,8 +40,6 @@ _WITHOUT_COORDINATES = frozenset(
         "predefinedLocationReference", "externalReferencing",
     }
 )  # fmt: skip
-#: An element of lxml, which has no types.
-Element = Any
 Positions = tuple[tuple[float, float], ...]
 
 
@@ -49,45 +48,24 @@ def read_datex2(path: Path) -> PlanFile:
 
     Of several versions of a record the last one is used. Raises InputError for a file that is not XML or holds no situations.
     """
-    zones: dict[str, PlannedZone] = {}
-    unused: list[UnusedRecord] = []
-    for situation in _situations(path):
-        records = situation.findall("{*}situationRecord")
-        has_works = any(_kind(record) in _WORKS for record in records)
-        for record in records:
-            name = printable(f"situation {situation.get('id', '')}, record {record.get('id', '')}")
-            try:
-                zone = _zone(situation, record, has_works)
-            except ValueError as error:
-                broken = not isinstance(error, NotAPlanError)
-                unused.append(UnusedRecord(name, printable(first_message(error)), broken))
-                continue
-            earlier = zones.pop(zone.plan_id, None)
-            if earlier is not None:
-                zone, earlier = sorted((earlier, zone), key=attrgetter("order"))[::-1]
-                unused.append(
-                    UnusedRecord(name, f"version {earlier.version} is replaced by version {zone.version}", False)
-                )
-            zones[zone.plan_id] = zone
-    return PlanFile(tuple(zones.values()), tuple(unused))
+    records = (
+        (situation, record, any(_kind(one) in _WORKS for one in situation.findall("{*}situationRecord")))
+        for situation in _situations(path)
+        for record in situation.findall("{*}situationRecord")
+    )
+    return used_and_unused(records, lambda one: _zone(*one), name_of=_name)
+
+
+def _name(one: tuple[Element, Element, bool]) -> str:
+    return printable(f"situation {one[0].get('id', '')}, record {one[1].get('id', '')}")
 
 
 def _situations(path: Path) -> Iterator[Element]:
-    """One after another; the document is not kept in memory."""
-    not_xml = library_errors(f"{path}: is not XML", etree.XMLSyntaxError, hint="; expected DATEX II")
-    with not_xml, input_errors(path), XmlFile(path) as file:
-        found = etree.iterparse(file, tag="{*}situation", resolve_entities=False, no_network=True)
-        count = 0
-        for count, (_, situation) in enumerate(found, 1):  # noqa: B007 -- used after the loop
-            yield situation
-            situation.clear()
-            while situation.getprevious() is not None:
-                del situation.getparent()[0]
-    root = found.root
+    root = yield from elements_of(path, "{*}situation", "DATEX II")
     if "datex2.eu" not in (etree.QName(root).namespace or ""):
         raise InputError(f"{path}: its root is {shown(root.tag)}, expected DATEX II")
     kinds = [_kind(one) for one in root.iter("{*}payload", "{*}payloadPublication")]
-    if count == 0 and "SituationPublication" not in kinds:
+    if root.find(".//{*}situation") is None and "SituationPublication" not in kinds:
         raise InputError(f"{path}: holds {', '.join(kinds) or 'no publication'}, expected a SituationPublication")
 
 

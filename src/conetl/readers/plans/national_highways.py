@@ -7,7 +7,7 @@ those of London without an offset. The place is the middle of the works in the B
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Generator
 from datetime import datetime
 from functools import cache
 from pathlib import Path
@@ -50,21 +50,24 @@ def is_planned_works(path: Path) -> bool:
 
 def read_planned_works(path: Path) -> PlanFile:
     """Planned zones of a list, in its order, and why each other record is not used. Raises InputError if there is no record."""
-    found = used_and_unused(_records(path), _zone, "works")
+    found = used_and_unused(elements_of(path, _RECORDS, "planned works"), _zone, "works")
     if not found.zones and not found.unused:
         raise InputError(f"{path}: holds no planned works, expected elements ha_planned_works or HE_PLANNED_WORKS")
     return found
 
 
-def _records(path: Path) -> Iterator[Element]:
-    """One after another; the document is not kept in memory."""
-    not_xml = library_errors(f"{path}: is not XML", etree.XMLSyntaxError, hint="; expected planned works")
+def elements_of(path: Path, tag: str | tuple[str, ...], what: str) -> Generator[Element, None, Element]:
+    """The elements of an XML file with this tag, one after another; only the last one, and the root that is returned, are in
+    memory. Raises InputError."""
+    not_xml = library_errors(f"{path}: is not XML", etree.XMLSyntaxError, hint=f"; expected {what}")
     with not_xml, input_errors(path), XmlFile(path) as file:
-        for _, record in etree.iterparse(file, tag=_RECORDS, resolve_entities=False, no_network=True):
+        found = etree.iterparse(file, tag=tag, resolve_entities=False, no_network=True)
+        for _, record in found:
             yield record
             record.clear()
             while record.getprevious() is not None:
                 del record.getparent()[0]
+    return found.root
 
 
 def _zone(record: Element) -> PlannedZone:

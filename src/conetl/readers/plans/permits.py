@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from zoneinfo import ZoneInfo
 
 import numpy as np
+import pyogrio
 import pyogrio.raw
 import shapely
 from pyproj import Transformer
@@ -38,6 +39,8 @@ _COLUMNS = {
     "description": ("description", "comment", "remarks"),
     "source": ("source", "authority", "applicant"),
 }
+#: Rows times columns of a table.
+_MOST_VALUES = 2_000_000
 _DATE = re.compile(r"\d{4}[-/]\d\d[-/]\d\d")
 _LISTS = frozenset({"lanes", "road_names"})
 #: Of GDAL: names of the columns of positions in CSV files, which it keeps: 3.12 dies where it drops one of two of a name.
@@ -146,13 +149,18 @@ def _read_by_gdal(path: Path) -> tuple[list[tuple[dict[str, Any], bytes | None]]
     is_table = path.suffix.lower() == ".csv"
     rows: list[tuple[dict[str, Any], bytes | None]] = []
     systems = set()
+    most_rows = MOST_RECORDS
     with library_errors(f"{path}: not a file that GDAL can read"):
-        layers = [None] if is_table else [name for name, kind in layers_of(path) if kind is not None]
-        for layer in layers:
+        if is_table:
+            most_rows = min(most_rows, sum(map(path.read_bytes().count, (b"\n", b"\r"))))
+            count = len(pyogrio.read_info(path)["fields"])
+            if count * most_rows > _MOST_VALUES:
+                raise InputError(f"{path} has {count:,} columns in {most_rows:,} lines: leave out columns")
+        for layer in (None,) if is_table else layers_of(path):
             meta, _, geometries, fields = pyogrio.raw.read(
                 path,
                 layer=layer,
-                max_features=MOST_RECORDS + 1,
+                max_features=most_rows + 1,  # memory is reserved for so many
                 datetime_as_string=True,
                 force_2d=True,
                 **(_CSV if is_table else {}),

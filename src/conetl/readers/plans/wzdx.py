@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -64,17 +65,22 @@ def features_of(path: Path, document: Any) -> list[Any]:
     return features
 
 
-def used_and_unused(records: Iterable[Any], zone: Callable[[Any], PlannedZone], noun: str = "feature") -> PlanFile:
+def used_and_unused(
+    records: Iterable[Any],
+    zone: Callable[[Any], PlannedZone],
+    noun: str = "feature",
+    name_of: Callable[[Any], str] | None = None,
+) -> PlanFile:
     """Each record as a planned zone, or named with the reason; of several versions of a plan the newest is used.
 
-    Raises ValueError for more than MOST_RECORDS.
+    name_of: of a record, where it has more than a number. Raises ValueError for more than MOST_RECORDS.
     """
     zones: dict[str, PlannedZone] = {}
     unused = []
     for number, record in enumerate(records, 1):
         if number > MOST_RECORDS:
             raise ValueError(f"more than {MOST_RECORDS:,} {noun}s: import it in parts")
-        name = f"{noun} {number}"
+        name = f"{noun} {number}" if name_of is None else name_of(record)
         try:
             made = zone(record)
             if (positions := sum(map(len, made.parts))) > MOST_POSITIONS:
@@ -88,8 +94,11 @@ def used_and_unused(records: Iterable[Any], zone: Callable[[Any], PlannedZone], 
             continue
         earlier = zones.pop(made.plan_id, None)
         if earlier is not None:
-            unused.append(UnusedRecord(f"{name} ({printable(made.plan_id)})", "the file has this plan twice", False))
-            made = made if made.order >= earlier.order else earlier
+            older, made = sorted((earlier, made), key=attrgetter("order"))
+            text = f"version {older.version} is replaced by version {made.version}"
+            if name_of is None:
+                name, text = f"{name} ({printable(made.plan_id)})", "the file has this plan twice"
+            unused.append(UnusedRecord(name, text, False))
         zones[made.plan_id] = made
     return PlanFile(tuple(zones.values()), tuple(unused))
 
