@@ -123,7 +123,7 @@ def test_elements_behind_the_points_of_a_track_are_not_read_on(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("name", "text", "problem"),
     [
-        ("cones.csv", b"8.4,49,100\n" * 300_000, "more than 250,000 rows"),
+        ("cones.csv", b"8.4,49,100\n" * 1_100_000, "more than 1,000,000 rows"),
         ("lanes.osm", b"<a>" * 2_000_000, "not closed"),
         ("lanes.osm", b"<nd ref='1'/>" * 200_000, "100,001 elements are no nodes or ways"),
         ("lanes.xodr", b"<a></a>" * 2_000_000, "tags in 1,000,000 bytes"),

@@ -18,7 +18,7 @@ from conetl.files.documents import encoding_of, library_errors
 from conetl.model.errors import InputError
 
 #: Most values (rows times columns) of a map, as they are in memory.
-MAX_VALUES = 10_000_000
+MAX_VALUES = 50_000_000
 #: Cells that are Python's strings at once.
 _BATCH_CELLS = 40_000
 #: Characters of a line of a text file: no row of a map is as long.

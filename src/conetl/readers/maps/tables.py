@@ -31,10 +31,8 @@ from conetl.readers.base_layers.georeferencing import geometries_of, height_unit
 from conetl.readers.maps.csv_text import MAX_VALUES, read_csv_text, too_many
 from conetl.readers.vector_layers import layers_of
 
-#: The register of a large city has as many signs; all rows are in memory, to be imported at once or not at all.
-MAX_ROWS = 250_000
-#: Of text, which is in memory: of as many rows with all columns of our own exports.
-_MAX_TEXT_BYTES = 160 << 20
+#: All rows are in memory, to be imported at once or not at all.
+MAX_ROWS = 1_000_000
 #: Largest uncompressed size.
 MAX_BYTES = 2 << 30
 _GEOJSON = (".geojson", ".json")
@@ -108,8 +106,8 @@ def read_table(path: Path, layer: str | None = None, *, most_rows: int = MAX_ROW
         size = path.stat().st_size
     if not path.is_file() or size == 0:
         raise InputError(f"{path} is {'empty' if path.is_file() else 'not a file'}: nothing to import")
-    if path.suffix.lower() in (".csv", *_GEOJSON):
-        require_size(path, _MAX_TEXT_BYTES)
+    if path.suffix.lower() == ".csv":
+        require_size(path)
     if path.suffix.lower() in _GEOJSON:
         require_few_features(path, most_rows)
     if layer is not None and reader is not read_vector:
