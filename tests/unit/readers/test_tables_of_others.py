@@ -163,7 +163,7 @@ def test_units_in_a_row_of_their_own(units: list[str], tmp_path: Path) -> None:
 
 def test_an_unknown_unit_in_a_row_is_refused(tmp_path: Path) -> None:
     lines = ["tow,week,lat,lon,height", "s,week,deg,deg,ft", "292518.0,2300,49,8,110"]
-    with pytest.raises(InputError, match="unit ft is not supported"):
+    with pytest.raises(InputError, match="unit 'ft' is not supported"):
         read_trajectory(files.write(tmp_path, "a.csv", lines))
 
 

@@ -263,7 +263,7 @@ def test_dates_and_times_in_two_columns(names: str, tmp_path: Path) -> None:
         (["time,lat,lon,h", "1707297300,49,8,110"], {"frame": "ITRF2020"}, "belong together"),
         (["time,lat,lon,h", "1707297300,49,8,110"], {"frame": "ITRF2020", "map_frame": "JGD2011"}, "no transformation"),
         (["time,lat,lon,h", "1707297300,49,8,110"], {"frame": "ITRS", "map_frame": "ETRF2000"}, "frame: 'ITRS' is not known"),
-        (["time,lat,lon,height_ft", "1707297300,49,8,110"], {}, "unit ft"),
+        (["time,lat,lon,height_ft", "1707297300,49,8,110"], {}, "unit 'ft'"),
         (["time,lat,lon,alt", "1707297300,49,8,110"], {"columns": {"lat": "Lat"}}, "has no column 'Lat', which"),
         (["time,lat,lon,alt", "1707297300,49,8,110"], {"columns": {"latt": "lat"}}, "'latt' is unknown"),
         (["time,lat,lon", "1707297300,49,8"], {"format": "table"}, "no column for 'height'"),
