@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import pyogrio
 import pyogrio.raw
 import rosbags.highlevel.anyreader
 import rosbags.serde.cdr
@@ -65,6 +66,8 @@ from tests.unit.readers import test_rig_formats as rig_files
 from tests.unit.readers import test_rig_kinds as rig_kinds
 from tests.unit.readers import trajectory_files
 
+#: GeoPackages state when they were written.
+pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": "2026-03-02T10:00:00.000Z"})
 WIDTH, HEIGHT = 96, 32
 FRAMES = 4
 SIDE_FILES = ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt")
