@@ -30,8 +30,8 @@ from conetl.pipeline.settings import SERVER_AUTH, prefect_login, prefect_server_
 from conetl.services import processes
 
 _START_TIMEOUT_S = 180
-#: Services that a server of one command does not need: schedules, late and paused runs, automations.
-NOT_NEEDED = {
+#: Settings without the services that a server of one command does not need: schedules, late and paused runs, automations.
+SERVICES_OFF = {
     f"PREFECT_SERVER_SERVICES_{name}_ENABLED": "false"
     for name in ("SCHEDULER", "LATE_RUNS", "FOREMAN", "PAUSE_EXPIRATIONS", "REPOSSESSOR", "TRIGGERS")
 }
@@ -89,7 +89,7 @@ def _start_once(home: Path) -> processes.Service:
         probe.bind(("127.0.0.1", 0))
         port = int(probe.getsockname()[1])
     address = f"http://127.0.0.1:{port}"
-    environment = {**NOT_NEEDED, **os.environ, **prefect_server_environment(home, address)}
+    environment = {**SERVICES_OFF, **os.environ, **prefect_server_environment(home, address)}
     server = processes.start_service(
         "prefect-command", processes.server_command("127.0.0.1", port), home=home, environment=environment, address=address,
         die_with_parent=True,

@@ -1,4 +1,4 @@
-"""What readers made of a file, as lines of text: see `tests/integration/recorded_text.py`."""
+"""What readers made of a file, as lines of text: see `tests/recorded_text.py`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pyarrow as pa
 import shapely
 from pydantic import BaseModel
 
-from tests.integration.recorded_text import differences, lines_of
+from tests.recorded_text import differences, lines_of
 
 #: Of longer arrays: the shape, some values and sums.
 _MOST_VALUES, _SHOWN = 48, 6

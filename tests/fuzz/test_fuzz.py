@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from tests import recorded_text
 from tests.fuzz.fuzz_readers import run_case, valid_files
 from tests.fuzz.outcomes import case_lines, result_lines
 from tests.fuzz.readers import READERS
-from tests.integration import recorded_text
 
 FOLDER = Path(__file__).with_name("recorded")
 CASES = 16
@@ -36,6 +36,7 @@ FOUND = {
 def test_files_are_read_as_recorded_and_mutated_ones_within_limits(name: str, tmp_path: Path) -> None:
     valid = valid_files(READERS[name], tmp_path)
     whole = result_lines(valid.found, tmp_path)
+    path = FOLDER / f"{name}.txt"
     digest = hashlib.sha256(b"".join(valid.files.values())).hexdigest()
     entries = {"files": [digest[:16]], "valid": whole}
     for case in (*range(CASES), *FOUND.get(name, ())):
@@ -43,8 +44,8 @@ def test_files_are_read_as_recorded_and_mutated_ones_within_limits(name: str, tm
         assert outcome.problem is None, f"case {case}"
         entries[f"case {case}"] = case_lines(outcome.found, whole, tmp_path)
     if os.environ.get("CONETL_RENEW_RECORDED"):
-        recorded_text.write(name, entries, FOLDER)
-    known = recorded_text.recorded(name, FOLDER)
+        recorded_text.write(path, entries)
+    known = recorded_text.recorded(path)
     if known.get("files") != entries["files"]:  # another processor rounds their last digits, which mutations move
         entries = {"valid": whole}
     apart = {entry: recorded_text.differences(known.get(entry, []), lines) for entry, lines in entries.items()}

@@ -21,7 +21,7 @@ from conetl.model.errors import ConetlError
 from conetl.model.map_records import MapFeature
 from conetl.pipeline.settings import prefect_environment, prefect_login, prefect_server_environment
 from conetl.services import processes
-from flows.server import NOT_NEEDED
+from flows.server import SERVICES_OFF
 from tests import command
 from tests.conftest import run_home
 from tests.integration.drives_of_days import failed_audits
@@ -80,7 +80,7 @@ def prefect(pytestconfig: pytest.Config) -> dict[str, str]:
         if server is None:
             port = command.free_port()
             address = f"http://127.0.0.1:{port}"
-            ours = prefect_server_environment(home, address) | NOT_NEEDED | QUIET
+            ours = prefect_server_environment(home, address) | SERVICES_OFF | QUIET
             server = processes.start_service(
                 "prefect", processes.server_command("127.0.0.1", port), home=home, address=address,
                 environment=command.environment_of(PREFECT_HOME=home / "prefect", **ours),

@@ -29,8 +29,8 @@ from mcap.reader import make_reader
 
 from conetl.db.connection import Connection, address, connect, execute, query
 from conetl.geometry.geodesy import to_geodetic
+from tests import recorded_text as text
 from tests.conftest import cloned_database
-from tests.integration import recorded_text as text
 from tests.integration import rich_map
 from tests.integration.conftest import command_line, outcome
 from tests.integration.drives_of_days import DAY_NS
@@ -456,16 +456,20 @@ def rich(cluster_url: str, template_database: str, tmp_path_factory: pytest.Temp
             yield Rich(url, folder, words, names, client, environment)
 
 
+def file_of(group: str) -> Path:
+    return Path(__file__).with_name("recorded") / f"{group}.txt"
+
+
 def compare(group: str, name: str, rich: Rich, found: Sequence[str]) -> None:
     """Fails with what differs from the record, or renews it."""
     lines = [rich.names.apply(line) for line in found]
     if "CONETL_RENEW_RECORDED" in os.environ:
         order = {one: number for number, one in enumerate(TABLES[group])}
-        entries = {one: kept for one, kept in text.recorded(group).items() if one in order} | {name: lines}
-        text.write(group, dict(sorted(entries.items(), key=lambda item: order[item[0]])))
+        entries = {one: kept for one, kept in text.recorded(file_of(group)).items() if one in order} | {name: lines}
+        text.write(file_of(group), dict(sorted(entries.items(), key=lambda item: order[item[0]])))
         return
-    assert name in text.recorded(group), "not recorded yet: CONETL_RENEW_RECORDED=1"
-    if told := text.differences(text.recorded(group)[name], lines):
+    assert name in text.recorded(file_of(group)), "not recorded yet: CONETL_RENEW_RECORDED=1"
+    if told := text.differences(text.recorded(file_of(group))[name], lines):
         pytest.fail(f"{name}\n" + "\n".join(told), pytrace=False)
 
 
@@ -611,7 +615,7 @@ TABLES: dict[str, list[str]] = {
 
 def test_the_record_holds_what_the_tables_ask() -> None:
     for group, entries in TABLES.items():
-        assert len(set(entries)) == len(entries) and (not entries or [*text.recorded(group)] == entries), group
+        assert len(set(entries)) == len(entries) and (not entries or [*text.recorded(file_of(group))] == entries), group
 
 
 def test_what_was_recorded_is_what_the_tables_say(rich: Rich, tmp_path: Path) -> None:

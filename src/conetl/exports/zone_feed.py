@@ -124,8 +124,8 @@ def description_of(zone: WorkZone, state: ZoneState, params: WorkZoneParams) -> 
     """Devices, length, time of the last survey, and what is known of the end, in one sentence."""
     count = len(zone.layout.cones)
     length = float(zone.layout.stations_m[-1] - zone.layout.stations_m[0])
-    devices = "cones" if all(cone.category == CONE for cone in zone.layout.cones) else "devices"
-    what = f"{count} {devices if count != 1 else devices[:-1]}"
+    noun = "cone" if all(cone.category == CONE for cone in zone.layout.cones) else "device"
+    what = f"{count} {noun}{'' if count == 1 else 's'}"
     known = f"{what} over {length:.0f} m, last surveyed by vehicle at {iso_seconds(state.surveyed)}"
     if zone.history.merged_into is not None:
         return f"{known}; now part of work zone {zone.history.merged_into}."

@@ -74,6 +74,7 @@ def _by_arrow(path: Path, encoding: str, delimiter: str, skipped: int, schema: p
     """The rows of a file without quotes in a tenth of the time of Python; None where one of them is wrong, or there is none."""
     names = [str(number) for number in range(len(schema))]
     batches: list[pa.RecordBatch] = []
+    rows = 0
     with suppress(pa.ArrowInvalid):
         found = pv.open_csv(
             path,
@@ -88,9 +89,9 @@ def _by_arrow(path: Path, encoding: str, delimiter: str, skipped: int, schema: p
         )
         for batch in found:
             batches.append(_batch(batch.columns, schema))
-            most -= batch.num_rows
-            if most < 0:
-                raise too_many(path, most + sum(one.num_rows for one in batches))
+            rows += batch.num_rows
+            if rows > most:
+                raise too_many(path, most)
         return pa.Table.from_batches(batches, schema)
     return None
 

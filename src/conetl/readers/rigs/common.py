@@ -187,19 +187,21 @@ class Node(NamedTuple):
 
         fisheye: they are k1, k2, k3, k4 of the equidistant model.
         """
-        model: LensModel = "fisheye"
-        values = self.numbers((4,) if fisheye else None).tolist()
-        if not fisheye:
-            if len(values) not in (0, 4, 5, 8, 12, 14):
-                raise self.bad(f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
-            if any(values[8:]):
-                raise self.bad(
-                    "holds thin-prism or tilt coefficients, which conetl does not model; calibrate without them"
-                )
-            values = (values + [0.0] * 8)[:8]
-            model = (
-                "rational" if any(values[5:]) else "brown" if any(values[2:5]) else "radial" if any(values) else "none"
-            )
+        if fisheye:
+            return self._lens("fisheye", self.numbers((4,)).tolist())
+        values = self.numbers().tolist()
+        if len(values) not in (0, 4, 5, 8, 12, 14):
+            raise self.bad(f"must be 0, 4, 5, 8, 12 or 14 coefficients (OpenCV's order), found {len(values)}")
+        if any(values[8:]):
+            raise self.bad("holds thin-prism or tilt coefficients, which conetl does not model; calibrate without them")
+        values = (values + [0.0] * 8)[:8]
+        if any(values[5:]):
+            return self._lens("rational", values)
+        if any(values[2:5]):
+            return self._lens("brown", values)
+        return self._lens("radial" if any(values) else "none", values)
+
+    def _lens(self, model: LensModel, values: list[float]) -> Lens:
         with input_errors(f"{self.path}: '{self.key}' cannot be used"):
             return Lens(model=model, coefficients=tuple(values[: LENS_COEFFICIENTS[model]]))
 

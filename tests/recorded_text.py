@@ -24,7 +24,6 @@ from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-FOLDER = Path(__file__).with_name("recorded")
 #: Numbers of these columns are degrees, in which a millimetre is in the eighth decimal.
 _DEGREES = re.compile(r"lon|lat(?!e)|coordinates|bbox|centre_deg")
 _FRACTION = re.compile(r"(?<![\w.:])-?\d+\.\d+(?:e[+-]?\d+)?(?![\w.])")
@@ -278,9 +277,8 @@ class Names:
 
 
 @cache
-def recorded(group: str, folder: Path = FOLDER) -> dict[str, list[str]]:
-    """Entry -> its lines, of a group's file."""
-    path = folder / f"{group}.txt"
+def recorded(path: Path) -> dict[str, list[str]]:
+    """Entry -> its lines, of a file."""
     sections = path.read_text(encoding="utf-8").split("\n### ")[1:] if path.exists() else []
     known: dict[str, str] = {}
     return {
@@ -289,14 +287,14 @@ def recorded(group: str, folder: Path = FOLDER) -> dict[str, list[str]]:
     }
 
 
-def write(group: str, entries: Mapping[str, Sequence[str]], folder: Path = FOLDER) -> None:
-    """Renew a group's file."""
-    folder.mkdir(exist_ok=True)
+def write(path: Path, entries: Mapping[str, Sequence[str]]) -> None:
+    """Renew a file."""
+    path.parent.mkdir(exist_ok=True)
     known: dict[str, str] = {}
     text = "".join(
         f"\n### {name}\n" + "\n".join(_short(one, known) for one in lines) + "\n" for name, lines in entries.items()
     )
-    (folder / f"{group}.txt").write_text(text, encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
     recorded.cache_clear()
 
 
