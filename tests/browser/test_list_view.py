@@ -211,7 +211,7 @@ def test_counts_of_a_drive_open_the_list_of_its_changes(page, address, features)
     wait_for_rows(page, 4, "changes")
 
 
-def test_the_search_finds_cones_drives_days_and_coordinates(page, address, features):
+def test_the_search_finds_cones_drives_days_towns_and_coordinates(page, address, features):
     open_view(page, address)
 
     def search(text: str) -> list[str]:
@@ -229,7 +229,8 @@ def test_the_search_finds_cones_drives_days_and_coordinates(page, address, featu
     page.keyboard.press("Enter")
     page.wait_for_selector(".found-pin")
     page.wait_for_url("**mark=4.00,10.00**")
-    assert search("torf") == [] and "Nothing found for “torf”" in page.locator(".search-status").inner_text()
+    assert search("Karlsru") == ["Towns", "Karlsruhe, Germany"]
+    assert search("torf,") == [] and "Nothing found for “torf,”" in page.locator(".search-status").inner_text()
     page.reload()
     page.wait_for_selector(".found-pin")
     page.click(".found-pin")

@@ -80,7 +80,9 @@ def test_the_plan_is_orthographic_and_coordinates_are_those_of_pyproj(page, addr
     assert at_cone(page, features["comes"])[0] - zoomed[0] > 1.3 * (comes[0] - stays[0])
     middle = page.locator("main.view").bounding_box()
     _, _, *centre = under_cursor(page, middle["width"] / 2, middle["height"] / 2)
-    said = [float(number) for number in page.locator(".where").inner_text().split(", ")]
+    town, said = page.locator(".where").inner_text().split("\n")
+    assert town == "Karlsruhe, Germany"
+    said = [float(number) for number in said.split(", ")]
     assert np.abs(np.subtract(said, centre[::-1])).max() < 3e-5  # latitude, longitude of the middle
     page.evaluate("document.querySelector('#grid').value = 'labels'")
     page.evaluate("document.querySelector('#grid').dispatchEvent(new Event('change'))")

@@ -14,7 +14,7 @@ import pytest
 
 from conetl.db.connection import connect, execute
 from conetl.db.reader_pool import ReaderPool, open_reader
-from conetl.geometry.geodesy import to_geodetic
+from conetl.geometry.geodesy import to_geodetic, to_map
 from conetl.model.base import utc_from_ns
 from conetl.model.map_records import Delta, DeltaKind
 from conetl.web.live import MAX_STREAMS, HeadWatcher
@@ -291,7 +291,7 @@ def test_changes_of_a_drive_are_of_its_changeset_although_the_state_is_not(conn,
     assert (row["kind"], row["changeset_no"], now["changeset_no"]) == ("confirmed", 2, 1)
 
 
-def test_the_search_knows_ids_drives_days_and_coordinates(client, features, samples):
+def test_the_search_knows_ids_drives_days_towns_and_coordinates(client, features, samples):
     wanted = str(features["stays"].feature_id)
 
     def found(text):
@@ -318,6 +318,12 @@ def test_the_search_knows_ids_drives_days_and_coordinates(client, features, samp
         assert position["lat_lon_deg"] == pytest.approx([lat, lon], abs=1e-6)
     for text in ("here", "1 2 3", "2026-03-02", "95, 400"):
         assert [p for p in found(text)["positions"] if abs(p["xy_m"][0]) < 1e5] == [], text
+    towns = found("KARLS")["towns"]
+    assert [town["label"] for town in towns[:2]] == ["Karlsruhe, Germany", "Karlstadt, Germany"]
+    assert to_map(samples.SRID, *towns[0]["lat_lon_deg"], 0.0)[:2] - (458_000.0, 5_428_000.0) == pytest.approx(
+        towns[0]["xy_m"], abs=1e-3
+    )
+    assert np.hypot(*towns[0]["xy_m"]) < 3_000 and found("ka")["towns"] == []
 
 
 def test_downloads_are_the_state_that_is_shown(client, features, samples):

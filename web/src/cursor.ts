@@ -2,7 +2,7 @@
 import type { Vec3 } from "./api";
 import { el } from "./dom";
 import { copyText } from "./measure";
-import { toDegrees, type Projector } from "./lonlat";
+import { toDegrees, townAt, type Projector } from "./lonlat";
 import type { Stage } from "./scene";
 
 const EDGE_PX = 70;
@@ -13,7 +13,7 @@ export function createCursor(stage: Stage, host: HTMLElement, projector: Project
   const box = el("button", { type: "button", class: "cursor", hidden: true, disabled: true, title: "Copy these coordinates (X)" }, grid, degrees);
   const pin = el("i", { class: "pin", hidden: true, aria: { hidden: "true" } });
   /** Always: where in the world the picture is. */
-  const where = el("div", { class: "where", title: "Latitude, longitude of the middle of the picture" });
+  const where = el("div", { class: "where", title: "Middle of the picture: nearest town (GeoNames, CC BY 4.0), latitude, longitude" });
   const labels = el("div", { class: "grid-labels", hidden: true, aria: { hidden: "true" } });
   host.append(labels, pin, box);
   host.querySelector(".scalebar")?.append(where);
@@ -67,7 +67,8 @@ export function createCursor(stage: Stage, host: HTMLElement, projector: Project
     const [x, y] = stage.pose();
     const projection = srid ? projector.at([x, y]) : null;
     const centre = projection && toDegrees(projection, [x, y]);
-    where.textContent = centre ? `${centre[1].toFixed(5)}, ${centre[0].toFixed(5)}` : "";
+    const town = projection && townAt(projection, [x, y]);
+    where.textContent = centre ? `${town ? `${town}\n` : ""}${centre[1].toFixed(5)}, ${centre[0].toFixed(5)}` : "";
     const pixel = pinned && stage.project(pinned);
     pin.hidden = !pixel;
     if (pixel) pin.style.transform = `translate(${pixel[0].toFixed(1)}px, ${pixel[1].toFixed(1)}px)`;

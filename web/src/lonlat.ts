@@ -30,6 +30,21 @@ export function toMetres(p: Projection, [lon, lat]: Pair): Pair {
   return [p.centre_m[0] + u * p.radius_m, p.centre_m[1] + v * p.radius_m];
 }
 
+const DIRECTIONS = ["east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east"];
+
+/** The nearest town, with distance and direction beyond 5 km; empty without one within 50 km. */
+export function townAt(p: Projection, [x, y]: Pair): string {
+  let [nearest, label, direction] = [50_000, "", ""];
+  for (const town of p.towns) {
+    const [dx, dy] = [x - town.xy_m[0], y - town.xy_m[1]];
+    const away = Math.hypot(dx, dy);
+    if (away >= nearest) continue;
+    [nearest, label] = [away, town.label];
+    direction = DIRECTIONS[(Math.round(Math.atan2(dy, dx) / (Math.PI / 4)) + 8) % 8] ?? "";
+  }
+  return nearest < 5_000 || !label ? label : `${Math.round(nearest / 1000)} km ${direction} of ${label}`;
+}
+
 const wrap = (lon: number) => ((((lon + 180) % 360) + 360) % 360) - 180;
 
 /** The projection of a map around any place: far from the last one, another is requested. */

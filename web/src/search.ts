@@ -1,4 +1,4 @@
-// The search field of the header: cones, drives, days and coordinates in one list, and the marker of a position.
+// The search field of the header: cones, drives, days, towns and coordinates in one list, and the marker of a position.
 import type { Found, FoundPosition } from "./api";
 import { el, fill, messageOf, shortId, utc } from "./dom";
 import type { Stage } from "./scene";
@@ -28,8 +28,8 @@ export function createSearch(host: HTMLElement, actions: SearchActions) {
   const status = el("p", { class: "search-status hint", role: "status", hidden: true });
   const popup = el("div", { class: "search-popup", hidden: true }, status, list);
   const input = el("input", {
-    id: "search", type: "search", placeholder: "Search cone, drive, date, coordinates", autocomplete: "off", spellcheck: false, maxLength: 100, role: "combobox",
-    aria: { label: "Search for the id of a cone, a drive, a date or coordinates", expanded: "false", controls: "search-list", autocomplete: "list" },
+    id: "search", type: "search", placeholder: "Search cone, drive, date, town, coordinates", autocomplete: "off", spellcheck: false, maxLength: 100, role: "combobox",
+    aria: { label: "Search for the id of a cone, a drive, a date, a town or coordinates", expanded: "false", controls: "search-list", autocomplete: "list" },
   }); // prettier-ignore
   const form = el("form", { class: "search", role: "search" }, input, el("kbd", { textContent: "/" }), popup);
   host.append(form);
@@ -115,7 +115,7 @@ export function createSearch(host: HTMLElement, actions: SearchActions) {
       ...options.flatMap((option, i) => (option.group === group ? [row(option, i)] : []))))); // prettier-ignore
     list.hidden = !options.length;
     input.setAttribute("aria-expanded", String(options.length > 0));
-    say(options.length ? (truncated ? "There are more results: type more characters." : "") : `Nothing found for “${text}”. Try the first characters of a cone's id, a drive, a date (2026-03-02) or coordinates (easting northing, or latitude, longitude).`);
+    say(options.length ? (truncated ? "There are more results: type more characters." : "") : `Nothing found for “${text}”. Try the first characters of a cone's id, a drive, a date (2026-03-02), a town or coordinates (easting northing, or latitude, longitude).`);
     activate(options.length ? 0 : -1);
   }
 
@@ -130,6 +130,7 @@ export function createSearch(host: HTMLElement, actions: SearchActions) {
   const optionsOf = (found: Found): Option[] => [
     ...found.feature_ids.map((id) => ({ group: "Cones", text: shortId(id), detail: id, run: () => actions.select(id) })),
     ...found.drives.map((d) => ({ group: d.kind === "drive" ? "Drives" : "Imported maps", text: d.drive_id, detail: `${utc(d.captured_from)} UTC`, run: () => actions.showChangeset(d.changeset_no) })),
+    ...found.towns.map((p) => ({ group: "Towns", text: p.label, detail: coordinates(p), run: () => actions.flyTo(p) })),
     ...found.positions.map((p) => ({ group: "Coordinates", text: coordinates(p), detail: p.label, run: () => actions.flyTo(p) })),
   ]; // prettier-ignore
 

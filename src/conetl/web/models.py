@@ -47,6 +47,12 @@ class Maps(Record):
     """Another server's pages may show this one in a frame (CONETL_EMBED_HOST)."""
 
 
+class NearTown(Record):
+    label: str
+    """Name and country."""
+    xy_m: tuple[float, float]
+
+
 class MapProjection(Record):
     """Polynomials between the map's CRS and WGS 84 within a square, accurate to 1 cm.
 
@@ -67,6 +73,8 @@ class MapProjection(Record):
     """Two lists: the coefficients of longitude and of latitude."""
     to_metres: list[list[float]]
     """Two lists: the coefficients of x and of y."""
+    towns: list[NearTown]
+    """Of 15,000 and more inhabitants, within 50 km of the centre (GeoNames, CC BY 4.0)."""
 
 
 class TimelineItem(ChangesetFacts):
@@ -348,7 +356,7 @@ class FoundDrive(Record):
 
 class FoundPosition(Record):
     label: str
-    """How the coordinate pair was read."""
+    """Name and country of a town, or how a coordinate pair was read."""
     xy_m: tuple[float, float]
     lat_lon_deg: tuple[float, float] | None
     """Null outside the area of the map's CRS."""
@@ -361,6 +369,7 @@ class SearchResult(Record):
     drives: list[FoundDrive]
     """Newest first."""
     positions: list[FoundPosition]
+    towns: list[FoundPosition]
     truncated: bool
     """True if there are more cones or drives."""
 

@@ -1,4 +1,4 @@
-"""Routes of the search for cones, drives, days and coordinates, and of longitude and latitude in the browser.
+"""Routes of the search for cones, drives, days, towns and coordinates, and of longitude and latitude in the browser.
 
 The page computes the coordinates under the cursor, and places the tiles of a base map, by polynomials of the map's projection,
 without a request for each.
@@ -7,6 +7,7 @@ without a request for each.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import Annotated
 
@@ -15,6 +16,7 @@ from fastapi import APIRouter, HTTPException, Query
 
 from conetl.db.map.map_store import find_features, list_changesets, require_map
 from conetl.geometry.geodesy import to_geodetic, to_map
+from conetl.geometry.towns import Town, towns_called, towns_near
 from conetl.model.arrays import Floats
 from conetl.model.base import Vec3, utc_from_ns
 from conetl.web import models as m
@@ -28,6 +30,10 @@ _NUMBER = r"[-+]?\d{1,9}(?:\.\d*)?"
 _PAIR = re.compile(rf"\s*({_NUMBER})\s*(?:°|m|E|N)?\s*[\s,;]\s*({_NUMBER})\s*(?:°|m|E|N)?\s*", re.IGNORECASE)
 #: Of two ways to read a pair, the one whose point is nearer to the map is meant, if the other one is farther than this.
 _FAR_M = 100_000.0
+#: Towns are found from this many characters on, up to this number and distance from the map's origin.
+_LEAST_OF_TOWN, _MAX_TOWNS, _TOWN_WITHIN_M = 3, 5, 1_000_000.0
+#: Those that tell where a place is.
+_NEAR_M = 50_000.0
 #: Half the side of the square in which the polynomials hold; the page asks for others beyond it.
 RADIUS_M = 20_000.0
 #: Largest error of both polynomials within RADIUS_M; for a CRS with larger ones there are no polynomials.
@@ -46,7 +52,7 @@ def search(
     origin: Origin,
     text: Annotated[str, Query(min_length=1, max_length=100)],
 ) -> m.SearchResult:
-    """What a text may mean: the beginning of an id, a part of a drive's id, a day (2026-03-02), a coordinate pair."""
+    """What a text may mean: the beginning of an id, a part of a drive's id, a day (2026-03-02), a town, a coordinate pair."""
     info = require_map(conn, map_name)
     wanted = text.strip()
     ids = []
@@ -62,7 +68,8 @@ def search(
     feature_ids, more_ids = cut(ids, _MAX_FOUND)
     found_drives, more_drives = cut(drives, _MAX_FOUND)
     return m.SearchResult(
-        feature_ids=feature_ids, drives=found_drives, positions=_positions(wanted, info.srid, origin),
+        feature_ids=feature_ids, drives=found_drives,
+        positions=_positions(wanted, info.srid, origin), towns=_named(wanted, info.srid, origin),
         truncated=more_ids or more_drives,
     )  # fmt: skip
 
@@ -86,6 +93,22 @@ def _positions(text: str, srid: int, origin: Vec3) -> list[m.FoundPosition]:
             readings.append(m.FoundPosition(label=label, xy_m=found, lat_lon_deg=_lat_lon(srid, found, origin)))
     near = [reading for reading in readings if np.hypot(*reading.xy_m) <= _FAR_M]
     return (near or readings)[:1]
+
+
+def _named(text: str, srid: int, origin: Vec3) -> list[m.FoundPosition]:
+    """Towns whose name begins with a text, the nearest to the map's origin first."""
+    towns = _placed(towns_called(text) if len(text) >= _LEAST_OF_TOWN else [], srid, origin)
+    near = sorted((float(np.hypot(*xy_m)), town, xy_m) for town, xy_m in towns)
+    return [
+        m.FoundPosition(label=town.label, xy_m=xy_m, lat_lon_deg=(town.lat_deg, town.lon_deg))
+        for away_m, town, xy_m in near[:_MAX_TOWNS] if away_m <= _TOWN_WITHIN_M
+    ]  # fmt: skip
+
+
+def _placed(towns: Iterable[Town], srid: int, origin: Vec3) -> list[tuple[Town, tuple[float, float]]]:
+    """Towns that the map's CRS can express, with their offsets from its origin."""
+    placed = ((town, _at(srid, town.lat_deg, town.lon_deg, origin)) for town in towns)
+    return [(town, xy_m) for town, xy_m in placed if xy_m is not None]
 
 
 def _at(srid: int, lat_deg: float, lon_deg: float, origin: Vec3) -> tuple[float, float] | None:
@@ -139,9 +162,11 @@ def fit_projection(srid: int, origin_m: tuple[float, float, float], centre_m: tu
     worst_m = RADIUS_M * max(float(np.abs(miss).max()) for miss in misses)
     if not worst_m <= TOLERANCE_M:
         raise ValueError(f"EPSG:{srid} is too distorted there")
+    towns = _placed(towns_near(float(lat0), float(lon0), within_m=_NEAR_M), srid, origin_m)
     return m.MapProjection(
         centre_m=list(centre_m), radius_m=RADIUS_M, lon_deg=float(lon0), lat_deg=float(lat0), degree=_DEGREE,
         unit_per_degree=_scale(lat0).tolist(), to_degrees=to_degrees.T.tolist(), to_metres=to_metres.T.tolist(),
+        towns=[m.NearTown(label=town.label, xy_m=xy_m) for town, xy_m in towns],
     )  # fmt: skip
 
 
