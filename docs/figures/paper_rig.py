@@ -73,7 +73,7 @@ class RenderedPair:
     rig: Rig
     foot_m: Array
     """(3,) truth, left camera frame."""
-    cone_height_m: float
+    object_height_m: float
 
 
 def paper_rig(*, baseline_m: float = BASELINE_M, sigmas: dict[str, float] | None = None) -> Rig:

@@ -108,6 +108,7 @@ def test_the_written_files_project_truth_to_its_rendered_position(tiny_drive: Pa
     assert checked > 200
 
 
+@pytest.mark.release
 def test_tiny_drive_is_whole_and_equal_seeds_give_equal_files(tiny_drive: Path, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
     again = simulate_drive(
@@ -129,6 +130,7 @@ def test_tiny_drive_is_whole_and_equal_seeds_give_equal_files(tiny_drive: Path, 
     assert all(row.present != (row.change == "removed") for row in rows)
 
 
+@pytest.mark.release
 def test_road_image_is_well_exposed_and_has_an_orange_cone() -> None:
     scenario, camera = scenario_pass(1), simulated_camera(96, 64)
     poses = trajectory.true_poses(scenario, np.array([1.2]))
@@ -165,6 +167,7 @@ def test_without_mitsuba_the_extra_is_named(tmp_path: Path) -> None:
     assert not target.exists()
 
 
+@pytest.mark.release
 def test_a_barricade_on_the_verge_is_seen_down_to_its_true_foot() -> None:
     """Behind a kerb the ground is 8 cm higher than the road."""
     camera = Camera(width_px=240, height_px=160, fx_px=900.0, fy_px=900.0, cx_px=119.5, cy_px=-30.0)

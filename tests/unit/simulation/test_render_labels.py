@@ -46,6 +46,7 @@ def test_box_holds_exactly_the_pixels_that_the_cone_changes() -> None:
     assert box[3] == pytest.approx(rows.max() + 1, abs=1.5)
 
 
+@pytest.mark.release
 def test_cone_behind_a_bin_has_no_box_and_one_half_hidden_a_smaller_one() -> None:
     (whole,) = _boxes(WORLD)
     hidden = replace(WORLD, objects=(RoadObject("bin", 5.0, 0.0, height_m=1.2),))
@@ -72,6 +73,7 @@ def test_a_marker_is_labelled_whole_and_a_sign_from_its_front_alone() -> None:
     assert _boxes(replace(WORLD, cones=(), objects=(replace(sign, yaw_rad=np.pi),))) == []
 
 
+@pytest.mark.release
 def test_equal_seeds_give_equal_worlds_and_other_seeds_others() -> None:
     a, b, c = (random_world(np.random.default_rng([1, n])) for n in (5, 5, 6))
     assert a == b
