@@ -198,7 +198,8 @@ def page_lines(page: str) -> list[str]:
 
 
 def xml_lines(text: str, *, once: bool = False) -> Iterator[str]:
-    """Elements with their attributes and text, each with its last two names. once: equal ones once."""
+    """The declaration, the namespaces, and elements with their attributes and text, each with its last two names. once: equal
+    ones once."""
 
     def walk(element: ElementTree.Element, parent: str) -> Iterator[str]:
         name = element.tag.rpartition("}")[2]
@@ -209,7 +210,10 @@ def xml_lines(text: str, *, once: bool = False) -> Iterator[str]:
         for child in element:
             yield from walk(child, name)
 
-    lines = walk(ElementTree.fromstring(text), "")
+    root = ElementTree.fromstring(text)
+    yield text[: text.index(">") + 1] if text.startswith("<?xml") else "no declaration"
+    yield "; ".join(sorted({element.tag.rpartition("}")[0].lstrip("{") for element in root.iter()}))
+    lines = walk(root, "")
     yield from dict.fromkeys(lines) if once else lines
 
 
