@@ -31,10 +31,12 @@ from conetl.readers.trajectories.times import (
 )  # fmt: skip
 
 #: First values of a column that are looked at.
-_VOTES = 9
+_VOTES, _MOST_COMPARED = 9, 1000
 #: Time stamps that Arrow reads as `parse_timestamp` does: it would also read those without seconds.
 _ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d", re.ASCII)
 _QUARTER_NS = 900 * SECOND_NS
+_TIME_OF_DAY = re.compile(r"\s*\d\d?:\d\d:\d\d(?:[.,]\d*)?\s*", re.ASCII)
+_HHMMSS = re.compile(r"(?:[01]\d|2[0-3])[0-5]\d[0-5]\d(?:\.\d*)?", re.ASCII)
 
 
 class TimeFormat(NamedTuple):
@@ -77,7 +79,16 @@ def common_clock(
     """
     found: Counter[TimeFormat] = Counter()
     problem = " has no values"
-    for word in islice(words, _VOTES):
+    texts = [*islice(words, _MOST_COMPARED)]
+    is_unclear = not (
+        unit or has_week or settings.week is not None or re.search("[ts]ow|week|sec", name, re.IGNORECASE)
+    )
+    if is_unclear and texts and all(_HHMMSS.fullmatch(text.strip()) for text in texts):
+        raise InputError(
+            f"{path}: column {name!r}: {texts[0].strip()!r} may be hhmmss or seconds: write hh:mm:ss and a date, or state the "
+            "unit in drive.yaml, like trajectory: {columns: {time: 'time [s]'}}"
+        )
+    for word in texts[:_VOTES]:
         try:
             found[_clock_of(word, settings.scale(scale), unit, has_week, settings)] += 1
         except ValueError as error:
@@ -92,6 +103,11 @@ def _clock_of(first: str, scale: str, unit: str | None, has_week: bool, settings
     try:
         number = float(first)
     except ValueError:
+        if _TIME_OF_DAY.fullmatch(first):
+            raise ValueError(
+                f"{first.strip()[:40]!r} has no date: name the column of the date in drive.yaml, trajectory: {{columns: {{date: "
+                "...}}, or write dates and times"
+            ) from None
         return TimeFormat(scale, "stamp")
     units = {"s": 9, "ms": 6, "us": 3, "ns": 0}
     for digits in [units[unit]] if unit else units.values():
@@ -112,7 +128,8 @@ def _clock_of_day(seconds: float, scale: str, digits: int, day: date | None) -> 
     if day is None:
         raise ValueError(
             f"{seconds:.3f} is a time of a week or of a day, but the file does not state which: put "
-            "trajectory: {week: 2300} (GPS week) or {date: 2024-02-07} into drive.yaml"
+            "trajectory: {week: 2300} (GPS week) or {date: 2024-02-07} into drive.yaml; if it counts from the start of the "
+            "recording, or days, export dates and times"
         )
     weekday = (day.weekday() + 1) % 7  # from Sunday, as GPS weeks
     if int(seconds // 86_400) == weekday:
