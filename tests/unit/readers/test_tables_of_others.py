@@ -560,7 +560,7 @@ PLACE = "49.00000{k},8.43,116.1"
         ("GNSS time", STAMPED, {}, "is this GPS time"),
         ("gps_date,time", "2024-02-07,09:15:0{k}.250", {}, "is this GPS time"),
         ("date,time,am_pm", "2024-02-07,02:15:0{k}.250,PM", {}, "AM and PM"),
-        ("time", "09:15:0{k}.250", {"date": date(2024, 2, 7)}, "has no date"),
+        ("time", "09:15:0{k}.250", {}, "has no date"),
         ("time", "09150{k}.25", {"date": date(2024, 2, 7)}, "may be hhmmss or seconds"),
         ("time", "09150{k}.25", {}, "may be hhmmss or seconds"),
         ("Time (s)", "0.{k}50000000E0", {}, "from the start of the recording"),
@@ -581,12 +581,22 @@ def test_times_of_another_clock_are_asked_for(
         ("time_utc,time_local", f"2024-02-07 09:15:00.250,{STAMPED}", {}),
         ("Local Time,UTC Time", f"{STAMPED},2024-02-07T09:15:00.250", {}),
         ("time (UTC+1)", STAMPED, {"time": "Etc/GMT-1"}),
+        ("time", "09:15:00.250", {"date": date(2024, 2, 7)}),
+        ("Uhrzeit", "10:15:00.250", {"date": date(2024, 2, 7), "time": "Europe/Berlin"}),
+        ("gps_time", "09:15:18.250", {"date": date(2024, 2, 7), "time": "gps"}),
         ("time,time_offset,timezone", f"2024-02-07T09:15:00.250Z,{STAMPED}+01:00,CET", {}),
     ],
 )
 def test_a_time_that_is_stated_is_read(names: str, row: str, stated: dict[str, Any], tmp_path: Path) -> None:
     path = files.write(tmp_path, "a.csv", [f"{names},lat,lon,h_ell", f"{row.format(k=0)},{PLACE.format(k=0)}"])
     assert read_trajectory(path, TrajectoryFile.model_validate(stated)).times_ns[0] == 1707297300_250_000_000
+
+
+def test_times_of_day_go_over_midnight(tmp_path: Path) -> None:
+    rows = [f"{text},49,8.43,116.1" for text in ("23:59:58.5", "23:59:59.5", "00:00:00.5", "00:00:01.5")]
+    path = files.write(tmp_path, "a.csv", ["time,lat,lon,h_ell", *rows])
+    found = read_trajectory(path, TrajectoryFile(date=date(2024, 2, 7)))
+    np.testing.assert_array_equal(np.diff(found.times_ns), [10**9] * 3)
 
 
 def test_seconds_of_six_digits_with_their_unit_are_seconds(tmp_path: Path) -> None:

@@ -25,6 +25,8 @@ _JSON = re.compile(r'\s*\{\s*["}]')
 _NUMBER_LINE = re.compile(rf"{_NUMBERS}+")
 _COMMENT = re.compile(r"(?:^|\s)[#;].*")
 _YAML_HEADER = re.compile(r"^\s*%YAML[^\n]*\n")
+#: Messages that are printed one after the other: the first one counts.
+_DOCUMENTS, _CONTENT = re.compile(r"^---[ \t]*$", re.MULTILINE), re.compile(r"^[ \t]*[^#\s]", re.MULTILINE)
 _MATRIX_TAG = re.compile(r"!!opencv-(nd-)?matrix")
 _NO_SPACE = re.compile(r"^([ \t]*[\w.]+):(?=[\[{])", re.MULTILINE)
 _DOTTED = {".nan": math.nan, ".inf": math.inf, "-.inf": -math.inf}
@@ -45,7 +47,8 @@ def read_content(path: Path, *, of_lines: bool = False) -> Any:
     data = read_bytes(path)
     if is_mat(data):
         return variables_of(path, data)
-    with library_errors(f"{path}: this is not a text file", UnicodeDecodeError):
+    advice = "of NumPy, pickle and others write the matrices M1, D1, M2, D2, R, T as JSON or YAML"
+    with library_errors(f"{path}: this is not a text file; {advice}", UnicodeDecodeError):
         text = data.decode(encoding_of([data])).replace("\r\n", "\n").replace("\r", "\n")
     is_xml, is_json = text.lstrip()[:1] == "<", _JSON.match(text)
     if text.count("<") / 2 + max(map(text.count, ":=[{\n")) > _MOST_KEYS:
@@ -63,7 +66,7 @@ def read_content(path: Path, *, of_lines: bool = False) -> Any:
     else:
         plain = _NO_SPACE.sub(r"\1: ", _MATRIX_TAG.sub("", _YAML_HEADER.sub("", text, count=1)))
         try:
-            content = parse_yaml(path, plain)
+            content = parse_yaml(path, next(filter(_CONTENT.search, _DOCUMENTS.split(plain)), ""))
         except InputError as error:
             if path.suffix.lower() in (".yaml", ".yml"):
                 raise

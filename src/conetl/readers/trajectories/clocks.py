@@ -44,8 +44,8 @@ class TimeFormat(NamedTuple):
 
     scale: str
     """`gps`, or the IANA name of a time zone."""
-    kind: Literal["stamp", "unix", "gps seconds", "week", "day"]
-    """Text, seconds since 1970, since 1980-01-06, of a GPS week, of a day."""
+    kind: Literal["stamp", "unix", "gps seconds", "week", "day", "clock"]
+    """Text, seconds since 1970, since 1980-01-06, of a GPS week, of a day; text of a day."""
     digits: int = 9
     """Decimal digits of the unit, as in `decimal_ns`."""
     week: int | None = None
@@ -56,7 +56,7 @@ class TimeFormat(NamedTuple):
     @property
     def start_ns(self) -> int:
         """Epoch of the times, in ns since 1970-01-01 of the same time scale."""
-        if self.kind == "day":
+        if self.kind in {"day", "clock"}:
             return ((self.day or date(1970, 1, 1)) - date(1970, 1, 1)).days * DAY_NS
         if self.kind == "week":
             return GPS_EPOCH_NS + (self.week or 0) * WEEK_NS
@@ -65,7 +65,7 @@ class TimeFormat(NamedTuple):
     @property
     def period_ns(self) -> int:
         """After which times of a week or a day start over."""
-        return DAY_NS if self.kind == "day" else WEEK_NS
+        return WEEK_NS if self.kind == "week" else DAY_NS
 
 
 def common_clock(
@@ -104,10 +104,12 @@ def _clock_of(first: str, scale: str, unit: str | None, has_week: bool, settings
         number = float(first)
     except ValueError:
         if _TIME_OF_DAY.fullmatch(first):
-            raise ValueError(
-                f"{first.strip()[:40]!r} has no date: name the column of the date in drive.yaml, trajectory: {{columns: {{date: "
-                "...}}, or write dates and times"
-            ) from None
+            if settings.date is None:
+                raise ValueError(
+                    f"{first.strip()[:40]!r} has no date: put trajectory: {{date: 2024-02-07}}, the first day, into drive.yaml, or "
+                    "name the column of the dates"
+                ) from None
+            return TimeFormat(scale, "clock", day=settings.date)
         return TimeFormat(scale, "stamp")
     units = {"s": 9, "ms": 6, "us": 3, "ns": 0}
     for digits in [units[unit]] if unit else units.values():
@@ -156,7 +158,7 @@ def time_reader(clock: TimeFormat) -> TimeReader:
     def read(words: Sequence[str], weeks: Sequence[str] | None) -> tuple[Times, dict[int, str]]:
         nonlocal before, turns
         times, wrong = _instants(words, clock)
-        if clock.kind in {"week", "day"}:
+        if clock.kind in {"week", "day", "clock"}:
             what = f"is more than two {clock.kind}s"
             wrong |= {i: f"{words[i].strip()[:40]!r} {what}" for i in np.flatnonzero(times > 2 * period_ns).tolist()}
             starts: Times | int = clock.start_ns
@@ -197,6 +199,8 @@ def _instants(words: Sequence[str], clock: TimeFormat) -> tuple[Times, dict[int,
     start_ns = clock.start_ns if clock.kind == "gps seconds" else 0
 
     def one(word: str) -> int:
+        if clock.kind == "clock":
+            return parse_timestamp(f"1970-01-01 {word.strip()}")
         if not is_stamp:
             return start_ns + decimal_ns(word.strip(), clock.digits)
         if clock.scale == "gps" and OFFSET.search(word):
