@@ -337,7 +337,11 @@ def _require_one(table: MapTable, names: Sequence[str], chosen: str, known_m: Fl
             other_m = numbers_of(table.path, name, table.columns[name])
             other_m = other_m[np.isfinite(other_m)]
             is_of_objects = ((other_m > 0) & (other_m <= _HIGHEST_OBJECT_M)).all()
-            if not is_of_objects and len(other_m) == len(known_m) > 0 and _DIFFERENT_M < np.abs(other_m - known_m).min() < _MOST_APART_M:
+            if (
+                not is_of_objects
+                and len(other_m) == len(known_m) > 0
+                and _DIFFERENT_M < np.abs(other_m - known_m).min() < _MOST_APART_M
+            ):
                 break
     else:
         return

@@ -75,7 +75,9 @@ def read_ros_rig(file: Node, *, pair: Pair | None = None) -> Rig:
     for info in infos if keys in _MESSAGE_KEYS else ():
         roi, bins = info.value.get("roi"), [info.value.get(name, 0) for name in ("binning_x", "binning_y")]
         if not {0, 1}.issuperset(bins) or (isinstance(roi, Mapping) and any(roi.values())):
-            raise info.bad("describes images that are cropped or binned: read the recording itself, or calibrate these images")
+            raise info.bad(
+                "describes images that are cropped or binned: read the recording itself, or calibrate these images"
+            )
     infos = [next(iter(_ost_cameras(info).values()), info) for info in infos]
     extrinsics = files[0].parent / EXTRINSICS
     if extrinsics.is_file():
