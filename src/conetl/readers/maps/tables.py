@@ -331,7 +331,7 @@ def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:
 
 
 def _require_one(table: MapTable, names: Sequence[str], chosen: str, known_m: Floats) -> None:
-    """Raise InputError where another column of these names may be the height of the ground, too: above the sea, or ellipsoidal."""
+    """Raise InputError where another of these columns may be the height of the ground, too: above the sea, or ellipsoidal."""
     for name in (name for name in names if name != chosen and name in table.columns):
         with suppress(InputError):
             other_m = numbers_of(table.path, name, table.columns[name])
@@ -346,8 +346,8 @@ def _require_one(table: MapTable, names: Sequence[str], chosen: str, known_m: Fl
     else:
         return
     raise InputError(
-        f"{table.path}: the columns {shown(chosen)} and {shown(name)} may both be the height of the ground; call the ellipsoidal one "
-        "ellipsoidal_height_m"
+        f"{table.path}: the columns {shown(chosen)} and {shown(name)} may both be the height of the ground; call the ellipsoidal "
+        "one ellipsoidal_height_m"
     )
 
 

@@ -1,4 +1,4 @@
-"""Calibrations of the ROS world: `camera_info` pairs in YAML, messages as text or oST, read and written, and ORB-SLAM's settings, read.
+"""Calibrations of the ROS world: `camera_info` pairs in YAML, as messages or in oST, read and written, and ORB-SLAM's settings.
 
 A camera_info (camera_calibration, camera_info_manager: `left.yaml` and `right.yaml`, or `ost.txt` with both) describes raw
 images. The rectification matrix rotates directions of the camera into the rectified frame, and the projection matrix of the

@@ -106,8 +106,8 @@ def _clock_of(first: str, scale: str, unit: str | None, has_week: bool, settings
         if _TIME_OF_DAY.fullmatch(first):
             if settings.date is None:
                 raise ValueError(
-                    f"{first.strip()[:40]!r} has no date: put trajectory: {{date: 2024-02-07}}, the first day, into drive.yaml, or "
-                    "name the column of the dates"
+                    f"{first.strip()[:40]!r} has no date: put trajectory: {{date: 2024-02-07}}, the first day, into drive.yaml, "
+                    "or name the column of the dates"
                 ) from None
             return TimeFormat(scale, "clock", day=settings.date)
         return TimeFormat(scale, "stamp")
