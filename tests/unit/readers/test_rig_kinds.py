@@ -424,5 +424,5 @@ def test_what_is_not_a_stereo_calibration_is_not_called_one(tmp_path: Path) -> N
         read_rig_and_format(path)
     path = tmp_path / "stereo.npz"
     np.savez(path, K1=np.eye(3))
-    with pytest.raises(InputError, match=r"not a text file; .* as JSON or YAML"):
+    with pytest.raises(InputError, match=r"NumPy and pickle are not read: write .* as JSON or YAML"):
         read_rig_and_format(path)

@@ -592,6 +592,22 @@ def test_a_time_that_is_stated_is_read(names: str, row: str, stated: dict[str, A
     assert read_trajectory(path, TrajectoryFile.model_validate(stated)).times_ns[0] == 1707297300_250_000_000
 
 
+@pytest.mark.parametrize(
+    ("names", "received"),
+    [
+        ("%time,field.header.seq,field.header.stamp,field.latitude,field.longitude,field.altitude", True),
+        ("__time,/fix/latitude,/fix/longitude,/fix/altitude", False),
+    ],
+)
+def test_messages_of_ros_as_tables_have_the_times_of_their_headers(names: str, received: bool, tmp_path: Path) -> None:
+    t = files.known()
+    rows = []
+    for time_ns, (lat, lon, h) in zip(t.times_ns.tolist(), t.llh, strict=True):
+        times = f"{time_ns + 80_000_000},7,{time_ns}" if received else f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
+        rows.append(f"{times},{lat:.9f},{lon:.9f},{h:.4f}")
+    is_trajectory(files.write(tmp_path, "fix.csv", [names, *rows]), t)
+
+
 def test_times_of_day_go_over_midnight(tmp_path: Path) -> None:
     rows = [f"{text},49,8.43,116.1" for text in ("23:59:58.5", "23:59:59.5", "00:00:00.5", "00:00:01.5")]
     path = files.write(tmp_path, "a.csv", ["time,lat,lon,h_ell", *rows])

@@ -217,7 +217,7 @@ def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Floats) 
     if recorded.is_local and _goes_upwards(track):
         raise InputError(
             f"{source.root}: the poses of {recorded.name} move along their z axis, as those of a camera do; expected x forward, "
-            "y left, z up. Write poses of the left camera as rows of 12 numbers, one per image (evo_traj tum FILE --save_as_kitti)"
+            "y left, z up. Write poses of the left camera as rows of 12 numbers, one per image (evo_traj tum F --save_as_kitti)"
         )
     return srid, track
 

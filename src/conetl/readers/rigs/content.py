@@ -34,6 +34,7 @@ _DOTTED = {".nan": math.nan, ".inf": math.inf, "-.inf": -math.inf}
 _MOST_KEYS = 100_000
 #: The root of OpenCV's XML.
 _OPENCV_ROOT = "opencv_storage"
+_OF_PYTHON = (".npz", ".npy", ".pkl", ".pickle")
 _UNKNOWN = "not a calibration that conetl knows"
 
 
@@ -47,8 +48,9 @@ def read_content(path: Path, *, of_lines: bool = False) -> Any:
     data = read_bytes(path)
     if is_mat(data):
         return variables_of(path, data)
-    advice = "of NumPy, pickle and others write the matrices M1, D1, M2, D2, R, T as JSON or YAML"
-    with library_errors(f"{path}: this is not a text file; {advice}", UnicodeDecodeError):
+    if path.suffix.lower() in _OF_PYTHON:
+        raise InputError(f"{path}: files of NumPy and pickle are not read: write M1, D1, M2, D2, R, T as JSON or YAML")
+    with library_errors(f"{path}: this is not a text file", UnicodeDecodeError):
         text = data.decode(encoding_of([data])).replace("\r\n", "\n").replace("\r", "\n")
     is_xml, is_json = text.lstrip()[:1] == "<", _JSON.match(text)
     if text.count("<") / 2 + max(map(text.count, ":=[{\n")) > _MOST_KEYS:

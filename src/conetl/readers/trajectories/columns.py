@@ -143,6 +143,8 @@ def _fitting(role: str, found: list[Column], rows: list[list[str]]) -> list[Colu
         return found
     if role == "time":
         found = [column for column in found if scale_of(column.name) != "local"] or found
+        # Of a ROS message: others are when it was received.
+        found = [column for column in found if "header" in column.name.lower()] or found
     found = [column for column in found if is_exact(column.name)] or found
     fitting = [column for column in found if not rows or _may_be(role, values_of(rows, column))]
     found = fitting if fitting or role == "date" else found

@@ -224,10 +224,11 @@ def _scale(path: Path, columns: dict[str, Column], header: Header) -> str:
 
 
 def _is_on_earth(columns: dict[str, Column], rows: list[list[str]]) -> bool:
-    """Whether x, y, z of the first records are geocentric coordinates of the earth's surface."""
-    xyz = [floats(values_of(rows, columns[name])) * columns[name].factor for name in "xyz"]
-    far = np.linalg.norm(np.column_stack(xyz), axis=1) if len({*map(len, xyz)}) == 1 else np.zeros(0)
-    return len(far) > 0 and bool((np.abs(far - _EARTH_M) < _EARTH_OFF_M).all())
+    """Whether x, y, z of most of the first records are geocentric coordinates of the earth's surface."""
+    at = [columns[name].at for name in "xyz"]
+    xyz = floats([word for row in rows if len(row) > max(at) for word in map(row.__getitem__, at)]).reshape(-1, 3)
+    far_m = np.linalg.norm(xyz * columns["x"].factor, axis=1)
+    return bool(2 * np.count_nonzero(np.abs(far_m - _EARTH_M) < _EARTH_OFF_M) > len(far_m))
 
 
 def _layout(path: Path, header: Header, settings: TrajectoryFile, kind: FormatName, notes: list[str]) -> TableLayout:

@@ -61,7 +61,9 @@ _ALIASES = {
 }  # fmt: skip
 _ROLE_OF = {alias: role for role, aliases in _ALIASES.items() for alias in aliases.split()}
 #: Words that say only whose value it is, and those of a receiver, which has no attitude.
-_QUALIFIERS = frozenset({"gps", "gnss", "ins", "imu", "utc", "pos", "position", "angle", "nav", "wgs84"})
+_QUALIFIERS = frozenset({
+    "gps", "gnss", "ins", "imu", "utc", "pos", "position", "angle", "nav", "wgs84", "field", "header", "fix",
+})  # fmt: skip
 _SATELLITES = frozenset({"gps", "gnss", "pos"})
 _ATTITUDE = frozenset({"roll", "pitch", "heading", "yaw"})
 _DEGREES = {
