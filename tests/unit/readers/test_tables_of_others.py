@@ -560,7 +560,7 @@ PLACE = "49.00000{k},8.43,116.1"
         ("GNSS time", STAMPED, {}, "is this GPS time"),
         ("gps_date,time", "2024-02-07,09:15:0{k}.250", {}, "is this GPS time"),
         ("date,time,am_pm", "2024-02-07,02:15:0{k}.250,PM", {}, "AM and PM"),
-        ("time", "09:15:0{k}.250", {}, "has no date"),
+        ("time", "09:15:0{k}.250", {}, "name the column of the dates, or state the first one"),
         ("time", "09150{k}.25", {"date": date(2024, 2, 7)}, "may be hhmmss or seconds"),
         ("time", "09150{k}.25", {}, "may be hhmmss or seconds"),
         ("Time (s)", "0.{k}50000000E0", {}, "from the start of the recording"),

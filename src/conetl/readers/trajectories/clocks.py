@@ -103,12 +103,7 @@ def _clock_of(first: str, scale: str, unit: str | None, has_week: bool, settings
     try:
         number = float(first)
     except ValueError:
-        if _TIME_OF_DAY.fullmatch(first):
-            if settings.date is None:
-                raise ValueError(
-                    f"{first.strip()[:40]!r} has no date: put trajectory: {{date: 2024-02-07}}, the first day, into drive.yaml, "
-                    "or name the column of the dates"
-                ) from None
+        if settings.date is not None and _TIME_OF_DAY.fullmatch(first):
             return TimeFormat(scale, "clock", day=settings.date)
         return TimeFormat(scale, "stamp")
     units = {"s": 9, "ms": 6, "us": 3, "ns": 0}
@@ -205,6 +200,11 @@ def _instants(words: Sequence[str], clock: TimeFormat) -> tuple[Times, dict[int,
             return start_ns + decimal_ns(word.strip(), clock.digits)
         if clock.scale == "gps" and OFFSET.search(word):
             raise ValueError(f"{word.strip()[:60]!r} has an offset from UTC, but is said to be GPS time")
+        if is_stamp and _TIME_OF_DAY.fullmatch(word):
+            raise ValueError(
+                f"expected a time stamp like 2011-09-26 13:04:32.345, found {word.strip()!r}: name the column of the dates, or "
+                "state the first one (trajectory.date in drive.yaml)"
+            )
         return parse_timestamp(word, zone, clock.order)
 
     found = _stamps(words, zone, has_offsets=clock.scale != "gps") if is_stamp else _decimals(words, clock.digits)

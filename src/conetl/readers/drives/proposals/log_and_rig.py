@@ -32,6 +32,7 @@ _TAKEN = {
 _UNSTATED = ("columns", "date", "time", "crs", "heights", "angles")
 #: What is tried, and proposed, for keys that a table does not state.
 _TRIED = {"time": "utc", "heights": "ellipsoidal", "angles": "radians"}
+_TIME_OF_DAY = re.compile(r"found '\d\d?:\d\d")
 #: What those errors advise, which a template has its own place for.
 _REMEDY = re.compile(r"(?:[:;.?]) (?:put|name them) (?=.*drive\.yaml)", re.IGNORECASE)
 
@@ -88,6 +89,8 @@ def _read_as_far_as_known(path: Path, settings: Mapping[str, Any], proposal: Pro
             value = changed if unstated == "date" else _TRIED.get(unstated)
             proposal.need(f"trajectory.{unstated}", _REMEDY.split(str(error))[0], value)
             if value is None:  # what may be missing, too, of a table whose columns are unknown
+                if "date" not in tried and _TIME_OF_DAY.search(str(error)):
+                    proposal.need("trajectory.date", "if no column has the day", changed, required=False)
                 proposal.need("sigmas.horizontal_m", "if no column has them", required=False)
                 return None
             tried[unstated] = value
