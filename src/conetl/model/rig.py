@@ -172,7 +172,7 @@ class Rig(Record):
         if not MIN_BASELINE_M <= self.baseline_m <= MAX_BASELINE_M:
             raise ValueError(
                 f"the baseline is {self.baseline_m:.4g} m, expected {MIN_BASELINE_M:g} to {MAX_BASELINE_M:g} m: is it in another "
-                "unit? conetl rig convert --unit mm converts it to a rig.yaml"
+                "unit (conetl rig convert --unit mm converts it to a rig.yaml), or in squares of a calibration board?"
             )
         for name, camera in (("left", self.left), ("right", self.right)):
             if not MIN_FOCAL_SHARE <= camera.fx_px / camera.width_px <= MAX_FOCAL_SHARE:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,18 @@ def test_a_terminal_shows_the_list_before_the_first_question(odometry: Path, mon
     assert said.index("--set sigmas.horizontal_m") < said.index("images.start ["), "the list, then the questions"
     assert said.count("these values are missing") == 1
     assert len(read_drive(odometry)[0].frame_pairs) == 1
+
+
+@pytest.mark.parametrize("names", [("droite", "gauche"), ("left_raw", "left_rect", "right_raw", "right_rect")])
+def test_cameras_whose_sides_no_name_states_are_not_proposed(names: tuple[str, ...], tmp_path: Path) -> None:
+    root = folders(tmp_path, small_recording())
+    sides = [root / "left", root / "right"]
+    for k, name in enumerate(names):
+        shutil.copytree(sides[k % 2], root / name)
+    for side in sides:
+        shutil.rmtree(side)
+    code, said = run(str(root), "--yes")
+    assert code == 1 and "--set images.left=" in said and f"Found: {', '.join(names)}" in said, said
 
 
 def test_what_a_log_does_not_state_is_asked_together(tmp_path: Path) -> None:

@@ -119,6 +119,27 @@ def test_heights_of_the_ground_are_read_by_any_of_their_names(tmp_path: Path, na
         same(surveyed(path))
 
 
+@pytest.mark.parametrize(
+    ("names", "other_m", "problem"),
+    [
+        ("Z,H", HEIGHTS_M - 48.0, "'h' may both be the height of the ground"),
+        ("elevation,altitude", HEIGHTS_M + 48.0, "may both be"),
+        ("z,height", np.array([0.5, 0.7, 0.7, 0.5]), None), ("alt,z", HEIGHTS_M + 0.2, None),
+        ("ellipsoidal height,elevation", HEIGHTS_M - 48.0, None), ("ground_height_m,z", HEIGHTS_M - 48.0, None),
+    ],
+)  # fmt: skip
+def test_two_heights_that_differ_by_a_geoid_are_asked_for(
+    names: str, other_m: np.ndarray, problem: str | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text(csv_text(f"easting,northing,{names}", *WANTED.T, other_m))
+    if problem is None:
+        same(surveyed(path))
+        same(imported(path))
+    else:
+        refused(path, problem)
+
+
 def test_a_column_fills_heights_that_the_geometry_lacks(tmp_path: Path) -> None:
     flat = np.column_stack([EAST_NORTH, np.zeros(4)])
     same(imported(gpkg(tmp_path / "a.gpkg", flat, UTM, {"ground_height_m": HEIGHTS_M})))
@@ -197,6 +218,13 @@ def test_projected_geojson_takes_the_stated_crs(tmp_path: Path, members: dict[st
     same(surveyed(path))
     refused(path, "does not state the CRS of its coordinates: give it with --crs", crs=None)
     refused(path, "outside the area of use", crs="EPSG:25829")
+
+
+@pytest.mark.parametrize("name", ["EPSG:25832", "urn:ogc:def:crs:EPSG::25832"])
+def test_geojson_with_a_projected_crs_is_in_that(name: str, tmp_path: Path) -> None:
+    path = geojson(tmp_path / "a.geojson", WANTED, crs={"type": "name", "properties": {"name": name}})
+    same(imported(path, crs=None))
+    refused(path, "has the CRS .* but --crs is", crs="EPSG:25833")
 
 
 def test_projected_geojson_one_feature_per_line(tmp_path: Path) -> None:

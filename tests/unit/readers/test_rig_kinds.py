@@ -394,3 +394,35 @@ def test_a_message_has_no_control_characters(tmp_path: Path) -> None:
         with pytest.raises(InputError) as raised:
             read_rig(path)
         assert str(raised.value).isprintable()
+
+
+@pytest.mark.parametrize("letters", ["KDRP", "kdrp"])
+@pytest.mark.parametrize("end", ["", "---\n", "---\nheader: {}\n---\n"])
+def test_messages_of_ros_as_text(letters: str, end: str, tmp_path: Path) -> None:
+    """`rostopic echo /left/camera_info > left.yaml`."""
+    k, d, r, p = letters
+    for side, shift in (("left", 0.0), ("right", -640.0 * 0.5374)):
+        (tmp_path / f"{side}.yaml").write_text(
+            f"# of a camera\nheader:\n  frame_id: {side}\nheight: 320\nwidth: 960\ndistortion_model: plumb_bob\n"
+            f"{d}: [0, 0, 0, 0, 0]\n{k}: [640, 0, 478.35, 0, 640, 146.2, 0, 0, 1]\n{r}: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n"
+            f"{p}: [640, 0, 478.35, {shift}, 0, 640, 146.2, 0, 0, 0, 1, 0]\nbinning_x: 0\nbinning_y: 0\n"
+            f"roi:\n  x_offset: 0\n  width: 0\n  do_rectify: false\n{end}"
+        )
+    rig, kind = read_rig_and_format(tmp_path / "left.yaml")
+    assert kind == "ros" and rig.baseline_m == pytest.approx(0.5374) and rig.left.cx_px == 478.35
+    text = (tmp_path / "right.yaml").read_text()
+    for old, new in (("binning_x: 0", "binning_x: 2"), ("width: 0", "width: 800")):
+        (tmp_path / "right.yaml").write_text(text.replace(old, new))
+        with pytest.raises(InputError, match="cropped or binned"):
+            read_rig_and_format(tmp_path / "left.yaml")
+
+
+def test_what_is_not_a_stereo_calibration_is_not_called_one(tmp_path: Path) -> None:
+    path = tmp_path / "camera.xml"
+    path.write_text("<calibration><projection>frame</projection><width>960</width><f>640</f></calibration>")
+    with pytest.raises(InputError, match="not a calibration that conetl knows"):
+        read_rig_and_format(path)
+    path = tmp_path / "stereo.npz"
+    np.savez(path, K1=np.eye(3))
+    with pytest.raises(InputError, match=r"NumPy and pickle are not read: write .* as JSON or YAML"):
+        read_rig_and_format(path)

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from conetl.geometry import pose as se3
 from conetl.geometry.geodesy import to_geodetic
 from conetl.model.errors import InputError
 from conetl.readers.drives import read_drive
-from conetl.readers.drives.pairs import PairError
-from conetl.readers.drives.poses import Samples, at
+from conetl.readers.drives.drive_yaml import DriveYaml
+from conetl.readers.drives.pairs import ContentHash, PairError, Source
+from conetl.readers.drives.poses import Samples, at, placed
 from conetl.readers.drives.sparse_poses import pose_reader, with_course
 from conetl.readers.trajectories.recorded import RecordedTrajectory
 from tests.folders import KITTI, needs_kitti
@@ -127,3 +131,22 @@ def test_a_real_street_at_1_hz_without_attitude() -> None:
         assert off.max() < 0.15
         turned = np.array(pair.pose.map_R_body).T @ np.array(pose.map_R_body)
         assert abs(np.arctan2(turned[1, 0], turned[0, 0])) < 3 * pose.sigma_rpy_rad[2]
+
+
+@pytest.mark.parametrize(("forward", "ends"), [("x", True), ("-x", True), ("y", True), ("z", False), ("-z", False)])
+def test_local_poses_of_a_camera_are_not_those_of_a_vehicle(forward: str, ends: bool, tmp_path: Path) -> None:
+    """ORB-SLAM writes TUM's lines with the axes of the camera: z forward."""
+    steps = 1.2 * np.arange(12.0)[:, None] * np.eye(3)["xyz".index(forward[-1])] * (-1 if forward[0] == "-" else 1)
+    turn = Rotation.from_euler("z", 30, degrees=True).as_matrix()
+    times = 1_772_444_467 * 10**9 + np.arange(12) * 10**8
+    recorded = RecordedTrajectory(
+        "CameraTrajectory.txt", times, steps @ turn.T, True, np.tile(turn, (12, 1, 1)), np.full((12, 6), np.nan), {}
+    )
+    place = {"lon_deg": 8.43, "lat_deg": 49.0, "height_m": 116.0, "heading_deg": 57.0}
+    stated = DriveYaml.model_validate({"georeference": place, "sigmas": {"horizontal_m": 0.02}})
+    source = Source(tmp_path, tmp_path, stated, ContentHash())
+    if ends:
+        assert len(placed(recorded, source, np.eye(3))[1].times_ns) == 12
+    else:
+        with pytest.raises(InputError, match="move along their z axis, as those of a camera do"):
+            placed(recorded, source, np.eye(3))

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from pyproj import Transformer
 
 from conetl.model.errors import InputError
 from conetl.readers.trajectories import find_trajectories, read_trajectory, remarks_on, trajectory_format
@@ -538,3 +539,165 @@ def test_a_height_beside_a_separation_that_states_nothing_may_be_of_either(tmp_p
     assert found.sigma[0, 2] == 100.0 and "does not state whether its heights are above sea level" in found.notes[0]
     found = read_trajectory(path, TrajectoryFile(heights="ellipsoidal"))
     assert found.positions[0, 2] == 68.0 and not found.sigma[0, 2] >= 100.0
+
+
+# --------------------------------------------------------------------------- what names and columns beside a value say of it
+
+STAMPED = "2024-02-07 10:15:0{k}.250"
+PLACE = "49.00000{k},8.43,116.1"
+
+
+@pytest.mark.parametrize(
+    ("names", "row", "stated", "says"),
+    [
+        ("time (CET)", STAMPED, {}, "time zone"),
+        ("time (CET)", STAMPED, {"columns": {"time": "time (CET)"}}, "time zone"),
+        ("time (UTC+1)", STAMPED, {"columns": {"time": "time (UTC+1)"}}, "time zone"),
+        ("Zeit [Europe/Berlin]", STAMPED, {}, "time zone"),
+        ("time,timezone", f"{STAMPED},+01:00", {}, "time zone"),
+        ("datetime,utc_offset", f"{STAMPED},3600", {}, "time zone"),
+        ("year,month,day,hour,minute,second,tz", "2024,2,7,10,15,{k}.25,+1", {}, "time zone"),
+        ("GNSS time", STAMPED, {}, "is this GPS time"),
+        ("gps_date,time", "2024-02-07,09:15:0{k}.250", {}, "is this GPS time"),
+        ("date,time,am_pm", "2024-02-07,02:15:0{k}.250,PM", {}, "AM and PM"),
+        ("time", "09:15:0{k}.250", {}, "name the column of the dates, or state the first one"),
+        ("time", "09150{k}.25", {"date": date(2024, 2, 7)}, "may be hhmmss or seconds"),
+        ("time", "09150{k}.25", {}, "may be hhmmss or seconds"),
+        ("Time (s)", "0.{k}50000000E0", {}, "from the start of the recording"),
+    ],
+)
+def test_times_of_another_clock_are_asked_for(
+    names: str, row: str, stated: dict[str, Any], says: str, tmp_path: Path
+) -> None:
+    rows = [f"{row.format(k=k)},{PLACE.format(k=k)}" for k in range(5)]
+    path = files.write(tmp_path, "a.csv", [f"{names},lat,lon,h_ell", *rows])
+    with pytest.raises(InputError, match=says):
+        read_trajectory(path, TrajectoryFile.model_validate(stated))
+
+
+@pytest.mark.parametrize(
+    ("names", "row", "stated"),
+    [
+        ("time_utc,time_local", f"2024-02-07 09:15:00.250,{STAMPED}", {}),
+        ("Local Time,UTC Time", f"{STAMPED},2024-02-07T09:15:00.250", {}),
+        ("time (UTC+1)", STAMPED, {"time": "Etc/GMT-1"}),
+        ("time", "09:15:00.250", {"date": date(2024, 2, 7)}),
+        ("Uhrzeit", "10:15:00.250", {"date": date(2024, 2, 7), "time": "Europe/Berlin"}),
+        ("gps_time", "09:15:18.250", {"date": date(2024, 2, 7), "time": "gps"}),
+        ("time,time_offset,timezone", f"2024-02-07T09:15:00.250Z,{STAMPED}+01:00,CET", {}),
+    ],
+)
+def test_a_time_that_is_stated_is_read(names: str, row: str, stated: dict[str, Any], tmp_path: Path) -> None:
+    path = files.write(tmp_path, "a.csv", [f"{names},lat,lon,h_ell", f"{row.format(k=0)},{PLACE.format(k=0)}"])
+    assert read_trajectory(path, TrajectoryFile.model_validate(stated)).times_ns[0] == 1707297300_250_000_000
+
+
+@pytest.mark.parametrize(
+    ("names", "received"),
+    [
+        ("%time,field.header.seq,field.header.stamp,field.latitude,field.longitude,field.altitude", True),
+        ("__time,/fix/latitude,/fix/longitude,/fix/altitude", False),
+    ],
+)
+def test_messages_of_ros_as_tables_have_the_times_of_their_headers(names: str, received: bool, tmp_path: Path) -> None:
+    t = files.known()
+    rows = []
+    for time_ns, (lat, lon, h) in zip(t.times_ns.tolist(), t.llh, strict=True):
+        times = f"{time_ns + 80_000_000},7,{time_ns}" if received else f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
+        rows.append(f"{times},{lat:.9f},{lon:.9f},{h:.4f}")
+    is_trajectory(files.write(tmp_path, "fix.csv", [names, *rows]), t)
+
+
+def test_times_of_day_go_over_midnight(tmp_path: Path) -> None:
+    rows = [f"{text},49,8.43,116.1" for text in ("23:59:58.5", "23:59:59.5", "00:00:00.5", "00:00:01.5")]
+    path = files.write(tmp_path, "a.csv", ["time,lat,lon,h_ell", *rows])
+    found = read_trajectory(path, TrajectoryFile(date=date(2024, 2, 7)))
+    np.testing.assert_array_equal(np.diff(found.times_ns), [10**9] * 3)
+
+
+def test_seconds_of_six_digits_with_their_unit_are_seconds(tmp_path: Path) -> None:
+    path = files.write(tmp_path, "a.csv", ["time,lat,lon,h_ell", "091500.25,49.0,8.43,116.1"])
+    found = read_trajectory(path, TrajectoryFile(columns={"time": "time [s]"}, date=date(2024, 2, 5)))
+    assert found.times_ns[0] == 1707096282_250_000_000  # of the GPS week of that day
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "height (EGM96)",
+        "height_egm2008",
+        "Height (NAVD88)",
+        "Alt_AMSL",
+        "Altitude above mean sea level",
+        "Höhe über NHN",
+    ],
+)
+def test_names_that_say_sea_level_are_believed(name: str, tmp_path: Path) -> None:
+    lines = [f"time,lat,lon,{name}", "1707297300,49,8.43,68.1"]
+    path = files.write(tmp_path, "a.csv", lines)
+    for columns in ({}, {"height": name}):
+        with pytest.raises(InputError, match="heights are above sea level"):
+            read_trajectory(path, TrajectoryFile.model_validate({"columns": columns}))
+    assert read_trajectory(path, TrajectoryFile(heights="ellipsoidal")).positions[0, 2] == 68.1
+
+
+@pytest.mark.parametrize("name", ["height (WGS84 ellipsoid)", "Altitude ellipsoidal", "Height over ellipsoid [m]"])
+def test_names_that_say_ellipsoid_are_believed(name: str, tmp_path: Path) -> None:
+    path = files.write(tmp_path, "a.csv", [f"time,lat,lon,{name}", "1707297300,49,8.43,116.1"])
+    assert read_trajectory(path).positions[0, 2] == 116.1
+
+
+def test_a_separation_without_values_is_none(tmp_path: Path) -> None:
+    path = files.write(tmp_path, "a.csv", ["time,lat,lon,elevation,geoidheight", "1707297300,49,8.43,68.1,"])
+    with pytest.raises(InputError, match="heights are above sea level"):
+        read_trajectory(path)
+
+
+@pytest.mark.parametrize("names", ["X,Y,Z", "X-ECEF (m),Y-ECEF (m),Z-ECEF (m)", "ecef_x,ecef_y,ecef_z"])
+def test_geocentric_coordinates_show_in_their_values(names: str, tmp_path: Path) -> None:
+    t = files.known()
+    xyz = np.column_stack(Transformer.from_crs(4979, 4978).transform(*t.llh.T))
+    rows = [f"{s}Z,{x:.4f},{y:.4f},{z:.4f}" for s, (x, y, z) in zip(
+        files.stamps("%Y-%m-%dT%H:%M:%S", t), xyz, strict=True)]  # fmt: skip
+    is_trajectory(files.write(tmp_path, "a.csv", [f"time,{names}", *rows]), t)
+
+
+@pytest.mark.parametrize(
+    ("name", "refused"),
+    [
+        ("Heading [M]", None), ("heading (m)", None), ("heading (mrad)", "mrad"), ("heading_mrad", "mrad"),
+        ("heading [mdeg]", "mdeg"),
+    ],
+)  # fmt: skip
+def test_a_heading_in_a_unit_of_something_else_is_not_one_in_degrees(
+    name: str, refused: str | None, tmp_path: Path
+) -> None:
+    rows = [f"{1707297300 + k},49,8,110,57.25" for k in range(3)]
+    path = files.write(tmp_path, "a.csv", [f"time,lat,lon,height,{name}", *rows])
+    if refused is None:
+        assert read_trajectory(path).rotations is None
+        return
+    with pytest.raises(InputError, match=f"unit '{refused}' is not supported"):
+        read_trajectory(path)
+
+
+@pytest.mark.parametrize(
+    ("names", "row", "stated", "found"),
+    [
+        ("UTCDate UTCTime", "3/02/2026 09:41:07.250", {"units": "(MDY) (HMS)"}, 1772444467_250_000_000),
+        ("LocalDate LocalTime", "2026/03/02 10:41:07.250", {"units": "(YMD) (HMS)"}, None),
+        ("LocalDate LocalTime", "2026/03/02 10:41:07.250", {"units": "(YMD) (HMS)", "time": "Europe/Berlin"},
+         1772444467_250_000_000),
+    ],
+)  # fmt: skip
+def test_dates_and_times_of_inertial_explorer(
+    names: str, row: str, stated: dict[str, str], found: int | None, tmp_path: Path
+) -> None:
+    lines = ["Project: van", "Program: Inertial Explorer Version 8.90", "", f" {names} Latitude Longitude H-Ell"]
+    lines += [f" {stated['units']} (deg) (deg) (m)", f" {row} 49.0 8.43 116.1"]
+    path, settings = files.write(tmp_path, "a.txt", lines), TrajectoryFile(time=stated.get("time"))
+    if found is None:
+        with pytest.raises(InputError, match="time zone"):
+            read_trajectory(path, settings)
+    else:
+        assert read_trajectory(path, settings).times_ns[0] == found

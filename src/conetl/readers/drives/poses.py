@@ -25,6 +25,8 @@ from conetl.readers.trajectories.recorded import VERTICAL_FACTOR, RecordedTrajec
 MAX_SIGMA_M = 1000.0
 NO_SIGMAS = "no sigmas of the position between 0 and 1000 m; give sigmas.horizontal_m in drive.yaml"
 _LOOK_BACK = 500
+#: A way that shows its direction, and the share of one that is upwards, where z is forward.
+_LEAST_WAY_M, _UPWARDS = 5.0, 0.9
 
 
 class Samples(NamedTuple):
@@ -209,8 +211,23 @@ def placed(recorded: RecordedTrajectory, source: Source, sensor_R_body: Floats) 
         raise InputError(f"{source.root}: {recorded.name} has {NO_SIGMAS}")
     antenna_m = np.array(source.settings.antenna_t_m or (0.0, 0.0, 0.0))
     body = se3.compose(poses, se3.se3(sensor_R_body, -antenna_m))
-    track = Samples(recorded.name, recorded.times_ns[known].tolist(), body[known], sigma[known], bad)
-    return srid, without_wild_fixes(track)
+    track = without_wild_fixes(
+        Samples(recorded.name, recorded.times_ns[known].tolist(), body[known], sigma[known], bad)
+    )
+    if recorded.is_local and _goes_upwards(track):
+        raise InputError(
+            f"{source.root}: the poses of {recorded.name} move along their z axis, as those of a camera do; expected x forward, "
+            "y left, z up. Write poses of the left camera as rows of 12 numbers, one per image (evo_traj tum F --save_as_kitti)"
+        )
+    return srid, track
+
+
+def _goes_upwards(track: Samples) -> bool:
+    """Whether the body moves along its own z axis on most of its way, which no vehicle does."""
+    moved = np.diff(track.map_SE3_body[:, :3, 3], axis=0)
+    length_m = np.linalg.norm(moved, axis=1)
+    along_m = np.abs((moved * track.map_SE3_body[:-1, :3, 2]).sum(axis=1))
+    return bool(length_m.sum() > _LEAST_WAY_M and along_m.sum() > _UPWARDS * length_m.sum())
 
 
 def _sigmas(recorded: RecordedTrajectory, settings: DriveYaml) -> Floats:

@@ -79,7 +79,7 @@ _KINDS: dict[Format, _Kind] = {
     "orbslam": _Kind("ORB-SLAM settings", r"Camera\d?\.(fx|bf|type|width)|(LEFT|RIGHT)\.P", read_orbslam_rig),
     "ros": _Kind(
         "ROS camera_info pair",
-        r"(projection|rectification)_matrix(\..+)?|.+\.(camera matrix|projection)",
+        r"(projection|rectification)_matrix(\..+)?|.+\.camera matrix|binning_x",
         read_ros_rig,
         ros_files,
     ),

@@ -25,6 +25,8 @@ _JSON = re.compile(r'\s*\{\s*["}]')
 _NUMBER_LINE = re.compile(rf"{_NUMBERS}+")
 _COMMENT = re.compile(r"(?:^|\s)[#;].*")
 _YAML_HEADER = re.compile(r"^\s*%YAML[^\n]*\n")
+#: Messages that are printed one after the other: the first one counts.
+_DOCUMENTS, _CONTENT = re.compile(r"^---[ \t]*$", re.MULTILINE), re.compile(r"^[ \t]*[^#\s]", re.MULTILINE)
 _MATRIX_TAG = re.compile(r"!!opencv-(nd-)?matrix")
 _NO_SPACE = re.compile(r"^([ \t]*[\w.]+):(?=[\[{])", re.MULTILINE)
 _DOTTED = {".nan": math.nan, ".inf": math.inf, "-.inf": -math.inf}
@@ -32,6 +34,7 @@ _DOTTED = {".nan": math.nan, ".inf": math.inf, "-.inf": -math.inf}
 _MOST_KEYS = 100_000
 #: The root of OpenCV's XML.
 _OPENCV_ROOT = "opencv_storage"
+_OF_PYTHON = (".npz", ".npy", ".pkl", ".pickle")
 _UNKNOWN = "not a calibration that conetl knows"
 
 
@@ -45,6 +48,8 @@ def read_content(path: Path, *, of_lines: bool = False) -> Any:
     data = read_bytes(path)
     if is_mat(data):
         return variables_of(path, data)
+    if path.suffix.lower() in _OF_PYTHON:
+        raise InputError(f"{path}: files of NumPy and pickle are not read: write M1, D1, M2, D2, R, T as JSON or YAML")
     with library_errors(f"{path}: this is not a text file", UnicodeDecodeError):
         text = data.decode(encoding_of([data])).replace("\r\n", "\n").replace("\r", "\n")
     is_xml, is_json = text.lstrip()[:1] == "<", _JSON.match(text)
@@ -63,7 +68,7 @@ def read_content(path: Path, *, of_lines: bool = False) -> Any:
     else:
         plain = _NO_SPACE.sub(r"\1: ", _MATRIX_TAG.sub("", _YAML_HEADER.sub("", text, count=1)))
         try:
-            content = parse_yaml(path, plain)
+            content = parse_yaml(path, next(filter(_CONTENT.search, _DOCUMENTS.split(plain)), ""))
         except InputError as error:
             if path.suffix.lower() in (".yaml", ".yml"):
                 raise

@@ -1,4 +1,4 @@
-"""Calibrations of the ROS world: `camera_info` pairs in YAML or in oST, read and written, and ORB-SLAM's settings, read.
+"""Calibrations of the ROS world: `camera_info` pairs in YAML, as messages or in oST, read and written, and ORB-SLAM's settings.
 
 A camera_info (camera_calibration, camera_info_manager: `left.yaml` and `right.yaml`, or `ost.txt` with both) describes raw
 images. The rectification matrix rotates directions of the camera into the rectified frame, and the projection matrix of the
@@ -51,6 +51,8 @@ class CameraInfoKeys(NamedTuple):
 
 
 _OST_KEYS = CameraInfoKeys("width", "height", "camera matrix", "distortion", "rectification", "projection", None)
+#: Of messages as text (`rostopic echo`, `ros2 topic echo`).
+_MESSAGE_KEYS = tuple(CameraInfoKeys("width", "height", *names) for names in ("KDRP", "kdrp"))
 
 
 def read_ros_rig(file: Node, *, pair: Pair | None = None) -> Rig:
@@ -68,7 +70,14 @@ def read_ros_rig(file: Node, *, pair: Pair | None = None) -> Rig:
     for info in infos:
         if not isinstance(info.value, Mapping):
             raise info.bad("must be the mapping of a ROS camera_info")
-    keys = _OST_KEYS if cameras else CameraInfoKeys()
+    keys = next((keys for keys in _MESSAGE_KEYS if keys.matrix in file.value), CameraInfoKeys())
+    keys = _OST_KEYS if cameras else keys
+    for info in infos if keys in _MESSAGE_KEYS else ():
+        roi, bins = info.value.get("roi"), [info.value.get(name, 0) for name in ("binning_x", "binning_y")]
+        if not {0, 1}.issuperset(bins) or (isinstance(roi, Mapping) and any(roi.values())):
+            raise info.bad(
+                "describes images that are cropped or binned: read the recording itself, or calibrate these images"
+            )
     infos = [next(iter(_ost_cameras(info).values()), info) for info in infos]
     extrinsics = files[0].parent / EXTRINSICS
     if extrinsics.is_file():

@@ -31,10 +31,12 @@ from conetl.readers.trajectories.times import (
 )  # fmt: skip
 
 #: First values of a column that are looked at.
-_VOTES = 9
+_VOTES, _MOST_COMPARED = 9, 1000
 #: Time stamps that Arrow reads as `parse_timestamp` does: it would also read those without seconds.
 _ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d", re.ASCII)
 _QUARTER_NS = 900 * SECOND_NS
+_TIME_OF_DAY = re.compile(r"\s*\d\d?:\d\d:\d\d(?:[.,]\d*)?\s*", re.ASCII)
+_HHMMSS = re.compile(r"(?:[01]\d|2[0-3])[0-5]\d[0-5]\d(?:\.\d*)?", re.ASCII)
 
 
 class TimeFormat(NamedTuple):
@@ -42,8 +44,8 @@ class TimeFormat(NamedTuple):
 
     scale: str
     """`gps`, or the IANA name of a time zone."""
-    kind: Literal["stamp", "unix", "gps seconds", "week", "day"]
-    """Text, seconds since 1970, since 1980-01-06, of a GPS week, of a day."""
+    kind: Literal["stamp", "unix", "gps seconds", "week", "day", "clock"]
+    """Text, seconds since 1970, since 1980-01-06, of a GPS week, of a day; text of a day."""
     digits: int = 9
     """Decimal digits of the unit, as in `decimal_ns`."""
     week: int | None = None
@@ -54,7 +56,7 @@ class TimeFormat(NamedTuple):
     @property
     def start_ns(self) -> int:
         """Epoch of the times, in ns since 1970-01-01 of the same time scale."""
-        if self.kind == "day":
+        if self.kind in {"day", "clock"}:
             return ((self.day or date(1970, 1, 1)) - date(1970, 1, 1)).days * DAY_NS
         if self.kind == "week":
             return GPS_EPOCH_NS + (self.week or 0) * WEEK_NS
@@ -63,7 +65,7 @@ class TimeFormat(NamedTuple):
     @property
     def period_ns(self) -> int:
         """After which times of a week or a day start over."""
-        return DAY_NS if self.kind == "day" else WEEK_NS
+        return WEEK_NS if self.kind == "week" else DAY_NS
 
 
 def common_clock(
@@ -77,7 +79,16 @@ def common_clock(
     """
     found: Counter[TimeFormat] = Counter()
     problem = " has no values"
-    for word in islice(words, _VOTES):
+    texts = [*islice(words, _MOST_COMPARED)]
+    is_unclear = not (
+        unit or has_week or settings.week is not None or re.search("[ts]ow|week|sec", name, re.IGNORECASE)
+    )
+    if is_unclear and texts and all(_HHMMSS.fullmatch(text.strip()) for text in texts):
+        raise InputError(
+            f"{path}: column {name!r}: {texts[0].strip()!r} may be hhmmss or seconds: write hh:mm:ss and a date, or state the "
+            "unit in drive.yaml, like trajectory: {columns: {time: 'time [s]'}}"
+        )
+    for word in texts[:_VOTES]:
         try:
             found[_clock_of(word, settings.scale(scale), unit, has_week, settings)] += 1
         except ValueError as error:
@@ -92,6 +103,8 @@ def _clock_of(first: str, scale: str, unit: str | None, has_week: bool, settings
     try:
         number = float(first)
     except ValueError:
+        if settings.date is not None and _TIME_OF_DAY.fullmatch(first):
+            return TimeFormat(scale, "clock", day=settings.date)
         return TimeFormat(scale, "stamp")
     units = {"s": 9, "ms": 6, "us": 3, "ns": 0}
     for digits in [units[unit]] if unit else units.values():
@@ -112,7 +125,8 @@ def _clock_of_day(seconds: float, scale: str, digits: int, day: date | None) -> 
     if day is None:
         raise ValueError(
             f"{seconds:.3f} is a time of a week or of a day, but the file does not state which: put "
-            "trajectory: {week: 2300} (GPS week) or {date: 2024-02-07} into drive.yaml"
+            "trajectory: {week: 2300} (GPS week) or {date: 2024-02-07} into drive.yaml; if it counts from the start of the "
+            "recording, or days, export dates and times"
         )
     weekday = (day.weekday() + 1) % 7  # from Sunday, as GPS weeks
     if int(seconds // 86_400) == weekday:
@@ -139,7 +153,7 @@ def time_reader(clock: TimeFormat) -> TimeReader:
     def read(words: Sequence[str], weeks: Sequence[str] | None) -> tuple[Times, dict[int, str]]:
         nonlocal before, turns
         times, wrong = _instants(words, clock)
-        if clock.kind in {"week", "day"}:
+        if clock.kind in {"week", "day", "clock"}:
             what = f"is more than two {clock.kind}s"
             wrong |= {i: f"{words[i].strip()[:40]!r} {what}" for i in np.flatnonzero(times > 2 * period_ns).tolist()}
             starts: Times | int = clock.start_ns
@@ -180,10 +194,17 @@ def _instants(words: Sequence[str], clock: TimeFormat) -> tuple[Times, dict[int,
     start_ns = clock.start_ns if clock.kind == "gps seconds" else 0
 
     def one(word: str) -> int:
+        if clock.kind == "clock":
+            return parse_timestamp(f"1970-01-01 {word.strip()}")
         if not is_stamp:
             return start_ns + decimal_ns(word.strip(), clock.digits)
         if clock.scale == "gps" and OFFSET.search(word):
             raise ValueError(f"{word.strip()[:60]!r} has an offset from UTC, but is said to be GPS time")
+        if is_stamp and _TIME_OF_DAY.fullmatch(word):
+            raise ValueError(
+                f"expected a time stamp like 2011-09-26 13:04:32.345, found {word.strip()!r}: name the column of the dates, or "
+                "state the first one (trajectory.date in drive.yaml)"
+            )
         return parse_timestamp(word, zone, clock.order)
 
     found = _stamps(words, zone, has_offsets=clock.scale != "gps") if is_stamp else _decimals(words, clock.digits)

@@ -13,7 +13,7 @@ import numpy as np
 from conetl.files.documents import shown
 from conetl.model.errors import InputError
 from conetl.readers.trajectories.dates import date_order
-from conetl.readers.trajectories.names import column_of, is_dms, is_exact, is_short_sigma, role_of, unit_of
+from conetl.readers.trajectories.names import column_of, is_dms, is_exact, is_short_sigma, role_of, scale_of, unit_of
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
 from conetl.readers.trajectories.tables import PARTS, POSITIONS, QUATERNION, ROLES, TIMES, Column, degrees_of
 from conetl.readers.trajectories.text import floats
@@ -86,6 +86,7 @@ def columns_of(path: Path, header: Header, settings: TrajectoryFile, kind: Forma
     are_short = sum(map(is_short_sigma, header.names)) > 2
     for k, (name, at) in enumerate(zip(header.names, header.starts, strict=True)):
         role, unit = mapped.get(name, (role_of(name), ""))
+        role = "height_msl" if role == "height" and role_of(name) == "height_msl" else role
         unit = unit or (header.units[k] if header.units else unit_of(name))
         unmapped = name not in mapped and (role in settings.columns or (is_short_sigma(name) and not are_short))
         if role is not None and not unmapped and (kind == "rtklib" or role not in _OF_RTKLIB):
@@ -104,6 +105,8 @@ def columns_of(path: Path, header: Header, settings: TrajectoryFile, kind: Forma
             )
         if chosen:
             columns[role] = chosen[0]
+    if not values_of(header.rows, columns.get("separation")):
+        columns.pop("separation", None)
     may_be_two = header.spare == 1 if header.names else header.delimiter is None
     return _with_time(columns, header.rows, may_be_two)
 
@@ -138,6 +141,10 @@ def _fitting(role: str, found: list[Column], rows: list[list[str]]) -> list[Colu
     """Of the columns that claim one name those that may be it, by their names and values; one where they are the same."""
     if len(found) == 1 and role != "date":
         return found
+    if role == "time":
+        found = [column for column in found if scale_of(column.name) != "local"] or found
+        # Of a ROS message: others are when it was received.
+        found = [column for column in found if "header" in column.name.lower()] or found
     found = [column for column in found if is_exact(column.name)] or found
     fitting = [column for column in found if not rows or _may_be(role, values_of(rows, column))]
     found = fitting if fitting or role == "date" else found

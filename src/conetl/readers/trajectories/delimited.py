@@ -28,10 +28,10 @@ from conetl.readers.trajectories.columns import (
     values_of,
 )
 from conetl.readers.trajectories.earth import is_geocentric, unstated_heights
-from conetl.readers.trajectories.names import aligned, is_unit, require_unit, role_of, scale_of
+from conetl.readers.trajectories.names import aligned, is_unit, is_zone, require_unit, role_of, scale_of
 from conetl.readers.trajectories.recorded import Reading
 from conetl.readers.trajectories.settings import FormatName, TrajectoryFile
-from conetl.readers.trajectories.tables import POSITIONS, Adjust, TableLayout, require, table_records
+from conetl.readers.trajectories.tables import POSITIONS, Adjust, Column, TableLayout, require, table_records
 from conetl.readers.trajectories.text import Progress, floats, head_lines, split_line
 
 #: A header is among these lines, and has at most so many characters; it is compared with so many records.
@@ -43,6 +43,8 @@ _UNITS = re.compile(r"\([^()]*\)|\[[^\[\]]*\]")
 _MAKERS = ("inertial explorer", "grafnav", "waypoint")
 _DATED = re.compile(r"(?:date|day|datum|mission|start).*?\b(\d{4})[-/](\d\d?)[-/](\d\d?)\b", re.IGNORECASE | re.ASCII)
 _IN_WORDS = re.compile(r"\bin (feet|foot|ft|radians?|gons?|grads?)\b", re.IGNORECASE)
+#: Distance of the earth's surface from its centre.
+_EARTH_M, _EARTH_OFF_M = 6.367e6, 3e4
 #: Of conetl's own trajectory.csv.
 _OWN_NAMES = frozenset({"captured_at", "yaw_deg"})
 
@@ -212,12 +214,29 @@ def _stated_day(lines: list[str], header: Header, settings: TrajectoryFile) -> d
 # --------------------------------------------------------------------------- the columns
 
 
+def _scale(path: Path, columns: dict[str, Column], header: Header) -> str:
+    """The time scale that the names of time and date state, or a column beside them. Raises InputError for AM and PM."""
+    for at in range(min(map(len, header.rows), default=0)):
+        if {row[at].strip().upper() for row in header.rows} <= {"AM", "PM"}:
+            raise InputError(f"{path}: a column has AM and PM: write the times with hours from 0 to 23")
+    named = [scale_of(columns[role].name) for role in ("time", "date") if role in columns]
+    return next(filter(None, named), "local" if any(map(is_zone, header.names)) else "")
+
+
+def _is_on_earth(columns: dict[str, Column], rows: list[list[str]]) -> bool:
+    """Whether x, y, z of most of the first records are geocentric coordinates of the earth's surface."""
+    at = [columns[name].at for name in "xyz"]
+    xyz = floats([word for row in rows if len(row) > max(at) for word in map(row.__getitem__, at)]).reshape(-1, 3)
+    far_m = np.linalg.norm(xyz * columns["x"].factor, axis=1)
+    return bool(2 * np.count_nonzero(np.abs(far_m - _EARTH_M) < _EARTH_OFF_M) > len(far_m))
+
+
 def _layout(path: Path, header: Header, settings: TrajectoryFile, kind: FormatName, notes: list[str]) -> TableLayout:
     """Where the columns of a header are. Raises InputError where they are not understood."""
     rows = header.rows
     columns = columns_of(path, header, settings, kind)
     axes, heights = require(columns, path, header.names)
-    if axes == "local" and (settings.crs is not None or columns["x"].name.startswith("x-ecef")):
+    if axes == "local" and (settings.crs is not None or _is_on_earth(columns, rows)):
         axes = "geocentric" if settings.crs is None or is_geocentric(settings) else "projected"
         if axes == "projected":
             columns |= dict(zip(POSITIONS[axes], (columns.pop(name) for name in "xyz"), strict=True))
@@ -240,8 +259,8 @@ def _layout(path: Path, header: Header, settings: TrajectoryFile, kind: FormatNa
         notes.append(
             f"{path}: column {shown(name)} has whole degrees, as a course over ground; it is not used as attitude"
         )
-    scale = scale_of(columns["time"].name)
-    if kind == "inertial_explorer" and scale != "UTC":
+    scale = _scale(path, columns, header)
+    if kind == "inertial_explorer" and scale in {"", "?"}:
         scale = "gps"
     with input_errors(path):
         order = order_of_dates(columns, header, settings)

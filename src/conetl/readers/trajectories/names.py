@@ -22,7 +22,7 @@ _ALIASES = {
         "epoch posixtime zeit zeitstempel uhrzeit utczeit gpszeit datumzeit timeofday gpst jst "
         "gpstime gpstimestamp gpsdatetime gpsutc tow gpstow sow gpssow secondsofweek timeofweek gpsseconds gpssecs "
         "correctedtime localtime timelocal localdatetime localtimestamp ortszeit",
-    "date": "date utcdate datum tag gpsdate gpsdatum day",
+    "date": "date utcdate datum tag gpsdate gpsdatum day localdate",
     "week": "week gpsweek weekno weeknumber gpswk wn",
     "year": "year yyyy jahr", "month": "month monat", "hour": "hour hours hh stunde", "minute": "minute minutes min",
     "second": "second seconds sec ss sekunde", "nanosecond": "nano nanosecond nanoseconds nanos",
@@ -36,9 +36,9 @@ _ALIASES = {
     "height_system": "altitudesystem heightsystem altsystem",
     "easting": "easting east e rechtswert ostwert utmeast utme",
     "northing": "northing north n hochwert nordwert utmnorth utmn",
-    "x": "x px posx positionx tx xecef",
-    "y": "y py posy positiony ty yecef",
-    "z": "z pz posz positionz tz zecef",
+    "x": "x px posx positionx tx xecef ecefx",
+    "y": "y py posy positiony ty yecef ecefy",
+    "z": "z pz posz positionz tz zecef ecefz",
     "roll": "roll rollangle rollwinkel",
     "pitch": "pitch pitchangle nick nickwinkel",
     "heading": "heading head hdg hdt trueheading azimuth azimut azi",
@@ -61,7 +61,9 @@ _ALIASES = {
 }  # fmt: skip
 _ROLE_OF = {alias: role for role, aliases in _ALIASES.items() for alias in aliases.split()}
 #: Words that say only whose value it is, and those of a receiver, which has no attitude.
-_QUALIFIERS = frozenset({"gps", "gnss", "ins", "imu", "utc", "pos", "position", "nav", "wgs84"})
+_QUALIFIERS = frozenset({
+    "gps", "gnss", "ins", "imu", "utc", "pos", "position", "angle", "nav", "wgs84", "field", "header", "fix",
+})  # fmt: skip
 _SATELLITES = frozenset({"gps", "gnss", "pos"})
 _ATTITUDE = frozenset({"roll", "pitch", "heading", "yaw"})
 _DEGREES = {
@@ -70,13 +72,20 @@ _DEGREES = {
 }  # fmt: skip
 _LENGTHS = {"m": 1.0, "meter": 1.0, "meters": 1.0, "metres": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3}
 _TIMES = {"s": "s", "sec": "s", "secs": "s", "seconds": "s", "ms": "ms", "us": "us", "µs": "us", "ns": "ns"}
-_REFUSED = frozenset({"ft", "feet", "usft", "gon", "grad", "grads", "mil", "mils"})
+_REFUSED = frozenset({"ft", "feet", "usft", "dm", "gon", "grad", "grads", "mil", "mils", "mrad", "mdeg", "semicircles"})
 _NO_UNITS = frozenset({"utc", "gps", "wgs84", "msl", "", "-", "ellipsoidal", "gpst", "week", "weeks"})
 _UNITS = frozenset({*_DEGREES, *_LENGTHS, *_TIMES, *_REFUSED, *_NO_UNITS})
 _DMS = re.compile(r"(?:\+/-\s*)?(?:d\s*m\s*s|deg\s+min\s+sec|dms|d'\"?)", re.IGNORECASE)
 _BRACKET = re.compile(r"[\[(]([^\[\]()]*)[\])]")
 #: Characters of a column's name that may be known.
 _LONGEST_NAME = 60
+#: What heights are above, as names say it; of these the sea.
+_REFERENCE = re.compile(r"above|over|ueber|mean|ellipsoid(al)?|wgs84|egm\d*|navd\d*|nhn|a?msl|sea|level")
+_ABOVE_SEA = re.compile(r"msl|sea.?level|egm|navd|nhn|orthom")
+#: Zones of times in brackets: CET, MEZ, UTC+1, Europe/Berlin.
+_ZONE = re.compile(r"[A-Z]{2,4}T|MES?Z|TAI|(?:UTC|GMT) ?[+-] ?\d.*|[A-Z]\w+/\w+")
+#: Names of columns with the zone of the times.
+_ZONE_NAMES = frozenset({"tz", "timezone", "zeitzone", "zone", "utcoffset", "offsetutc", "tzoffset"})
 #: Names of u-blox's protocol, whose unit is mm, which other programs give in metres.
 _MM_OR_M = frozenset({"hacc", "vacc", "pacc"})
 _METRES_LIKE = 10.0
@@ -116,7 +125,19 @@ def role_of(name: str) -> str | None:
     if qualified in _ATTITUDE and not _SATELLITES.isdisjoint(words):  # a course over ground
         qualified = None
     role = _ROLE_OF.get(whole) or qualified or _ROLE_OF.get(short)
-    return "height_msl" if role == "height" and unit == "msl" else role
+    if role is None and _in_brackets(name, _ZONE):
+        role = "time" if role_of(_BRACKET.sub("", name)) == "time" else None
+    elif role is None:
+        rest = _ROLE_OF.get("".join(word for word in words if not _REFERENCE.fullmatch(word)))
+        role = "height" if rest == "height" else None
+    if role == "height":
+        return "height_msl" if _ABOVE_SEA.search(_plain(name)) else role
+    kinds = {_kind_of_role(role), _kind_of_unit(unit)} - {""}
+    return role if base == name or len(kinds) < 2 else None  # Heading [M]
+
+
+def _in_brackets(name: str, pattern: re.Pattern[str]) -> bool:
+    return any(pattern.fullmatch(text.strip()) for text in _BRACKET.findall(name))
 
 
 def is_exact(name: str) -> bool:
@@ -217,6 +238,13 @@ def scale_of(name: str) -> str:
     plain = _squeezed(name)
     if plain in {"gpst", "jst"}:
         return {"gpst": "gps", "jst": "Asia/Tokyo"}[plain]
+    if re.search("lo[ck]al|ortszeit", plain) or (_in_brackets(name, _ZONE) and "gps" not in plain):
+        return "local"
     if "utc" in plain or "unix" in plain or "posix" in plain:
         return "UTC"
-    return "local" if re.search("lo[ck]al|ortszeit", plain) else "?" if "gps" in plain else ""
+    return "?" if "gps" in plain or "gnss" in plain else ""
+
+
+def is_zone(name: str) -> bool:
+    """Whether a column is the zone, or the offset from UTC, of the times."""
+    return _squeezed(name) in _ZONE_NAMES

@@ -57,7 +57,7 @@ def add_images(root: Path, rig_file: Path | None, proposal: Proposal) -> tuple[i
         images |= with_likely_sides({side: images[side] for side in SIDES if side in images}, names)
         unknown = [side for side in SIDES if side not in images]
         for side in unknown[:1] if len(names) == 2 else unknown:
-            proposal.need(f"images.{side}", f"Found: {', '.join(names)}", names[0])
+            proposal.need(f"images.{side}", f"Found: {', '.join(names)}")
     if "left" not in images or "images.layout" in (each.key for each in proposal.missing):
         return None
     left = stream_of(root, images["left"], "images.left")
