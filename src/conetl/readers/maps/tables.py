@@ -324,7 +324,8 @@ def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:
                 f"{table.path}: {shown(name)} is in the height system {shown(sorted(systems)[0])}: state it with the CRS, like "
                 "--crs EPSG:25832+7837"
             )
-        _require_one(table, [one[1] for one in named if order > _STATED_HEIGHTS], name, known_m)
+        if order > _STATED_HEIGHTS:
+            _require_one(table, [other for _, other, _ in named], name, known_m)
         heights_m[absent] = found_m[absent]
         break
     table.xyz[:, 2] = heights_m / crs_unit_m if crs.is_compound else heights_m
