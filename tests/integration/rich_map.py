@@ -1,8 +1,8 @@
 """One small map with something of everything, the same in each run: times of the database included.
 
 Drives of several days (late, held, accepted, reverted), an imported map with every class and oblique covariances, lane markings,
-decisions, work zones with versions and plans, base layers, provisional features, and entries that failed. No two of its numbers
-are equal by chance.
+decisions, work zones with versions and plans, base layers, provisional features, and entries that failed. Beside it a map west of
+Greenwich and a map of several work zones. No two of its numbers are equal by chance.
 """
 
 from __future__ import annotations
@@ -171,33 +171,34 @@ def make(conn: Connection, conetl: Callable[..., str], folder: Path) -> Written:
         _watched(conn)
         _failed(conn, folder)
         _west(conn)
+        _zones(conn)
         return Written(count(), features)
 
 
-def _merge(conn: Connection, made: world.Survey, hold: str | None = None) -> None:
-    world.merge(conn, made, hold=hold)
+def _merge(conn: Connection, made: world.Survey, hold: str | None = None, map_name: str = "default") -> None:
+    world.merge(conn, made, hold=hold, map_name=map_name)
     conn.commit()
-    one = _changesets(conn)[made.drive.drive_id]
+    one = _changesets(conn, map_name)[made.drive.drive_id]
     number = one.changeset_no
     steps = [
         StepTime("detect", 2 + number, 3.5 * number, 0.25, 2.5 * number),
         StepTime("merge", 1, 0.125 * number, 9.0, 9.5),
     ]
     write_run_steps(conn, one.changeset_id, steps)
-    _notices(conn, one.committed_at)
+    _notices(conn, one.committed_at, map_name)
 
 
-def _notices(conn: Connection, at: datetime) -> None:
+def _notices(conn: Connection, at: datetime, map_name: str = "default") -> None:
     """Record what changed of zones and plans, as of this time."""
-    record_notices(conn, map_name="default")
+    record_notices(conn, map_name=map_name)
     execute(
         conn, "update conetl.notice set recorded_at = %(at)s where recorded_at > now() - interval '1 hour'", {"at": at}
     )
     conn.commit()
 
 
-def _changesets(conn: Connection) -> dict[str, CommittedChangeset]:
-    found = {one.drive_id: one for one in list_changesets(conn)}
+def _changesets(conn: Connection, map_name: str = "default") -> dict[str, CommittedChangeset]:
+    found = {one.drive_id: one for one in list_changesets(conn, map_name=map_name)}
     conn.rollback()
     return found
 
@@ -276,6 +277,18 @@ def _west(conn: Connection) -> None:
     )
     records.commit(conn, moved, key="a2", start_ns=later_ns, **options)
     conn.commit()
+
+
+def _zones(conn: Connection) -> None:
+    """A third map: two work zones that a later drive joins, and one 600 m away, where the last drive, held, finds none."""
+    row = [Cone((10.0 + 4.0 * k, 3.6 - 0.03 * k, 0.0), height_m=0.7 - 0.01 * k) for k in range(14)]
+    far = [Cone((612.0 + 4.5 * k, -3.2 - 0.3 * k, 0.0), height_m=0.52 + 0.02 * k) for k in range(5)]
+    driven = (([*row[:5], *row[9:]], 0.0, 75), (far, 600.0, 40), (row, 0.0, 75), ([], 600.0, 45))
+    for day, (cones, start_m, frames) in enumerate(driven):
+        first_ns = START_NS + day * world.DAY_NS
+        rng = np.random.default_rng([7, day])
+        made = world.survey_of(cones, rng, f"zones_{day}", frames=frames, start_m=start_m, first_ns=first_ns)
+        _merge(conn, made, map_name="zones")
 
 
 def _watched(conn: Connection) -> None:

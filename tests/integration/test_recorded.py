@@ -140,6 +140,12 @@ base drop nowhere
 base import {folder}/lanes.geojson
 map import {folder}/all_classes.csv
 map import {folder}/all_classes.csv --map west
+zones history --map zones
+zones history --map zones --json
+zones compare --map zones --as-of 2026-03-06 --json
+map check-layout --map zones --as-of 2026-03-02T20:00
+map check-layout --map zones --json
+map log --map zones
 report drive 99
 report night 2026-03-20 --since 2026-03-20
 """.strip().splitlines()
@@ -176,6 +182,16 @@ EXPORTS = [
         if name == "wzdx" or number < 2
     ),
     "map export --format wzdx " + FEED + " --as-of 2026-03-05T20:00 --max-age 1h --out {folder}/old.geojson",
+    *(
+        f"map export --map zones --format {name} {FEED}{more} --as-of {at} --out {{folder}}/joined_{number}.{suffix}"
+        for name, suffix, more in (
+            ("wzdx", "geojson", ""), ("wzdx-devices", "geojson", ""), ("datex2", "xml", " --country de"),
+        )
+        for number, at in enumerate(("2026-03-02T20:00", "2026-03-04T20:00"))
+    ),
+    "map export --map zones --format mcap --what history --out {folder}/joined.mcap",
+    "map export --map west --format gpkg --crs EPSG:2285 --what changes --out {folder}/feet.gpkg",
+    "map export --map west --format flatgeobuf --crs EPSG:2285 --out {folder}/feet.fgb",
     "map qgis --out {folder}/map.qgs",
     "zones compare --as-of 2026-03-06 --out {folder}/plans.csv",
     "zones compare --as-of 2026-03-06 --out {folder}/plans.geojson",
@@ -199,6 +215,7 @@ REPORTS = [
     "map picture {folder}/map.svg --title Everything", "map picture {folder}/then.svg --as-of {seen} --known-at {w3}",
     "map picture {folder}/changes.svg --changes 2 5", "map picture {folder}/box.svg --bbox {box}",
     "map picture {folder}/west.svg --map west", "map diff 3 4 --image {folder}/diff.svg",
+    "map check-layout --map zones --image {folder}/zones_layout.svg", "map picture {folder}/zones.svg --map zones",
     "map picture {folder}/no.svg --changes 5 2", "map check-layout --image {folder}/layout.svg",
 ]  # fmt: skip
 API = "/api/maps/default"
@@ -305,6 +322,16 @@ ROUTES = """
 /api/maps/west/summary
 /api/maps/west/review
 /api/maps/west/changes/view?changeset_no=2
+/api/maps/zones/work-zones
+/api/maps/zones/work-zones?valid_at=2026-03-02T20:00:00Z
+/api/maps/zones/differences?valid_at=2026-03-04T20:00:00Z
+/api/maps/zones/timeline
+/api/maps/zones/changes/view?changeset_no=4&cell_zoom=8
+{api}/review?limit=1
+/ogc/collections/west.features/items?limit=5
+/ogc/collections/west.features/items?limit=4
+/ogc/collections/west.features/items?limit=2&offset=5
+/ogc/collections/zones.changes/items?from=2026-03-02T20:00:00Z&limit=50
 """.strip().splitlines()
 #: Named statements that no command or route above asks as sharply: at an instant and just before it, at an edge of a box.
 _DAY_2, _SECONDS = START_NS + 2 * DAY_NS, 10**9
@@ -416,7 +443,8 @@ def words_of(conn: Connection, made: rich_map.Written, folder: Path) -> dict[str
     words["before_replaced"] = iso(row["at"] - TICK)
     [row] = execute(
         conn,
-        "select subject_id::text as id from conetl.notice where topic = 'work_zone' order by notice_no desc limit 1",
+        "select subject_id::text as id from conetl.notice join conetl.map using (map_id) "
+        "where topic = 'work_zone' and map_name = 'default' order by notice_no desc limit 1",
     )
     words["zone"] = row["id"]
     conn.rollback()
