@@ -384,6 +384,17 @@ def test_a_gpx_height_of_unknown_reference_has_a_sigma_that_covers_the_geoid(tmp
         read_trajectory(path)
 
 
+def test_logs_without_positions_that_count_say_what_to_record(tmp_path: Path) -> None:
+    path = files.write_gpx(tmp_path)
+    path.write_text(path.read_text().replace("trkpt", "wpt"))
+    with pytest.raises(InputError, match=r"no point of a track \(trkpt\): export the track"):
+        read_trajectory(path)
+    path = files.write_nmea(tmp_path)
+    path.write_text("".join(line for line in path.read_text().splitlines(keepends=True) if "RMC" in line[:6]))
+    with pytest.raises(InputError, match=r"no GGA or GNS sentence with a time, and others have no heights: log GGA"):
+        read_trajectory(path)
+
+
 def test_a_geoid_grid_beside_the_file(tmp_path: Path) -> None:
     header = np.array([48.0, 7.0, 1.0, 1.0], ">f8").tobytes() + np.array([3, 3], ">i4").tobytes()
     (tmp_path / "geoid.gtx").write_bytes(header + np.full(9, 47.5, ">f4").tobytes())

@@ -16,6 +16,7 @@ from xml.parsers import expat
 import numpy as np
 
 from conetl.files.documents import XmlFile, input_errors, library_errors
+from conetl.model.errors import InputError
 from conetl.readers.trajectories.clocks import TimeFormat, TimeReader, time_reader
 from conetl.readers.trajectories.recorded import Reading, Records
 from conetl.readers.trajectories.settings import TrajectoryFile
@@ -117,6 +118,8 @@ def _records(
             if not found and not points.rows:
                 raise
             notes.append(f"{path}: ends or is damaged in line {error.lineno}; the whole points before it are used")
+    if not points.rows and not found:
+        raise InputError(f"{path}: there is no point of a track (trkpt): export the track, not waypoints or a route")
     if points.rows:
         yield _piece(points.rows, read_times, add_geoid)
 

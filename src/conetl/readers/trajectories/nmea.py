@@ -225,7 +225,9 @@ def _records(log: _Log, settings: TrajectoryFile, path: Path) -> Iterator[Record
     epochs, fixes = log.fixes.rows()
     if not len(epochs):
         why = f"; {log.damaged:,} sentences have a wrong checksum or content" if log.damaged else ""
-        raise InputError(f"{path}: there is no GGA or GNS sentence with a time{why}")
+        raise InputError(
+            f"{path}: there is no GGA or GNS sentence with a time, and others have no heights: log GGA as well{why}"
+        )
     count = len(log.times)
     times = _times_ns(log, settings, path)
     lat, lon, altitude, separation, quality, hdop, line = fixes.T
