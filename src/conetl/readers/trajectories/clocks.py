@@ -154,7 +154,7 @@ def time_reader(clock: TimeFormat) -> TimeReader:
         nonlocal before, turns
         times, wrong = _instants(words, clock)
         if clock.kind in {"week", "day", "clock"}:
-            what = f"is more than two {clock.kind}s"
+            what = f"is more than two {'weeks' if clock.kind == 'week' else 'days'}"
             wrong |= {i: f"{words[i].strip()[:40]!r} {what}" for i in np.flatnonzero(times > 2 * period_ns).tolist()}
             starts: Times | int = clock.start_ns
             if weeks is not None:
